@@ -26,11 +26,11 @@ from benchmarks.page import put
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, drawn, evaluate, lane_of_study
 from dssc_jax.engine.reference import agreement, recompute
-from dssc_jax.lanes import machine
-from dssc_jax.lanes.cache.user_cache import CACHE_VARIABLE
-from dssc_jax.lanes.needed import reachable
-from dssc_jax.lanes.opposites import loops_of
+from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.passes.negated_states import loops_of
 from dssc_jax.lanes.program import Value, all_blocks
+from dssc_jax.lanes.program_cache import CACHE_VARIABLE
 from dssc_jax.lanes.traced_lanes import TracedLanes
 from dssc_jax.study.library import available_studies
 

@@ -8,6 +8,7 @@ import pytest
 
 import dssc_jax
 
+os.environ["DSSC_JAX_VERIFY"] = "1"  # each program of lanes, after each pass
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)  # plain programs compile for longer than they run here
 gc.freeze()  # compiled programs are many long-lived objects, and a full collection visits all of them

@@ -12,8 +12,8 @@ import dssc_jax as dj
 from dssc_jax.core.contracts import Disturbance
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.batching import lane_of_study
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.reference import agreement, lane_numbers, recompute
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.differentiators import DIFFERENTIATORS
 from dssc_jax.models.disturbances import DISTURBANCES

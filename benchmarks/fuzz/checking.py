@@ -13,11 +13,11 @@ from benchmarks.fuzz.generate import SINGLES
 from benchmarks.fuzz.program import Kind, Program, abstract, scalars, text
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import column
-from dssc_jax.lanes import forms
+from dssc_jax.engine import forms
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.lanes.program import Builder
-from dssc_jax.lanes.translate import Translator, traced_program
+from dssc_jax.lanes.tracing.translate import Translator, traced_program
 from dssc_jax.lanes.unsupported import Unsupported
 
 LANES_OF_SINGLES, LANES = 965, 193  # no whole numbers of vectors

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.fuzz.generate import generate
 from benchmarks.fuzz.program import text
-from dssc_jax.lanes.cache.user_cache import CACHE_VARIABLE
+from dssc_jax.lanes.program_cache import CACHE_VARIABLE
 
 Work = tuple[list[int], bool]
 REPORT_EVERY = 50

@@ -18,8 +18,8 @@ from benchmarks.paper.loops import AXES, RHO, TAU_AV, comparison, sta, wide
 from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
 from dssc_jax.closed_loop.draw import simulate_recorded
 from dssc_jax.core.numerics import stream
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key, inside, uniform
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
 

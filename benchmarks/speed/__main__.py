@@ -7,7 +7,7 @@ from pathlib import Path
 from benchmarks.speed import narrow, others, page, scaling
 from benchmarks.speed.contest import OURS, SIZES, C, available, contest
 from benchmarks.speed.workloads import CASES, Case
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 
 QUICK = (Case("uav"), Case("uav", precision=32), Case("axis"))
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.speed import native, rivals
 from benchmarks.speed.workloads import Case, Found, agree, disagreement
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"uav": (4096, 10.0), "axis": (16384, 40.0)}

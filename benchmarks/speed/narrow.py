@@ -2,7 +2,7 @@
 
 import os
 
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 
 VARIABLE = "DSSC_JAX_BENCHMARK_NARROW"
 WANTED = VARIABLE in os.environ

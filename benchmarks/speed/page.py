@@ -31,7 +31,7 @@ from benchmarks.speed.scaling import Run
 from benchmarks.speed.workloads import ALLOWED, Case
 from dssc_jax import plotting
 from dssc_jax.console.environment import machine
-from dssc_jax.lanes.machine import vector_bits
+from dssc_jax.lanes.llvm.machine import vector_bits
 
 DOCS = ROOT / "docs"
 PURPLE = "#CC79A7"  # of the same palette as the others, for readers who confuse colours
@@ -216,7 +216,7 @@ median and quartiles. All programs use every core, except in the column "one dev
 * **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
   `benchmarks/speed/by_hand.py`.
 
-The trigonometric functions that replace the compiler's own, `numerics.atan` and `numerics.atan2`, are within 3 units in
+The trigonometric functions that replace the compiler's own, `atan` and `atan2` of the lanes, are within 3 units in
 the last place in both precisions (`tests/core/test_numerics.py`).
 
 Millions of lane-steps per second:

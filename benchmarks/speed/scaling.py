@@ -16,7 +16,7 @@ from typing import NamedTuple
 from benchmarks.speed.contest import environment
 from benchmarks.speed.worker import peak
 from benchmarks.speed.workloads import Case, study_of
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 
 REPEATS, ENOUGH = 5, 4.0  # runs, or seconds of running after which one is enough
 SWEPT = "controller.functions.tau_av"

@@ -51,7 +51,7 @@ def scan(work: Task) -> tuple[Callable[[], Found], float]:
 
 def unfused(work: Task) -> tuple[Callable[[], Found], float]:
     from benchmarks.speed.ours import plain
-    from dssc_jax.lanes.plain import plain_options
+    from dssc_jax.engine.plain import plain_options
 
     return plain(work, plain_options())
 

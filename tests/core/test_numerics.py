@@ -8,8 +8,6 @@ from scipy.interpolate import BSpline
 import dssc_jax as dj
 from dssc_jax.core.numerics import (
     arithmetic,
-    atan,
-    atan2,
     binary_exponent,
     clip,
     cubic_spline,
@@ -20,6 +18,7 @@ from dssc_jax.core.numerics import (
     standard_normals,
 )
 from dssc_jax.core.signals import Outcome
+from dssc_jax.lanes.functions.approximations import atan, atan2
 from tests.conftest import UNCERTAIN
 
 

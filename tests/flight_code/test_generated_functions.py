@@ -15,7 +15,7 @@ from dssc_jax.flight_code.controller import channel_labels
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.recording import recorded_draws
 from dssc_jax.flight_logs.replay import commanded
-from dssc_jax.lanes.c_names import c_string, member_names, prefix_name
+from dssc_jax.lanes.c.names import c_string, member_names, prefix_name
 from tests.angles import heading
 from tests.flight_code.compiling import FLAGS, CompiledController, made, require
 from tests.flight_code.test_code import table, values_compared, written

@@ -6,9 +6,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from dssc_jax.core.numerics import arithmetic
-from dssc_jax.lanes.elementary import ELEMENTARY
+from dssc_jax.lanes.functions.elementary import ELEMENTARY
 from dssc_jax.lanes.lanes import CompiledLanes
+from tests.lanes.against_plain import arithmetic
 
 POINTS = 1000
 RNG = np.random.default_rng(0)

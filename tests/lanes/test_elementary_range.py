@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from jax import lax
 
-from dssc_jax.core.numerics import arithmetic
 from dssc_jax.lanes.lanes import CompiledLanes
-from tests.lanes.against_plain import both
+from tests.lanes.against_plain import arithmetic, both
 
 LEAST_FRACTION = 6381956970095103.0 * 2.0**797, 16367173.0 * 2.0**72
 """Closest to a multiple of pi/2 among all numbers of 64 and of 32 bits."""

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.lanes.order import ordered, users_of
+from dssc_jax.lanes.passes.scheduling import ordered, users_of
 from dssc_jax.lanes.traced_lanes import PACKINGS, Packing
-from dssc_jax.lanes.translate import translate
+from dssc_jax.lanes.tracing.translate import translate
 from tests.lanes.against_plain import X, Y, both
 
 

@@ -5,12 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.lanes.needed import reachable
-from dssc_jax.lanes.opposites import loops_of
-from dssc_jax.lanes.signs import is_unsigned
-from dssc_jax.lanes.translate import translate
-from tests.lanes.against_plain import X, both
-from tests.tolerances import ROUNDING
+from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.passes.negated_states import loops_of
+from dssc_jax.lanes.passes.signs import is_unsigned
+from dssc_jax.lanes.tracing.translate import translate
+from tests.lanes.against_plain import ROUNDING, X, both
 
 
 def falling(x, y):

@@ -11,7 +11,7 @@ import xarray as xr
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 from dssc_jax.runs import cluster
 from tests.results.test_durability import SMALL
 

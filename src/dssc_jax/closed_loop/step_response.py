@@ -16,8 +16,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.metrics import Metric, Sample, Span, Window
-from dssc_jax.core.numerics import arithmetic, atan2, root_abs
+from dssc_jax.core.numerics import arithmetic, root_abs
 from dssc_jax.core.signals import Scalar
+from dssc_jax.lanes.functions.approximations import atan2
 
 LOW = 0.1
 HIGH = 0.9

@@ -11,7 +11,7 @@ import jax
 from dssc_jax.console.kinds import HEADS, KindDescription, kinds
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core import files
-from dssc_jax.lanes import forms
+from dssc_jax.engine import forms
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
 

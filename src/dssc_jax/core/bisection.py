@@ -27,7 +27,8 @@ def bisect(
         >>> float(inside) < 2.0**0.5 <= float(outside) < float(inside) + 1e-6
         True
     """
-    passed_at, failed_at = np.asarray(inside), np.asarray(outside)
+    passed_at = np.asarray(inside)
+    failed_at = np.asarray(outside)
     for _ in range(halvings):
         middle = 0.5 * (passed_at + failed_at)
         passed = holds(middle)

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.signals import Params, Scalar
+from dssc_jax.lanes.functions.approximations import LOG_SERIES, polynomial
 
 Tree = TypeVar("Tree")
 
-LOG_SERIES = (1.479819860511658591e-1, 1.531383769920937332e-1, 1.818357216161805012e-1, 2.222219843214978396e-1,
-              2.857142874366239149e-1, 3.999999999940941908e-1, 6.666666666666735130e-1)  # fmt: skip
 LOG_2 = math.log(2.0)
 
 
@@ -122,28 +121,6 @@ def saturate(x: Scalar, limit: Scalar) -> Scalar:
     return clip(x, -limit, limit)
 
 
-ATAN_SERIES = {
-    np.dtype(np.float64): (
-        (1.62858201153657823623e-02, 4.97687799461593236017e-02, 6.66107313738753120669e-02,
-         9.09088713343650656196e-02, 1.42857142725034663711e-01, 3.33333333333329318027e-01),
-        (-3.65315727442169155270e-02, -5.83357013379057348645e-02, -7.69187620504482999495e-02,
-         -1.11111104054623557880e-01, -1.99999999998764832476e-01),
-    ),
-    np.dtype(np.float32): (
-        (6.1687607318e-02, 1.4253635705e-01, 3.3333328366e-01), (-1.0648017377e-01, -1.9999158382e-01),
-    ),
-}  # fmt: skip
-"""(x - atan x)/x^3 for |x| <= 7/16 in powers of x^2, the even ones and the odd ones apart, which shortens the chain."""
-
-
-def polynomial(coefficients: Sequence[float], x: Scalar) -> Scalar:
-    """Horner's rule, highest power first."""
-    value: Scalar = coefficients[0]
-    for coefficient in coefficients[1:]:
-        value = value * x + coefficient
-    return value
-
-
 @partial(jax.jit, static_argnums=(0, 4))  # traced once for all channels of a controller
 def newton(
     tangent: Callable[[Params, Scalar], tuple[Scalar, Scalar]],
@@ -159,42 +136,6 @@ def newton(
         return x + (value - f) / slope
 
     return jax.lax.fori_loop(0, steps, nearer, jnp.asarray(start))
-
-
-def arc(opposite: Scalar, adjacent: Scalar) -> Scalar:
-    """The angle in [0, pi/4] of a right triangle, 0 <= opposite <= adjacent and adjacent > 0, with one division fewer.
-
-    Beyond tan(pi/8) the ratio x becomes (x - 1)/(x + 1), by pi/4; the ratio itself is never formed. The polynomials are
-    those of FreeBSD's s_atan.c and s_atanf.c (Sun Microsystems, 1993).
-    """
-    middle = opposite > math.tan(math.pi / 8.0) * adjacent
-    reduced = jnp.where(middle, opposite - adjacent, opposite) / jnp.where(middle, opposite + adjacent, adjacent)
-    even, odd = ATAN_SERIES[reduced.dtype]
-    z = reduced * reduced
-    w = z * z
-    value = reduced - reduced * (z * polynomial(even, w) + w * polynomial(odd, w))
-    return jnp.where(middle, 0.25 * math.pi + value, value)
-
-
-def atan(x: Scalar) -> Scalar:
-    """The arctangent in a form that vectorises, within 3 ulp; XLA:CPU's own calls a scalar routine."""
-    magnitude = jnp.abs(x)
-    steep = magnitude > 1.0
-    angle = arc(jnp.where(steep, 1.0, magnitude), jnp.where(steep, magnitude, 1.0))
-    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
-    return jnp.where(x < 0.0, -angle, angle)
-
-
-def atan2(y: Scalar, x: Scalar) -> Scalar:
-    """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
-    across = jnp.abs(y)
-    along = jnp.abs(x)
-    steep = across > along
-    longer = jnp.where(steep, across, along)
-    angle = arc(jnp.where(steep, along, across), jnp.where(longer == 0.0, 1.0, longer))
-    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
-    angle = jnp.where(x < 0.0, math.pi - angle, angle)
-    return jnp.where(y < 0.0, -angle, angle)
 
 
 def turned_near(angle: Scalar, target: Scalar) -> Scalar:

@@ -185,7 +185,8 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
         try:
             certified, reason = mark(study.override({"sweep": {}, **widened(study, float(value))}))
         except ConfigError:
-            certified, reason = np.False_, ""
+            certified = np.False_
+            reason = ""
         if certified is None:
             return Mark(None, reason)
         verdicts.append(bool(certified))

@@ -1,7 +1,7 @@
 """Batching of lanes. No other module adds batch axes.
 
 A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
-(sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.lanes.forms`. Lanes are
+(sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.engine.forms`. Lanes are
 independent, so results do not depend on the size of a block, nor on the cores that share it.
 """
 
@@ -20,8 +20,8 @@ import numpy as np
 from dssc_jax.closed_loop.draw import Run, simulate_draw
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
+from dssc_jax.engine import forms
 from dssc_jax.engine.sampling import draw, draw_key
-from dssc_jax.lanes import forms
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
 
@@ -155,7 +155,7 @@ class Engine:
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
         program: The program to run for each lane.
-        kernel: The form, see :func:`dssc_jax.lanes.forms.requested`.
+        kernel: The form, see :func:`dssc_jax.engine.forms.requested`.
         extra: Numbers of each lane that the program needs in addition to those of the study.
     """
 

@@ -14,7 +14,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
-from dssc_jax.lanes.forms import Form
+from dssc_jax.engine.forms import Form
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from dssc_jax.core.numerics import stream
+from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.study import Study
 
@@ -37,7 +38,7 @@ def level_program() -> CompiledLanes:
 
     word = jax.ShapeDtypeStruct((), np.uint32)
     with jax.enable_x64(True), jax.threefry_partitionable(True):
-        return CompiledLanes(level, word, word, word)
+        return compiled_lanes(level, word, word, word)
 
 
 def uniform(seed: int, streams: tuple[int, ...], indices: np.ndarray) -> np.ndarray:

@@ -11,7 +11,8 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import BLUE, GREY
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, rounded_probability
 
-WIDTH, HEIGHT = 1240, 300  # px
+WIDTH = 1240  # px
+HEIGHT = 300
 MOST_LABELS = 12
 SELECT_CELL = """
 const cell = cells.selected.indices[0]

@@ -13,7 +13,8 @@ from dssc_jax.plotting.style import BLUE, DRAWABLE, GREY, ORANGE, RED
 from dssc_jax.runs.trajectory import column_attributes
 from dssc_jax.study import Study
 
-WIDTH, HEIGHT = 440, 250  # px
+WIDTH = 440  # px
+HEIGHT = 250
 LEVEL_NAMES = ("q5", "q25", "q50", "q75", "q95")
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
 

@@ -31,8 +31,10 @@ from dssc_jax.study import Study
 from dssc_jax.study.tables import to_toml
 
 FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
-DRAWS, VEHICLE_DRAWS = 1000, 64
-BATCH, VEHICLE_BATCH = 256, 16  # draws between two checks for a newer move
+DRAWS = 1000
+VEHICLE_DRAWS = 64
+BATCH = 256  # draws between two checks for a newer move
+VEHICLE_BATCH = 16
 QUIET_SECONDS = 0.3  # a shorter run shows no progress
 PROGRAMS = 6  # compiled programs to keep, one for each sample time
 

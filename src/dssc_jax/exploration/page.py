@@ -13,7 +13,9 @@ from panel.viewable import Viewable
 
 from dssc_jax.exploration.worker import Work, Worker
 
-WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW = "worst draw", "median draw", "random draw"
+WORST_DRAW = "worst draw"
+MEDIAN_DRAW = "median draw"
+RANDOM_DRAW = "random draw"
 PAGE_STYLE = """
 :host { font-size: 15px; }
 p.error { color: #a00000; font-weight: 600; }

@@ -13,8 +13,11 @@ LONGEST_LABEL = 21  # letters under an axis
 MOST_LINES = 2000  # of the brushed draws, and of all
 ONE_LINE = 0.7  # opacity of a line among few; among many, less
 LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
-WIDTH, HEIGHT = 1240, 290  # px
-LEFT, RIGHT, MARGIN = 0.3, 0.3, 0.14  # space beside the axes and above them, relative to their distance and length
+WIDTH = 1240  # px
+HEIGHT = 290
+LEFT = 0.3  # space beside the axes, relative to their distance
+RIGHT = 0.3
+MARGIN = 0.14  # space above the axes, relative to their length
 PAINT_LINES = "whenCalm(() => paintLines(source, picture, names, lows, highs, place, colours))"
 SELECT_BETWEEN = "choose(source, show, betweenAxes(source, names, lows, highs, cb_obj.geometry), cb_obj.final)"
 

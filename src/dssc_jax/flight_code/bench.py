@@ -3,7 +3,7 @@
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
 from dssc_jax.flight_code.recording import row_names
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c_names import c_string
+from dssc_jax.lanes.c.names import c_string
 
 
 def channels_text(code: FlightCode) -> str:

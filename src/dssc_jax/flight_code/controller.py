@@ -14,10 +14,10 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
-from dssc_jax.lanes.c_names import member_names, prefix_name, underscored
-from dssc_jax.lanes.c_operations import c_type
-from dssc_jax.lanes.origins import Origin, translate_with_origins
+from dssc_jax.lanes.c.names import member_names, prefix_name, underscored
+from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.program import Program
+from dssc_jax.lanes.tracing.origins import Origin, translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Law, Study
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from dssc_jax.flight_code.controller import COMMAND, SampledController
-from dssc_jax.lanes.needed import reachable
+from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Value
 
 FREE = ("input", "constant", "bitcast", "state", "result", "joined", "any")
@@ -60,7 +60,7 @@ class OperationCount:
             elif isinstance(node, CodeLoop):
                 self.loops += 1
                 counts += self.block(node.body, self.deepest(node.begin, start))
-                self.finish(node.results, self.deepest([*node.begin, *node.then], start))
+                self.finish(node.results, self.deepest([*node.begin, *node.following], start))
             elif isinstance(node, Branch):
                 depth = self.deepest([node.condition], start)
                 counts += max((self.block(side, depth) for side in node.sides), key=Counter.total)

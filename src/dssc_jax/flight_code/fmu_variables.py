@@ -9,8 +9,8 @@ import numpy as np
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c_names import c_string
-from dssc_jax.lanes.c_operations import c_literal
+from dssc_jax.lanes.c.names import c_string
+from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.study import Study
 
 PARAMETER, INPUT, OUTPUT = "parameter", "input", "output"

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c_text import comment
+from dssc_jax.lanes.c.text import comment
 from dssc_jax.study import Study
 
 ANGLE_NOTE = """

@@ -15,11 +15,11 @@ import numpy as np
 from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial_state, step
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
+from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values
-from dssc_jax.lanes.lanes import CompiledLanes
-from dssc_jax.lanes.machine import usable_cores
+from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
 MAGIC = b"dssc-jax recording 1"
@@ -78,7 +78,7 @@ def recorded_draws(
         index = jax.ShapeDtypeStruct((), jnp.uint32)
         names = sorted({*study.laws, *constants})
         lane = recording_lane(study, controllers, samples)
-        lanes = CompiledLanes(lane, dict.fromkeys(names, number), index, strict=True)
+        lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=True)
         width = lanes.signature.width
         group_bytes = samples * len(lanes.signature.outputs) * np.dtype(number.dtype).itemsize * width
         batch = max(1, BATCH_BYTES // group_bytes) * width

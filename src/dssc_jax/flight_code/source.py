@@ -15,8 +15,8 @@ from dssc_jax.flight_code.controller import (
 )
 from dssc_jax.flight_code.header import file_comment
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c_operations import c_literal
-from dssc_jax.lanes.c_text import CText
+from dssc_jax.lanes.c.operations import c_literal
+from dssc_jax.lanes.c.text import CText
 from dssc_jax.lanes.program import Value
 
 LOCAL_NAMES = {

@@ -13,9 +13,9 @@ from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.replay import median_values
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.study import Study
 

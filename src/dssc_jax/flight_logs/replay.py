@@ -13,11 +13,11 @@ from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
 from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
+from dssc_jax.engine import forms
 from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.reader import forward_filled
-from dssc_jax.lanes import forms
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95

@@ -4,53 +4,66 @@ The number of lanes in a vector follows from the program and the processor alone
 so results do not depend on its size, nor on the number of threads.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.numerics import arithmetic
-from dssc_jax.lanes import machine
-from dssc_jax.lanes.cache.user_cache import kept, remembered
-from dssc_jax.lanes.interface import stored_type
+from dssc_jax.lanes.interface import Signature, stored_type
+from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.program_cache import kept
 
 if TYPE_CHECKING:
     from dssc_jax.lanes.traced_lanes import TracedLanes
+
+Recall: TypeAlias = Callable[[Callable[[], Signature]], Signature]
+"""Finds a signature without the trace, or computes it by the function that it takes."""
 
 
 class CompiledLanes:
     """The program of a lane as machine code.
 
-    If the user's cache has the machine code and tells its name, the lane is not even traced.
+    If the user's cache has the machine code, nothing is compiled.
 
     Args:
         lane: A function of trees of scalars.
         arguments: ``jax.ShapeDtypeStruct`` in place of the scalars.
         width: Lanes of a vector; None: by the size of the program.
         strict: Without contraction, for the same bits on every machine.
+        recall: Takes the function that computes the signature from the trace, and returns the signature, perhaps
+            without a call; None: the lane is traced.
 
     Raises:
         Unsupported: An operation has no translation.
     """
 
     def __init__(
-        self, lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
+        self,
+        lane: Callable[..., Any],
+        *arguments: Any,
+        width: int | None = None,
+        strict: bool = False,
+        recall: Recall | None = None,
     ) -> None:
-        self._given, self._bits = (lane, arguments, width, strict), 8 * jnp.result_type(float).itemsize
-        self.signature = remembered("signature", lambda: self.traced.signature, *self._given, machine.translator())
+        self._request = (lane, arguments, width, strict)
+        self._wide = jnp.result_type(float) == jnp.float64
+        self.signature = recall(self._signature) if recall else self._signature()
         code = kept(self.signature.code, lambda: machine.object_code(self.traced.text))
         self._code = machine.LoadedCode(code)
+
+    def _signature(self) -> Signature:
+        return self.traced.signature
 
     @cached_property
     def traced(self) -> "TracedLanes":
         """The program and its text."""
         from dssc_jax.lanes.traced_lanes import TracedLanes  # the translator, if the cache does not do without it
 
-        with arithmetic(self._bits):  # that of the compilation, perhaps by another process
-            return TracedLanes(*self._given)
+        with jax.enable_x64(self._wide), np.errstate(all="ignore"):  # those of the compilation, by whatever process
+            return TracedLanes(*self._request)
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
         """Begin to run a batch.
@@ -70,12 +83,12 @@ class CompiledLanes:
         """As :meth:`start`; the function also tells when the lanes ended, see :meth:`.machine.LoadedCode.start`."""
         width, inputs, outputs, results, _ = self.signature
         lanes = -(-count // width) * width
-        given = [
+        padded = [
             np.ascontiguousarray(np.pad(np.asarray(column, dtype), (0, lanes - count), mode="edge"))
             for column, dtype in zip(jax.tree.leaves(arguments), inputs, strict=True)
         ]
         columns = [np.empty(lanes * (1 if length is None else length), stored_type(dtype)) for dtype, length in outputs]
-        finish = self._code.start(given, columns, lanes, width, threads)
+        finish = self._code.start(padded, columns, lanes, width, threads)
 
         def unpacked() -> tuple[Any, float]:
             ended = finish()
@@ -91,24 +104,3 @@ def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
     if length is None:
         return column
     return np.moveaxis(column.reshape(-1, length, width), 1, 2).reshape(-1, length)
-
-
-class LaneBatch:
-    """A lane's program as machine code, for batches of its numbers by name.
-
-    Args:
-        lane: (numbers by name, draw index) -> results.
-        names: Names of the numbers.
-        cores: Cores to use; None: all.
-        strict: See :class:`CompiledLanes`.
-    """
-
-    def __init__(self, lane: Callable[..., Any], names: Sequence[str], cores: int | None, strict: bool) -> None:
-        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        index = jax.ShapeDtypeStruct((), jnp.uint32)
-        self._lanes = CompiledLanes(lane, dict.fromkeys(names, number), index, strict=strict)
-        self._threads = min(cores or machine.usable_cores(), machine.usable_cores())
-
-    def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.lanes.forms.Start`."""
-        return self._lanes.start_timed((values, index), len(index), self._threads)

@@ -11,21 +11,13 @@ not change there. Only a branch keeps its operations, because it exists to skip 
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
+
 BOOL = np.dtype(bool)
-COMPARISONS: dict[str, Callable[..., Any]] = {
-    "eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal,
-}  # fmt: skip
-ARITHMETIC: dict[str, Callable[..., Any]] = {
-    "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.abs, "sqrt": np.sqrt,
-    "max": np.maximum, "min": np.minimum, "floor": np.floor, "ceil": np.ceil, "round": np.rint, "trunc": np.trunc,
-    "and": np.bitwise_and, "or": np.bitwise_or, "xor": np.bitwise_xor, "not": np.invert, "shl": np.left_shift,
-    "shr": np.right_shift,
-}  # fmt: skip
-"""Operations whose result has the type of their operands. ``shr`` keeps the sign of a signed integer."""
 
 # Nodes refer to each other: one that printed its parts would print its whole program, many times over.
 
@@ -35,11 +27,7 @@ class Value:
     """A scalar of one lane.
 
     Args:
-        operation: A name of :data:`ARITHMETIC` or :data:`COMPARISONS`; ``div`` and ``rem``, which truncate integers
-            towards zero; ``select``, ``convert``, ``bitcast``; ``any`` over the lanes that run together; ``lookup`` in
-            a table; ``constant``, ``input``; ``state`` and ``result`` of a loop; ``joined``, the result of a branch;
-            ``rarely``, with a condition, a value and arguments: where the condition holds, the result of a subroutine
-            for the arguments, else the value.
+        operation: What it is.
         dtype: Its type.
         operands: The values that it is computed from.
         detail: The constant, the table, the number of the input, the subroutine, or the loop or branch with the
@@ -48,7 +36,7 @@ class Value:
         block: Where it is computed; None for a constant.
     """
 
-    operation: str
+    operation: Operation
     dtype: np.dtype
     operands: tuple["Value", ...] = ()
     detail: Any = None
@@ -68,21 +56,21 @@ class CodeBlock:
     parent: "CodeBlock | None" = None
     keeps: bool = False
     depth: int = 0
-    nodes: list[Any] = field(default_factory=list)
+    nodes: "list[Node]" = field(default_factory=list)
     known: dict[Hashable, Value] = field(default_factory=dict)
 
 
 @dataclass(eq=False, repr=False, slots=True)
 class CodeLoop:
-    """A loop that tests at its end: do the body, again while ``again``.
+    """A loop that tests at its end: do the body as long as ``proceed`` holds.
 
     Args:
         body: Its block.
         guard: Whether to enter at all; None: always.
         begin: Values of the state before the first turn.
         states: The state within the body.
-        then: The state after a turn.
-        again: A uniform condition, known in the body.
+        following: The state after a turn.
+        proceed: A uniform condition, known in the body.
         results: The state after the loop.
     """
 
@@ -90,8 +78,8 @@ class CodeLoop:
     guard: Value | None
     begin: list[Value]
     states: list[Value] = field(default_factory=list)
-    then: list[Value] = field(default_factory=list)
-    again: Value | None = None
+    following: list[Value] = field(default_factory=list)
+    proceed: Value | None = None
     results: list[Value] = field(default_factory=list)
 
 
@@ -168,7 +156,11 @@ class Subroutine:
     program: Program
 
 
-def inner_blocks(node: Any) -> tuple[CodeBlock, ...]:
+Node: TypeAlias = Value | CodeLoop | Branch | Record
+"""What a block holds, in its order."""
+
+
+def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:
     """The blocks of a loop or branch; other nodes have none."""
     if isinstance(node, CodeLoop):
         return (node.body,)
@@ -183,7 +175,7 @@ def all_blocks(block: CodeBlock) -> Iterator[CodeBlock]:
             yield from all_blocks(inner)
 
 
-def read_by(node: Any) -> list[Value]:
+def read_by(node: Node) -> list[Value]:
     """The values that a node reads; not what its blocks read."""
     match node:
         case Value():
@@ -193,8 +185,8 @@ def read_by(node: Any) -> list[Value]:
         case Branch():
             return [node.condition, *node.values[0], *node.values[1]]
         case CodeLoop():
-            ends = [value for value in (node.guard, node.again) if value is not None]
-            return [*node.begin, *node.then, *ends]
+            ends = [value for value in (node.guard, node.proceed) if value is not None]
+            return [*node.begin, *node.following, *ends]
     raise TypeError(node)
 
 
@@ -214,7 +206,7 @@ class Builder:
         scalar = np.asarray(number).astype(dtype)[()]
         key = dtype, scalar.tobytes()
         if key not in self._constants:
-            self._constants[key] = Value("constant", dtype, detail=scalar)
+            self._constants[key] = Value(Operation.CONSTANT, dtype, detail=scalar)
         return self._constants[key]
 
     def input(self, position: int, dtype: np.dtype) -> Value:
@@ -225,7 +217,7 @@ class Builder:
         """The result of an operation.
 
         Args:
-            operation: See :class:`Value`.
+            operation: An :class:`Operation`, or its name.
             operands: Its operands.
             dtype: Type of the result; None: that of the last operand, or a truth value for a comparison.
             detail: The table of a ``lookup``, the subroutine of a ``rarely``.
@@ -249,18 +241,18 @@ class Builder:
         """Enter a loop; :meth:`close` leaves it."""
         loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(begin))
         for position, (value, varies) in enumerate(zip(begin, varying, strict=True)):
-            state = Value("state", value.dtype, (), (loop, position), varies or value.varying, loop.body)
+            state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
             loop.states.append(state)
         self.here = loop.body
         return loop
 
-    def close(self, loop: CodeLoop, then: Sequence[Value], again: Value) -> list[Value]:
+    def close(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
         """Leave a loop and return its results."""
-        loop.then, loop.again = list(then), again
+        loop.following, loop.proceed = list(following), proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [
-            Value("result", state.dtype, (), (loop, position), state.varying, self.here)
+            Value(Operation.RESULT, state.dtype, (), (loop, position), state.varying, self.here)
             for position, state in enumerate(loop.states)
         ]
         return loop.results
@@ -282,7 +274,7 @@ class Builder:
         outside.nodes.append(branch)
         for position, pair in enumerate(zip(*values, strict=True)):
             varying = condition.varying or any(value.varying for value in pair)
-            branch.results.append(Value("joined", pair[0].dtype, (), (branch, position), varying, outside))
+            branch.results.append(Value(Operation.JOINED, pair[0].dtype, (), (branch, position), varying, outside))
         return branch.results
 
     def record(self, recording: Recording, position: Value, value: Value) -> None:
@@ -331,7 +323,7 @@ class Builder:
             if key in block.known:
                 return block.known[key]
             block = block.parent
-        value = Value(operation, dtype, operands, detail, varying, home)
+        value = Value(Operation(operation), dtype, operands, detail, varying, home)
         home.known[key] = value
         home.nodes.append(value)
         return value
@@ -359,15 +351,15 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
         if first.operation == "constant":
             return operands[1] if first.detail else operands[2]
     if operation in ("and", "or"):
-        for one, other in (operands, operands[::-1]):
-            if one is other or (
-                one.operation == "constant" and one.dtype == BOOL and one.detail == (operation == "and")
+        for left, right in (operands, operands[::-1]):
+            if left is right or (
+                left.operation == "constant" and left.dtype == BOOL and left.detail == (operation == "and")
             ):
-                return other
+                return right
     if operation == "mul":
-        for one, other in (operands, operands[::-1]):
-            if one.operation == "constant" and one.detail == 1:
-                return other
+        for left, right in (operands, operands[::-1]):
+            if left.operation == "constant" and left.detail == 1:
+                return right
     return None
 
 

@@ -1,32 +1,36 @@
 """From a lane to a module's text for LLVM: trace, translate, choose the size of a vector, write."""
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 
-from dssc_jax.lanes import machine
 from dssc_jax.lanes.interface import Signature
-from dssc_jax.lanes.llvm import module_text
-from dssc_jax.lanes.needed import operation_counts
-from dssc_jax.lanes.opposites import join_opposites
+from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.llvm.module_text import module_text
+from dssc_jax.lanes.passes.liveness import operation_counts
+from dssc_jax.lanes.passes.negated_states import join_opposites
+from dssc_jax.lanes.passes.verify import verify
 from dssc_jax.lanes.program import Program, Recording
-from dssc_jax.lanes.translate import translate
+from dssc_jax.lanes.tracing.translate import translate
+
+VERIFY_VARIABLE = "DSSC_JAX_VERIFY"
 
 
 class Packing(NamedTuple):
     """How the program of a lane becomes that of a vector of lanes.
 
     Args:
-        below: The packing is for programs of fewer operations.
+        operations: The packing is for programs of fewer operations.
         vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
             the state in registers.
-        window: See :func:`dssc_jax.lanes.order.ordered`. A processor looks that far ahead, too; where many vectors
-            share the registers, operations that come early cost more than they gain.
+        window: See :func:`dssc_jax.lanes.passes.scheduling.ordered`. A processor looks that far ahead, too; where many
+            vectors share the registers, operations that come early cost more than they gain.
     """
 
-    below: float
+    operations: float
     vectors: int
     window: int
 
@@ -52,15 +56,25 @@ class TracedLanes:
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
         self.program, results = translate(lane, *arguments, fast=not strict)
+        check(self.program)
         if not strict:
             join_opposites(self.program)
+            check(self.program)
         packing = best_packing(self.program)
         width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
         self.text = module_text(self.program, width, strict, packing.window)
-        outputs = ((each.dtype, each.length if isinstance(each, Recording) else None) for each in self.program.outputs)
+        outputs = []
+        for output in self.program.outputs:
+            outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
         empty = jax.tree.map(lambda _: 0, results)
         code = machine.code_name(self.text)
         self.signature = Signature(width, tuple(self.program.inputs), tuple(outputs), empty, code)
+
+
+def check(program: Program) -> None:
+    """Verify a program if the environment asks for it, as the tests do; it takes a fifth of the translation's time."""
+    if os.environ.get(VERIFY_VARIABLE):
+        verify(program)
 
 
 def best_packing(program: Program) -> Packing:
@@ -68,7 +82,7 @@ def best_packing(program: Program) -> Packing:
     counts = operation_counts(program)
     random = counts.get("xor", 0) > MANY_XORS
     packings = RANDOM_PACKINGS if random else PACKINGS[max(machine.vector_bits(), 256)]
-    return next(packing for packing in packings if sum(counts.values()) < packing.below)
+    return next(packing for packing in packings if sum(counts.values()) < packing.operations)
 
 
 def number_bits(program: Program) -> int:

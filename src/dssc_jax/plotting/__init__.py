@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from dssc_jax.core import files
 from dssc_jax.plotting.comparisons import comparison
+from dssc_jax.plotting.curves import fitted_slope
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.loops import loop_margins
@@ -18,7 +19,7 @@ from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write, write_png_and_svg
-from dssc_jax.plotting.sweeps import fitted_slope, probability, standing, sweep, typical
+from dssc_jax.plotting.sweeps import probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.results.result import Result
@@ -62,8 +63,9 @@ def save_all(result: Result, folder: Path) -> list[Path]:
     Returns:
         The files written.
     """
-    figure = sweep(result) if result.study.axes else failures(result)
-    return save_figure(figure, folder, "sweep" if result.study.axes else "failures")
+    if result.study.axes:
+        return save_figure(sweep(result), folder, "sweep")
+    return save_figure(failures(result), folder, "failures")
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
@@ -78,6 +80,7 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
         The files written.
     """
     files.make_folder(folder, folder.parent)
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    png = folder / f"{name}.png"
+    svg = folder / f"{name}.svg"
     write_png_and_svg(figure, png, svg, folder.parent)
     return [png, svg]

@@ -1,5 +1,7 @@
 """Figures of a run: the distribution of the headline metric, and failures against uncertain numbers."""
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -24,24 +26,26 @@ from dssc_jax.results.influence import by_influence, groups_of
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
-MOST_FACTORS, FEW = 5, 20
+MOST_FACTORS = 5
+MOST_MARKED_STEPS = 20
 
 
 @styled
 def failures(result: Result) -> Figure:
     """Plot a run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
-    every = by_influence(result, shown_laws(result))
-    laws = every[:MOST_FACTORS]
-    columns = min(3, 1 + len(laws))
-    rows = -(-(1 + len(laws)) // columns)
-    figure = Figure(figsize=(SLIDE[0], 4.4 * rows if rows > 1 else SLIDE[1]), layout="constrained")
+    laws = by_influence(result, shown_laws(result))[:MOST_FACTORS]
+    panels = 1 + len(laws)
+    columns = min(3, panels)
+    rows = math.ceil(panels / columns)
+    height = 4.4 * rows if rows > 1 else SLIDE[1]
+    figure = Figure(figsize=(SLIDE[0], height), layout="constrained")
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    for empty in axes[1 + len(laws) :]:
+    for empty in axes[panels:]:
         empty.set_axis_off()
     distribution(result, axes[0])
-    for ax, name in zip(axes[1:], laws, strict=False):
+    factors = axes[1:panels]
+    for ax, name in zip(factors, laws, strict=True):
         factor(result, name, ax)
-    factors = axes[1 : 1 + len(laws)]
     tops = [ax.get_ylim()[1] for ax in factors]
     for position, ax in enumerate(factors):
         fit_probability(ax, max(tops), margin=0.0)
@@ -50,22 +54,20 @@ def failures(result: Result) -> Figure:
             ax.tick_params(labelleft=False)
     failed = result.failed.values
     low, high = result.method.interval(failed)
-    title(
-        figure,
-        f"{result.study.name}: {failed.sum()} of {failed.size} draws fail; "
-        f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}{unshown(result, laws)}",
-    )
+    counted = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
+    estimated = f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}"
+    title(figure, f"{counted}; {estimated}{unshown(result, laws)}")
     return figure
 
 
 def unshown(result: Result, shown: list[str]) -> str:
-    """How many uncertain numbers a figure leaves out, for its title."""
-    left = len(result.study.laws) - len(shown)
-    return f"\nthe {len(shown)} most influential of {len(result.study.laws)} uncertain numbers" if left > 0 else ""
+    """The end of a figure's title, if the figure leaves out uncertain numbers; else empty."""
+    total = len(result.study.laws)
+    return f"\nthe {len(shown)} most influential of {total} uncertain numbers" if total > len(shown) else ""
 
 
 def one_point(result: Result) -> None:
-    """Require a single point: the same draws at several points are not independent, so no binomial interval holds.
+    """Require a single point: a point's draws are used again at other points, so no interval holds for all together.
 
     Raises:
         ValueError: the result has several points.
@@ -101,8 +103,10 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     shown = finite[ranks - 1]
     if not isinstance(result.method, Replicated):
         interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
-        ax.fill_between(shown, *interval.T, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
-    ax.step(shown, ranks / values.size, color=BLUE, where="post", marker="o" if len(shown) < FEW else None)
+        low, high = interval.T
+        ax.fill_between(shown, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
+    marker = "o" if len(shown) < MOST_MARKED_STEPS else None
+    ax.step(shown, ranks / values.size, color=BLUE, where="post", marker=marker)
     for limit in metric_bounds(result, measure):
         ax.axvline(limit, color=RED, linestyle="--", label="required")
     if shown.size:
@@ -131,26 +135,33 @@ def factor(result: Result, name: str, ax: Axes | None = None) -> Figure:
     if name not in result.study.laws:
         raise ConfigError("name", f"'{name}' is no uncertain number of the result; {nearest(name, result.study.laws)}")
     figure, ax = panel(ax, SMALL)
-    values, failed = result.dataset[name].values, result.failed.values
+    values = result.dataset[name].values
+    failed = result.failed.values
     groups = groups_of(values)
     centres = np.array([np.median(values[group]) for group in groups])
     share = np.array([failed[group].mean() for group in groups])
     reach = None
+    top = share
     if result.method.independent:
-        reach = np.abs(np.stack([result.method.interval(failed[group]) for group in groups]).T - share)
+        intervals = np.stack([result.method.interval(failed[group]) for group in groups])
+        reach = np.abs(intervals.T - share)
+        top = share + reach[1]
     ax.errorbar(centres, share, reach, fmt="o", color=RED, capsize=3)
     if result.study.laws[name].support[0] > 0.0:
         set_scale(ax, centres)
     if ax.get_xscale() == "linear":
         ax.locator_params(axis="x", nbins=5)
     unit = result.dataset[name].attrs["units"]
-    what = "failure probability" if result.method.independent else "share of failed draws (no interval)"
-    ax.set(xlabel=f"{name}\n[{unit}]", ylabel=what)
-    fit_probability(ax, float((share if reach is None else share + reach[1]).max()))
+    quantity = "failure probability" if result.method.independent else "share of failed draws (no interval)"
+    ax.set(xlabel=f"{name}\n[{unit}]", ylabel=quantity)
+    fit_probability(ax, float(top.max()))
     return figure
 
 
 def metric_bounds(result: Result, measure: Measure) -> list[float]:
-    """The bounds required of a measure."""
-    bounds = [r for r in result.study.requirements if r.measure.name == measure.name]
-    return [value for r in bounds for value in (r.maximum, r.minimum) if value is not None]
+    """The limits that the study's requirements set for a measure."""
+    limits: list[float] = []
+    for requirement in result.study.requirements:
+        if requirement.measure.name == measure.name:
+            limits += [limit for limit in (requirement.maximum, requirement.minimum) if limit is not None]
+    return limits

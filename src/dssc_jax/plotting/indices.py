@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +10,8 @@ from matplotlib.figure import Figure
 from dssc_jax.plotting.style import BLUE, ORANGE, SLIDE, styled, title
 from dssc_jax.results.analysis import Analysis
 
-OFFSET = 0.13  # of two quantities from their common row
+OFFSET = 0.13
+"""Distance of two quantities from their common row."""
 QUANTITY_COLOURS = (BLUE, ORANGE)
 
 
@@ -23,7 +23,8 @@ def sensitivity(indices: Analysis) -> Figure:
         indices: The return value of :func:`dssc_jax.sensitivity`.
     """
     summary = indices.summary()
-    names, factors = summary["headline"], summary["factors"]
+    names = summary["headline"]
+    factors = summary["factors"]
     shares = all(quantity["share"] for quantity in summary["quantities"].values())
     figure = Figure(figsize=(SLIDE[0], max(3.0, 1.8 + 0.55 * len(factors))), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
@@ -39,23 +40,30 @@ def sensitivity(indices: Analysis) -> Figure:
             factor_rows(ax, output, summary["quantities"])
     panels[0].set_yticks(range(len(factors)), factors)
     panels[0].set_ylim(len(factors) - 0.5, -0.5)
-    handles, labels = max((ax.get_legend_handles_labels() for ax in panels), key=lambda pair: len(pair[0]))
+    legends = [ax.get_legend_handles_labels() for ax in panels]
+    handles, labels = max(legends, key=lambda legend: len(legend[0]))
     if handles:
         figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
-    title(
-        figure,
-        f"{summary['study']}: {summary['title']} from {summary['simulations']} simulations, "
-        f"{100 * summary['confidence']:g} % intervals",
-    )
+    subject = f"{summary['study']}: {summary['title']} from {summary['simulations']} simulations"
+    title(figure, f"{subject}, {100 * summary['confidence']:g} % intervals")
     return figure
 
 
-def factor_rows(ax: Axes, output: Mapping[str, Any], quantities: Mapping[str, Any]) -> None:
-    """Draw every quantity, one row for each factor."""
+def factor_rows(
+    ax: Axes, output: Mapping[str, Mapping[str, object]], quantities: Mapping[str, Mapping[str, str]]
+) -> None:
+    """Draw every quantity with its interval, one row for each factor.
+
+    Args:
+        ax: Axes to draw into.
+        output: For each factor, the value of a quantity by its name, and its interval by the name with ``_interval``.
+        quantities: What is known of each quantity; ``legend`` is its text.
+    """
+    factors = list(output.values())
     offsets = OFFSET * (2.0 * np.arange(len(quantities)) - len(quantities) + 1.0)
-    for (part, quantity), colour, offset in zip(quantities.items(), QUANTITY_COLOURS, offsets, strict=False):
-        value = np.array([one[part] for one in output.values()])
-        low, high = np.array([one[f"{part}_interval"] for one in output.values()]).T
-        where = np.arange(len(value)) + offset
+    for (name, quantity), colour, offset in zip(quantities.items(), QUANTITY_COLOURS, offsets, strict=False):
+        value = np.array([factor[name] for factor in factors])
+        low, high = np.array([factor[f"{name}_interval"] for factor in factors]).T
+        rows = np.arange(len(factors)) + offset
         reach = np.maximum([value - low, high - value], 0.0)
-        ax.errorbar(value, where, xerr=reach, fmt="o", color=colour, capsize=3, label=quantity["legend"])
+        ax.errorbar(value, rows, xerr=reach, fmt="o", color=colour, capsize=3, label=quantity["legend"])

@@ -1,6 +1,7 @@
 """Bode, Nyquist and sensitivity fans of the linearised loop over all draws."""
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -8,8 +9,9 @@ from matplotlib.patches import Circle
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, styled, title
 from dssc_jax.results.analysis import Analysis
 
-SPAN_OF_NYQUIST = (-3.2, 1.2)  # of the real axis
-FLOOR_OF_BODE = -60.0  # [dB]
+NYQUIST_SPAN = (-3.2, 1.2)
+"""Ends of the real axis."""
+LOWEST_GAIN = -60.0  # [dB]
 
 
 @styled
@@ -23,38 +25,61 @@ def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | N
         point: Name of the operating point; None: the first.
         broken_at: Name of the break point; None: the first.
     """
-    data, summary = margins.dataset, margins.summary()
+    data = margins.dataset
+    summary = margins.summary()
     point = point or str(data["operating_point"].values[0])
     broken_at = broken_at or str(data["loop"].values[0])
-    own = data.sel(operating_point=point, loop=broken_at)
+    selected = data.sel(operating_point=point, loop=broken_at)
     figure = Figure(figsize=(12.5, 8.2), layout="constrained")
-    axes = figure.subplots(2, 3)
-    frequency = data["frequency"].values
-    fan(axes[0, 0], frequency, 20.0 * np.log10(own["loop_gain"].values), BLUE, "|L|")
-    axes[0, 0].axhline(0.0, color="black", linewidth=0.8)
-    axes[0, 0].set(ylabel="loop gain [dB]", ylim=(max(FLOOR_OF_BODE, axes[0, 0].get_ylim()[0]), None))
-    fan(axes[1, 0], frequency, np.degrees(own["loop_phase"].values), BLUE, "arg L")
-    axes[1, 0].axhline(-180.0, color="black", linewidth=0.8)
-    axes[1, 0].set(ylabel="phase of L [deg]", xlabel="frequency [rad/s]")
-    nyquist(axes[0, 1], own["loop_real"].values, own["loop_imaginary"].values)
-    for name, colour, text in (("sensitivity", ORANGE, "|S|"), ("complementary", GREEN, "|T|")):
-        fan(axes[1, 1], frequency, 20.0 * np.log10(own[name].values), colour, text)
-    axes[1, 1].axhline(0.0, color="black", linewidth=0.8)
-    axes[1, 1].set(ylabel="sensitivities [dB]", xlabel="frequency [rad/s]")
-    axes[1, 1].set_ylim(max(FLOOR_OF_BODE, axes[1, 1].get_ylim()[0]), None)
-    axes[1, 1].legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
+    (gain, nyquist, phase_margin), (phase, sensitivities, delay_margin) = figure.subplots(2, 3)
+    gain_panel(gain, selected)
+    phase_panel(phase, selected)
+    nyquist_panel(nyquist, selected["loop_real"].values, selected["loop_imaginary"].values)
+    sensitivity_panel(sensitivities, selected)
     statistics = summary["operating_points"][point][broken_at]
-    for ax, name, factor, unit in ((axes[0, 2], "phase", 180.0 / np.pi, "deg"), (axes[1, 2], "delay", 1.0, "s")):
-        distribution_of_margin(ax, factor * own[name].values, f"{name} margin [{unit}]")
-        limit = statistics[name]["tolerance_limit"]
-        if limit is not None:
-            text = f"95 % of draws, confidence 95 %: {factor * limit:.3g} {unit}"
-            ax.axvline(factor * limit, color=ORANGE, linestyle="--", label=text)
-        ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
+    margin_panel(phase_margin, selected["phase"], statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
+    margin_panel(delay_margin, selected["delay"], statistics["delay"]["tolerance_limit"], "s", 1.0)
     config = margins.study.config
-    where = point if point == "equilibrium" else f"linearised at {point}"
-    title(figure, f"{config.description or config.name}: loop broken at {broken_at}, {where}, {summary['draws']} draws")
+    place = point if point == "equilibrium" else f"linearised at {point}"
+    title(figure, f"{config.description or config.name}: loop broken at {broken_at}, {place}, {summary['draws']} draws")
     return figure
+
+
+def gain_panel(ax: Axes, selected: xr.Dataset) -> None:
+    """Draw the loop gain over frequency."""
+    fan(ax, selected["frequency"].values, decibels(selected["loop_gain"]), BLUE, "|L|")
+    ax.axhline(0.0, color="black", linewidth=0.8)
+    lowest, _ = ax.get_ylim()
+    ax.set(ylabel="loop gain [dB]", ylim=(max(LOWEST_GAIN, lowest), None))
+
+
+def phase_panel(ax: Axes, selected: xr.Dataset) -> None:
+    """Draw the loop's phase over frequency."""
+    fan(ax, selected["frequency"].values, np.degrees(selected["loop_phase"].values), BLUE, "arg L")
+    ax.axhline(-180.0, color="black", linewidth=0.8)
+    ax.set(ylabel="phase of L [deg]", xlabel="frequency [rad/s]")
+
+
+def sensitivity_panel(ax: Axes, selected: xr.Dataset) -> None:
+    """Draw sensitivity and complementary sensitivity over frequency."""
+    frequency = selected["frequency"].values
+    fan(ax, frequency, decibels(selected["sensitivity"]), ORANGE, "|S|")
+    fan(ax, frequency, decibels(selected["complementary"]), GREEN, "|T|")
+    ax.axhline(0.0, color="black", linewidth=0.8)
+    ax.set(ylabel="sensitivities [dB]", xlabel="frequency [rad/s]")
+    lowest, _ = ax.get_ylim()
+    ax.set_ylim(max(LOWEST_GAIN, lowest), None)
+    legend_above(ax)
+
+
+def decibels(gain: xr.DataArray) -> np.ndarray:
+    """Gains in dB."""
+    return 20.0 * np.log10(gain.values)
+
+
+def legend_above(ax: Axes) -> None:
+    """Put a small legend above the axes, where it hides no line."""
+    ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), fontsize=10)
 
 
 def fan(ax: Axes, frequency: np.ndarray, quantiles: np.ndarray, colour: str, text: str) -> None:
@@ -64,18 +89,32 @@ def fan(ax: Axes, frequency: np.ndarray, quantiles: np.ndarray, colour: str, tex
     ax.set_xscale("log")
 
 
-def nyquist(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
-    """Draw single draws, each of shape (lines, frequencies), the point -1, and the circle of M_s = 2."""
+def nyquist_panel(ax: Axes, real: np.ndarray, imaginary: np.ndarray) -> None:
+    """Draw the curves of single draws, shape (draws, frequencies), the point -1, and the circle of M_s = 2."""
     ax.plot(real.T, imaginary.T, color=BLUE, linewidth=0.7, alpha=0.5)
     ax.add_patch(Circle((-1.0, 0.0), 0.5, fill=False, color=GREY, linestyle=":"))
     ax.plot([-1.0], [0.0], "+", color=RED, markersize=12, markeredgewidth=2.0)
-    half = 0.5 * (SPAN_OF_NYQUIST[1] - SPAN_OF_NYQUIST[0])
-    ax.set(xlim=SPAN_OF_NYQUIST, ylim=(-half, half), xlabel="Re L", ylabel="Im L (dotted: M_s = 2)")
+    half = 0.5 * (NYQUIST_SPAN[1] - NYQUIST_SPAN[0])
+    ax.set(xlim=NYQUIST_SPAN, ylim=(-half, half), xlabel="Re L", ylabel="Im L (dotted: M_s = 2)")
     ax.set_aspect("equal")
 
 
-def distribution_of_margin(ax: Axes, values: np.ndarray, text: str) -> None:
-    """Draw the distribution function of a margin over the draws that have one."""
+def margin_panel(ax: Axes, margin: xr.DataArray, limit: float | None, unit: str, scale: float) -> None:
+    """Draw the distribution function of a margin over all draws, and its tolerance limit.
+
+    Args:
+        ax: Axes to draw into.
+        margin: The margin of each draw; not finite where the draw has none.
+        limit: Its tolerance limit, if there is one.
+        unit: Unit to show.
+        scale: What the margin is multiplied by to have that unit.
+    """
+    values = scale * margin.values
     ordered = np.sort(values[np.isfinite(values)])
-    ax.step(ordered, np.arange(1, len(ordered) + 1) / values.size, where="post", color=BLUE, label="draws")
-    ax.set(xlabel=text, ylabel="share of draws at or below", ylim=(-0.03, 1.03))
+    share = np.arange(1, len(ordered) + 1) / values.size
+    ax.step(ordered, share, where="post", color=BLUE, label="draws")
+    ax.set(xlabel=f"{margin.name} margin [{unit}]", ylabel="share of draws at or below", ylim=(-0.03, 1.03))
+    if limit is not None:
+        text = f"95 % of draws, confidence 95 %: {scale * limit:.3g} {unit}"
+        ax.axvline(scale * limit, color=ORANGE, linestyle="--", label=text)
+    legend_above(ax)

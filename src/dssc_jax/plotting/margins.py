@@ -1,10 +1,11 @@
 """Figures of margins: the distribution of critical values, and failure along the walk."""
 
 import textwrap
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TypedDict, cast
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
@@ -13,25 +14,43 @@ from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, named
 from dssc_jax.results.analysis import Analysis
 
 
+class MarginSummary(TypedDict):
+    """What the figures use of a margin's summary."""
+
+    parameter: str
+    unit: str
+    bounds: tuple[float, float]
+    log: bool
+    criterion: Sequence[str]
+    confidence: float
+    degradation: Mapping[str, Sequence[float]]
+    fail_at_start: float
+    median: float | None
+    lower_tolerance: float | None
+    certified: float | None
+    certificate: str
+    proof: Mapping[str, float | None] | None
+
+
+def summary_of(margins: Analysis) -> MarginSummary:
+    """The summary of a margin, typed."""
+    return cast("MarginSummary", margins.summary())
+
+
 @styled
 def margin(margins: Analysis) -> Figure:
     """Plot critical values of all draws, with their lower tolerance limit, and the degradation curve with its band.
 
-    The result of Theorem 1 for the same walk is given below.
+    The result of Theorem 1 for the same walk stands below both panels.
 
     Args:
         margins: The return value of :func:`dssc_jax.margin`.
     """
-    summary = margins.summary()
+    summary = summary_of(margins)
     figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    margin_distribution(left, margins, summary)
-    curve, walked = summary["degradation"], margins.dataset["value"]
-    level = f"{100 * summary['confidence']:g} % band over all values together"
-    right.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
-    right.plot(curve["value"], curve["probability"], "o-", color=RED, label="failed draws")
-    right.set(xlabel=named(summary["parameter"], walked.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
-    right.yaxis.set_major_formatter(PercentFormatter(1.0))
+    distribution_panel(left, margins.dataset["critical"], summary)
+    degradation_panel(right, margins.dataset["value"], summary)
     for ax in (left, right):
         set_walk(ax, summary)
     certificate(left, summary)
@@ -42,46 +61,71 @@ def margin(margins: Analysis) -> Figure:
     return figure
 
 
-def set_walk(ax: Axes, summary: Mapping[str, Any]) -> None:
+def degradation_panel(ax: Axes, walked: xr.DataArray, summary: MarginSummary) -> None:
+    """Draw the failure probability along the walk, with its simultaneous band."""
+    curve = summary["degradation"]
+    level = f"{100 * summary['confidence']:g} % band over all values together"
+    ax.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
+    ax.plot(curve["value"], curve["probability"], "o-", color=RED, label="failed draws")
+    ax.set(xlabel=named(summary["parameter"], walked.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+
+def set_walk(ax: Axes, summary: MarginSummary) -> None:
     """Set the axis along the walk, starting at its safe end."""
+    start, end = summary["bounds"]
     ax.set_xscale("log" if summary["log"] else "linear")
-    ax.set_xlim(*summary["bounds"])
+    ax.set_xlim(start, end)
 
 
-def margin_distribution(ax: Axes, margins: Analysis, summary: Mapping[str, Any]) -> None:
-    """Draw the share of draws that have failed by each value of the walk; censored draws are before and beyond it."""
-    (start, end), critical = summary["bounds"], margins.dataset["critical"].values
-    steps = np.sort(critical[~np.isnan(critical)])
-    steps = steps if end > start else steps[::-1]
-    draws, before = critical.size, summary["fail_at_start"]
+def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary) -> None:
+    """Draw the share of draws that have failed by each value of the walk.
+
+    Draws that fail at its start, and draws that pass to its end, keep the curve from 0 and from 1.
+    """
+    start, end = summary["bounds"]
+    draws = critical.size
+    failed_at_start = summary["fail_at_start"]
+    steps = in_order_of_walk(critical.values[~np.isnan(critical.values)], summary)
+    shares = failed_at_start + np.arange(1, len(steps) + 1) / draws
     x = np.concatenate([[start], steps, [end]])
-    y = np.concatenate([[before], before + np.arange(1, len(steps) + 1) / draws, [before + len(steps) / draws]])
+    y = np.concatenate([[failed_at_start], shares, [failed_at_start + len(steps) / draws]])
     ax.step(x, y, where="post", color=BLUE, label=f"{draws} draws")
-    lines = (("median", "median", ":"), ("lower_tolerance", "95 % of draws pass, confidence 95 %", "--"))
-    for name, text, style in lines:
-        if summary[name] is not None:
-            colour = ORANGE if name == "lower_tolerance" else GREY
-            ax.axvline(summary[name], color=colour, linestyle=style, label=f"{text}: {summary[name]:.3g}")
-    ax.set(xlabel=named(summary["parameter"], margins.dataset["critical"].attrs), ylabel="share of draws at or below")
-    if end < start:
-        ax.set_ylabel("share of draws at or above")
+    if (median := summary["median"]) is not None:
+        ax.axvline(median, color=GREY, linestyle=":", label=f"median: {median:.3g}")
+    if (limit := summary["lower_tolerance"]) is not None:
+        text = f"95 % of draws pass, confidence 95 %: {limit:.3g}"
+        ax.axvline(limit, color=ORANGE, linestyle="--", label=text)
+    side = "above" if end < start else "below"
+    ax.set(xlabel=named(summary["parameter"], critical.attrs), ylabel=f"share of draws at or {side}")
     ax.set_ylim(-0.03, 1.03)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
-def certificate(ax: Axes, summary: Mapping[str, Any]) -> None:
-    """Mark the ends of the certified and of the proved range, or draw an arrow if the former is off the axis."""
+def in_order_of_walk(values: np.ndarray, summary: MarginSummary) -> np.ndarray:
+    """Sort values in the order in which the walk meets them."""
+    start, end = summary["bounds"]
+    ordered = np.sort(values)
+    return ordered if end > start else ordered[::-1]
+
+
+def certificate(ax: Axes, summary: MarginSummary) -> None:
+    """Mark the ends of the certified and of the proved range, or draw an arrow if the former is off the axis.
+
+    The certificate's text goes below the figure.
+    """
     figure = ax.get_figure(root=True)
     assert figure is not None
     figure.supxlabel(textwrap.fill(summary["certificate"], 105), fontsize=12, color=GREEN, parse_math=False)
-    if summary["proof"] is not None and (proved := summary["proof"]["proved_up_to"]) is not None:
+    proof = summary["proof"]
+    proved = None if proof is None else proof["proved_up_to"]
+    if proved is not None:
         ax.axvline(proved, color=GREEN, linewidth=3.0, label=f"proved as far as {proved:.3g}, for all plants")
-    value, bounds = summary["certified"], summary["bounds"]
-    if value is None:
+    certified = summary["certified"]
+    if certified is None:
         return
-    text = f"certified as far as {value:.3g}"
-    if min(bounds) <= value <= max(bounds):
-        ax.axvline(value, color=GREEN, linestyle="-.", label=text)
-    else:
-        place = {"transform": ax.transAxes, "clip_on": False, "linestyle": "", "markersize": 10}
-        ax.plot([0.0], [0.02], marker="<", color=GREEN, label=text, **place)
+    text = f"certified as far as {certified:.3g}"
+    if min(summary["bounds"]) <= certified <= max(summary["bounds"]):
+        ax.axvline(certified, color=GREEN, linestyle="-.", label=text)
+        return
+    ax.plot([0.0], [0.02], "<", color=GREEN, markersize=10, label=text, transform=ax.transAxes, clip_on=False)

@@ -22,10 +22,11 @@ def rare(event: Analysis) -> Figure:
     figure = Figure(figsize=SLIDE, layout="constrained")
     left, right = figure.subplots(1, 2)
     probabilities(left, event)
-    for row, (name, about) in enumerate(summary["where"].items()):
-        if about["failing"] is not None:
-            low, middle, high = level_of(event.study.laws[name], np.array(about["failing"]))
-            right.errorbar([middle], [row], xerr=[[middle - low], [high - middle]], fmt="o", color=RED, capsize=3)
+    for row, (name, found) in enumerate(summary["where"].items()):
+        if found["failing"] is None:
+            continue
+        low, middle, high = level_of(event.study.laws[name], np.array(found["failing"]))
+        right.errorbar([middle], [row], xerr=[[middle - low], [high - middle]], fmt="o", color=RED, capsize=3)
     law_axis(right, list(summary["where"]), "5 %, median and 95 % of failures")
     required = "; ".join(summary["requirements"])
     title(figure, f"{summary['study']}: {required}\n{event.headline}")
@@ -35,18 +36,23 @@ def rare(event: Analysis) -> Figure:
 def probabilities(ax: Axes, event: Analysis) -> None:
     """Draw estimates of a probability, one above the other; an interval from 0 begins below all of them."""
     summary = event.summary()
-    plain, estimates = summary["plain"], np.array(summary["estimates"])
+    plain = summary["plain"]
+    splitting = summary["splitting"]
+    estimates = np.array(summary["estimates"])
     positive = estimates[estimates > 0.0]
-    least = 0.1 * min([*positive, 1.0 / plain["draws"]])
+    left_end = 0.1 * min([*positive, 1.0 / plain["draws"]])
     ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
-    parts = (summary["splitting"], {"probability": plain["failures"] / plain["draws"], "interval": plain["interval"]})
-    drawn = [positive]
-    for row, (part, colour) in enumerate(zip(parts, (BLUE, ORANGE), strict=True), start=1):
-        ends = np.maximum(part["interval"], least)
-        drawn.append(ends)
-        ax.plot(ends, [row, row], color=colour)
-        if part["probability"]:
-            ax.plot([part["probability"]], [row], "o", color=colour)
-    set_scale(ax, np.concatenate(drawn))
+    split_ends = np.maximum(splitting["interval"], left_end)
+    plain_ends = np.maximum(plain["interval"], left_end)
+    estimate(ax, 1, splitting["probability"], split_ends, BLUE)
+    estimate(ax, 2, plain["failures"] / plain["draws"], plain_ends, ORANGE)
+    set_scale(ax, np.concatenate([positive, split_ends, plain_ends]))
     ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(ROWS)), yticklabels=ROWS)
     ax.set_ylim(len(ROWS) - 0.5, -0.5)
+
+
+def estimate(ax: Axes, row: int, probability: float, ends: np.ndarray, colour: str) -> None:
+    """Draw an interval as a line, and the estimate as a dot on it unless it is 0."""
+    ax.plot(ends, [row, row], color=colour)
+    if probability:
+        ax.plot([probability], [row], "o", color=colour)

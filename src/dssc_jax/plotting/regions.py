@@ -1,5 +1,6 @@
 """Figure of the region of two numbers in which enough of all plants meet the requirements."""
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,14 +25,15 @@ def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
     Returns:
         Shape (m - 1, m - 1).
     """
-    last = len(verdict) - 1
-    enclosed, stride = np.zeros((last, last), bool), 1
-    while last and last % stride == 0:
-        for i, j in np.ndindex(last // stride, last // stride):
-            rows, columns = (slice(stride * k, stride * (k + 1) + 1) for k in (i, j))
-            square = verdict[rows, columns]
-            if not square[::stride, ::stride].any() and square.max() <= 0:
-                enclosed[rows.start : rows.stop - 1, columns.start : columns.stop - 1] = True
+    count = len(verdict) - 1
+    enclosed = np.zeros((count, count), bool)
+    stride = 1
+    while count and count % stride == 0:
+        for row, column in itertools.product(range(0, count, stride), repeat=2):
+            square = verdict[row : row + stride + 1, column : column + stride + 1]
+            corners = square[::stride, ::stride]
+            if not corners.any() and square.max() <= 0:
+                enclosed[row : row + stride, column : column + stride] = True
         stride *= 2
     return enclosed
 
@@ -43,11 +45,13 @@ def region(safe: "SafeRegion") -> Figure:
     Args:
         safe: The return value of :func:`dssc_jax.region`.
     """
-    data, summary = safe.dataset, safe.summary()
+    data = safe.dataset
+    summary = safe.summary()
     figure = Figure(figsize=(8.4, 6.2), layout="constrained")
     ax = figure.subplots()
     x, y = np.meshgrid(data["first"].values, data["second"].values, indexing="ij")
-    verdict, certified = data["verdict"].values, data["certified"].values
+    verdict = data["verdict"].values
+    certified = data["certified"].values
     enclosed = enclosed_cells(verdict)
     if enclosed.any():
         ax.use_sticky_edges = False  # points on the edge are drawn whole
@@ -55,16 +59,19 @@ def region(safe: "SafeRegion") -> Figure:
         ax.pcolormesh(x, y, shade, cmap=ListedColormap([GREEN]), alpha=0.18, linewidth=0.0, rasterized=True)
         ax.fill([], [], color=GREEN, alpha=0.18, linewidth=0.0, label=ENCLOSED)
     if certified.any():
-        ax.scatter(x[certified], y[certified], marker="s", s=26, facecolor="none", edgecolor=DARK, linewidth=0.8,
-                   label="certified by Theorem 1")  # fmt: skip
+        squares = ax.scatter(x[certified], y[certified], marker="s", s=26, facecolor="none", edgecolor=DARK)
+        squares.set(linewidth=0.8, label="certified by Theorem 1")
     for code, (text, colour) in COLOURS_OF_VERDICTS.items():
-        here = verdict == code
-        ax.scatter(x[here], y[here], s=13, color=colour, label=f"{text}: {np.count_nonzero(here)} pairs")
+        pairs = verdict == code
+        ax.scatter(x[pairs], y[pairs], s=13, color=colour, label=f"{text}: {np.count_nonzero(pairs)} pairs")
     first, second = summary["names"]
     ax.set(xlabel=named(first, data["first"].attrs), ylabel=named(second, data["second"].attrs))
-    for which, name, log in zip("xy", safe.table, safe.log, strict=True):
-        if log:
-            set_log(ax, data[name].values, which)
+    row, column = safe.table
+    log_row, log_column = safe.log
+    if log_row:
+        set_log(ax, data[row].values, "x")
+    if log_column:
+        set_log(ax, data[column].values, "y")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     config = safe.study.config
     level = f"{100 * summary['confidence']:g} % confidence for all pairs together, {summary['draws']} draws"

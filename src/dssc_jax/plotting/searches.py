@@ -1,7 +1,7 @@
 """Figures of searches: a tuning with every fresh draw's cost before and after, and the search for the worst draw."""
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TypedDict
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,6 +13,22 @@ from dssc_jax.results.analysis import Analysis
 
 PROVED_NUMBERS = ("proved_error", "proved_up_to")
 """Proved numbers that a tuning may optimise, as variables of its dataset."""
+AGGREGATES = {"mean": "mean", "worst": "soft worst", "cvar": "CVaR"}
+
+
+class ObjectiveSummary(TypedDict):
+    """A tuning's objective in its summary."""
+
+    costs: Mapping[str, float]
+    aggregate: str
+    level: float
+
+
+class VerdictSummary(TypedDict):
+    """What the figure uses of a tuning's verdict: fresh draws, and the objective on them before and after."""
+
+    draws: int
+    objective: Sequence[float | None]
 
 
 @styled
@@ -32,40 +48,47 @@ def tuning(tuned: Analysis) -> Figure:
     return figure
 
 
-def cost_text(objective: Mapping[str, Any]) -> str:
+def cost_text(objective: ObjectiveSummary) -> str:
     """The objective in words."""
     weights = objective["costs"].items()
     total = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
-    names = {"mean": "mean", "worst": "soft worst", "cvar": f"CVaR {100 * objective['level']:g} %"}
-    return f"{names[objective['aggregate']]} of {total}"
+    aggregate = AGGREGATES[objective["aggregate"]]
+    if objective["aggregate"] == "cvar":
+        aggregate = f"{aggregate} {100 * objective['level']:g} %"
+    return f"{aggregate} of {total}"
 
 
 def history(ax: Axes, tuned: Analysis) -> None:
     """Draw the objective on training and validation draws, and the largest violation of a limit."""
-    looks = {name: tuned.dataset[name].values for name in ("step", "objective", "validation", "validation_violation")}
-    proved = next((tuned.dataset[name] for name in PROVED_NUMBERS if name in tuned.dataset), None)
-    if proved is None:
-        ax.plot(looks["step"], looks["objective"], "o-", color=BLUE, label="training draws")
-        ax.plot(looks["step"], looks["validation"], "s--", color=GREEN, label="validation draws")
-        ax.set(xlabel="step", ylabel="objective")
+    data = tuned.dataset
+    step = data["step"].values
+    proved = [data[name] for name in PROVED_NUMBERS if name in data]
+    if proved:
+        number = proved[0]
+        ax.step(step, number.values, "o-", where="post", color=BLUE, label="proved, by improvement")
+        ax.set(xlabel="step", ylabel=f"{number.attrs['long_name']} [{number.attrs['units']}]")
     else:
-        ax.step(looks["step"], proved.values, "o-", where="post", color=BLUE, label="proved, by improvement")
-        ax.set(xlabel="step", ylabel=f"{proved.attrs['long_name']} [{proved.attrs['units']}]")
+        ax.plot(step, data["objective"].values, "o-", color=BLUE, label="training draws")
+        ax.plot(step, data["validation"].values, "s--", color=GREEN, label="validation draws")
+        ax.set(xlabel="step", ylabel="objective")
     right = ax.twinx()
     right.grid(False)
-    missed = 100.0 * looks["validation_violation"]
-    right.plot(looks["step"], missed, ":", color=RED, label="violation, validation draws")
-    right.set(ylabel="largest violation of a limit [%]", ylim=(0.0, max(5.0, 1.1 * max(missed, default=0.0))))
+    violation = 100.0 * data["validation_violation"].values
+    top = max(5.0, 1.1 * max(violation, default=0.0))
+    right.plot(step, violation, ":", color=RED, label="violation, validation draws")
+    right.set(ylabel="largest violation of a limit [%]", ylim=(0.0, top))
     lines = [*ax.get_lines(), *right.get_lines()]
-    ax.legend(lines, [str(line.get_label()) for line in lines], frameon=False, loc="best")
+    labels = [str(line.get_label()) for line in lines]
+    ax.legend(lines, labels, frameon=False, loc="best")
 
 
-def costs(ax: Axes, tuned: Analysis, verdict: Mapping[str, Any]) -> None:
+def costs(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
     """Draw distribution functions of the fresh draws' costs, and the aggregates."""
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
-        values = np.sort(np.where(np.isnan(cost), np.inf, cost))
-        ax.step(values, np.arange(1, len(values) + 1) / len(values), where="post", color=colour, label=name)
+        ordered = np.sort(np.where(np.isnan(cost), np.inf, cost))
+        share = np.arange(1, len(ordered) + 1) / len(ordered)
+        ax.step(ordered, share, where="post", color=colour, label=name)
         if aggregate is not None:
             ax.axvline(aggregate, color=colour, linestyle="--", label=f"objective, {name}: {aggregate:.4g}")
     ax.set(xlabel="cost of a draw", ylabel=f"share of {verdict['draws']} fresh draws", ylim=(-0.03, 1.03))
@@ -79,36 +102,62 @@ def falsification(falsified: Analysis) -> Figure:
     Args:
         falsified: The return value of :func:`dssc_jax.falsify`.
     """
-    summary, data = falsified.summary(), falsified.dataset
+    summary = falsified.summary()
     figure = Figure(figsize=SLIDE, layout="constrained")
     axes = figure.subplot_mosaic([["search", "levels"], ["distance", "levels"]])
-    slack = np.where(np.isfinite(data["slack"]), data["slack"], np.nan)
-    search, distance, levels = (axes[name] for name in ("search", "distance", "levels"))
-    search.plot(data["simulations"], slack, ".", color=GREY, markersize=4, label="each simulation")
-    search.step(data["simulations"], np.fmin.accumulate(slack), where="post", color=BLUE, label="worst so far")
-    search.set(xlabel="simulations")
-    distance.plot(data["distance"], slack, ".", color=GREY, markersize=4)
-    if within := summary["within"]:
-        text = f"limit: holds {100.0 * within['mass']:.4g} % of all draws"
-        distance.axvline(within["distance"], color="black", linestyle=":", label=text)
-    for name, point, marker in marked(falsified):
-        distance.plot(data["distance"][point], slack[point], marker, color=RED, label=name, clip_on=False)
-    distance.set(xlabel="distance from the median draw [sigma]", xlim=(0.0, None))
-    for ax in (search, distance):
-        ax.axhline(0.0, color=RED, linestyle="--", label="failure below" if ax is search else None)
-        ax.set(ylabel="slack / bound")
-        ax.legend(fontsize="small", framealpha=0.85)
+    search_panel(axes["search"], falsified)
+    distance_panel(axes["distance"], falsified, summary["within"])
     laws = falsified.study.laws
-    at = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
-    levels.plot(at, range(len(at)), "o", color=RED)
-    law_axis(levels, list(laws), "the worst draw")
+    levels = [level_of(laws[name], np.array([value]))[0] for name, value in summary["witness"].items()]
+    axes["levels"].plot(levels, range(len(levels)), "o", color=RED)
+    law_axis(axes["levels"], list(laws), "the worst draw")
     title(figure, f"{summary['study']}: {falsified.headline}")
     return figure
 
 
-def marked(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
+def finite_slack(falsified: Analysis) -> np.ndarray:
+    """The slack of each simulation; NaN where it is infinite."""
+    slack = falsified.dataset["slack"]
+    return np.where(np.isfinite(slack), slack, np.nan)
+
+
+def search_panel(ax: Axes, falsified: Analysis) -> None:
+    """Draw the slack of each simulation, and the worst one so far."""
+    slack = finite_slack(falsified)
+    simulations = falsified.dataset["simulations"]
+    ax.plot(simulations, slack, ".", color=GREY, markersize=4, label="each simulation")
+    ax.step(simulations, np.fmin.accumulate(slack), where="post", color=BLUE, label="worst so far")
+    ax.axhline(0.0, color=RED, linestyle="--", label="failure below")
+    ax.set(xlabel="simulations", ylabel="slack / bound")
+    ax.legend(fontsize="small", framealpha=0.85)
+
+
+def distance_panel(ax: Axes, falsified: Analysis, limit: Mapping[str, float] | None) -> None:
+    """Draw the slack of each simulation over the distance from the median draw.
+
+    Args:
+        ax: Axes to draw into.
+        falsified: The analysis.
+        limit: The largest ``distance`` that was allowed, and the ``mass`` of draws within; None: no limit.
+    """
+    slack = finite_slack(falsified)
+    distance = falsified.dataset["distance"]
+    ax.plot(distance, slack, ".", color=GREY, markersize=4)
+    if limit:
+        text = f"limit: holds {100.0 * limit['mass']:.4g} % of all draws"
+        ax.axvline(limit["distance"], color="black", linestyle=":", label=text)
+    for name, index, marker in marked_draws(falsified):
+        ax.plot(distance[index], slack[index], marker, color=RED, label=name, clip_on=False)
+    ax.axhline(0.0, color=RED, linestyle="--")
+    ax.set(xlabel="distance from the median draw [sigma]", ylabel="slack / bound", xlim=(0.0, None))
+    ax.legend(fontsize="small", framealpha=0.85)
+
+
+def marked_draws(falsified: Analysis) -> Iterator[tuple[str, int, str]]:
     """The worst draw and the likeliest failure: name, index and marker."""
-    slack, distance = (falsified.dataset[name].values for name in ("slack", "distance"))
+    slack = falsified.dataset["slack"].values
+    distance = falsified.dataset["distance"].values
     yield "worst draw", int(np.argmin(slack)), "o"
     if (slack < 0.0).any():
-        yield "likeliest failure", int(np.argmin(np.where(slack < 0.0, distance, np.inf))), "D"
+        distance_of_failures = np.where(slack < 0.0, distance, np.inf)
+        yield "likeliest failure", int(np.argmin(distance_of_failures)), "D"

@@ -1,4 +1,4 @@
-"""How a point of a sweep stands: proved, surviving every draw, failing in some, or in all."""
+"""Colours of what is known of a point of a sweep: proved, no draw fails, some fail, or all fail."""
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -12,7 +12,7 @@ STANDINGS = (
     (YELLOW, "unknown: some draws fail"),
     (RED, "fails in every draw"),
 )
-"""Colour and meaning."""
+"""Colour and meaning of each standing."""
 
 
 def standing_of(proved: np.ndarray, share: np.ndarray) -> np.ndarray:

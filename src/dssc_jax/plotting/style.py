@@ -1,12 +1,12 @@
 """Style shared by all figures: palette, scales, labels."""
 
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 from matplotlib import rc_context
@@ -20,9 +20,16 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentF
 from dssc_jax.core import files
 
 # Okabe and Ito's palette, distinguishable with any colour vision
-BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6b6b6b"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+RED = "#D55E00"
+VIOLET = "#CC79A7"
+SKY = "#56B4E9"
+YELLOW = "#F0E442"
+GREY = "#6b6b6b"
 DARK = "#333333"
-VIOLET, SKY, YELLOW = "#CC79A7", "#56B4E9", "#F0E442"
+PIXELS_PER_INCH = 140
 STYLE: dict[Any, Any] = {
     "font.size": 13,
     "axes.titlesize": 14,
@@ -33,17 +40,20 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "lines.linewidth": 1.8,
-    "savefig.dpi": 140,
+    "savefig.dpi": PIXELS_PER_INCH,
     "svg.fonttype": "none",  # text stays text: readers search and edit it, and a file is half as large
     "figure.autolayout": False,  # each figure names its layout, and has none once it is laid out; see arrange
     "figure.constrained_layout.use": False,
 }
-FAST_PNG: dict[str, Any] = {"pil_kwargs": {"compress_level": 3}}
-"""Two thirds of the time, and a file 4 % larger."""
-SLIDE, PANEL, SMALL = (11.5, 5.6), (6.4, 4.6), (4.6, 3.8)  # inches
+FAST_PNG = {"compress_level": 3}
+"""Options of the PNG encoder: two thirds of the usual time, for a file 4 % larger."""
+SLIDE = (11.5, 5.6)  # inches
+PANEL = (6.4, 4.6)
+SMALL = (4.6, 3.8)
 DRAWABLE = np.float64(1e100)  # larger numbers overflow in matplotlib's axes; float32 would make a float infinite
 TITLE_DENSITY = 8.0  # characters of a title per inch
 LOG_SPAN = 8.0  # axes whose positive values span more than this ratio are logarithmic
+Direction: TypeAlias = Literal["x", "y"]
 DrawingArguments = ParamSpec("DrawingArguments")
 Drawn = TypeVar("Drawn")
 
@@ -60,7 +70,12 @@ def styled(draw: Callable[DrawingArguments, Drawn]) -> Callable[DrawingArguments
 
 
 def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, Axes]:
-    """The axes to draw into, and their figure; a new figure if none are given."""
+    """The axes to draw into, and their figure.
+
+    Args:
+        ax: The axes; None: those of a new figure.
+        size: Width and height of a new figure [inch].
+    """
     if ax is None:
         ax = Figure(figsize=size, layout="constrained").subplots()
     figure = ax.get_figure(root=True)
@@ -68,59 +83,81 @@ def panel(ax: Axes | None, size: tuple[float, float] = PANEL) -> tuple[Figure, A
     return figure, ax
 
 
-def label(about: dict[str, Any]) -> str:
-    """Long name with unit; a dollar sign does not start mathematics."""
-    unit, name = about.get("units", ""), str(about.get("long_name", ""))
-    return (name if unit in ("", "1") else f"{name} [{unit}]").replace("$", r"\$")
+def label(attributes: Mapping[str, object]) -> str:
+    """Long name with unit; a dollar sign does not start mathematics.
+
+    Args:
+        attributes: Attributes of a variable: ``long_name`` and ``units``.
+    """
+    name = str(attributes.get("long_name", ""))
+    unit = attributes.get("units", "")
+    text = name if unit in ("", "1") else f"{name} [{unit}]"
+    return text.replace("$", r"\$")
 
 
-def named(name: str, about: dict[str, Any]) -> str:
-    """An axis label: the dotted name and its meaning."""
-    return f"{name}\n{textwrap.fill(label(about), 42)}"
+def named(name: str, attributes: Mapping[str, object]) -> str:
+    """An axis label: the dotted name, and below it the label of its attributes."""
+    return f"{name}\n{textwrap.fill(label(attributes), 42)}"
 
 
 def title(figure: Figure, text: str) -> None:
-    """Set a title in the user's own words: wrapped to the figure's width, and not interpreted as mathematics."""
+    """Set a title: wrapped to the figure's width, and without mathematics, because users write parts of it."""
     width = int(TITLE_DENSITY * figure.get_figwidth())
-    figure.suptitle("\n".join(textwrap.fill(line, width) for line in text.splitlines()), parse_math=False)
+    lines = [textwrap.fill(line, width) for line in text.splitlines()]
+    figure.suptitle("\n".join(lines), parse_math=False)
 
 
 def is_log(values: np.ndarray) -> bool:
-    """Whether an axis should be logarithmic."""
-    positive = values[np.isfinite(values)]
-    return positive.size > 2 and positive.min() > 0 and positive.max() / positive.min() > LOG_SPAN
+    """Whether an axis of these values should be logarithmic: they are positive and span more than :data:`LOG_SPAN`."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 2 and finite.min() > 0 and finite.max() / finite.min() > LOG_SPAN
 
 
-def set_scale(ax: Axes, values: np.ndarray, which: str = "x") -> None:
-    """Make an axis logarithmic if it should be; see :func:`set_log`."""
+def set_scale(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
+    """Make an axis logarithmic if :func:`is_log` says so."""
     if is_log(values):
-        set_log(ax, values, which)
+        set_log(ax, values, direction)
 
 
-def set_log(ax: Axes, values: np.ndarray, which: str = "x") -> None:
+def set_log(ax: Axes, values: np.ndarray, direction: Direction = "x") -> None:
     """Make an axis logarithmic; see :func:`set_log_ticks`."""
-    (ax.set_xscale if which == "x" else ax.set_yscale)("log")
-    positive = values[np.isfinite(values)]
-    set_log_ticks(ax.xaxis if which == "x" else ax.yaxis, positive.min(), positive.max())
+    finite = values[np.isfinite(values)]
+    if direction == "x":
+        ax.set_xscale("log")
+        set_log_ticks(ax.xaxis, finite.min(), finite.max())
+    else:
+        ax.set_yscale("log")
+        set_log_ticks(ax.yaxis, finite.min(), finite.max())
 
 
 def set_log_ticks(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis with plain numbers, more of them if the range is short."""
     decades = np.log10(high / low)
-    subs = (1.0, 2.0, 5.0) if decades < 1.3 else (1.0, 3.0) if decades < 2.0 else (1.0,)
-    axis.set_major_locator(LogLocator(subs=subs))
+    if decades < 1.3:
+        labelled = (1.0, 2.0, 5.0)
+    elif decades < 2.0:
+        labelled = (1.0, 3.0)
+    else:
+        labelled = (1.0,)
+    axis.set_major_locator(LogLocator(subs=labelled))
     axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def probability_top(largest: float, margin: float = 0.06) -> float:
-    """Upper end of an axis of probabilities: all of it, or what the data need if they stay below one half."""
+    """Upper end of an axis of probabilities: a little above the largest if that is below one half, else above 1."""
     return max(largest, 1e-6) * (1.0 + margin) if largest < 0.5 else 1.0 + 0.5 * margin
 
 
 def fit_probability(ax: Axes, largest: float, margin: float = 0.06) -> None:
-    """Let the y axis show probabilities, in per cent, from zero to what the data need."""
+    """Let the y axis show probabilities in per cent, from 0.
+
+    Args:
+        ax: The axes.
+        largest: The largest probability drawn.
+        margin: Room above it, as a share of the axis; 0: the axis ends at the largest.
+    """
     top = probability_top(largest, margin) if margin else largest
     ax.set_ylim(-0.03 * top, top)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -131,17 +168,20 @@ def write(figure: Figure, path: Path) -> Path:
     form = path.suffix.lower().removeprefix(".")
     with rc_context(STYLE), files.replacing(path) as file:
         arrange(figure)
-        figure.savefig(file, format=form, **FAST_PNG if form == "png" else {})
+        if form == "png":
+            figure.savefig(file, format=form, pil_kwargs=FAST_PNG)
+        else:
+            figure.savefig(file, format=form)
     return path
 
 
 def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None = None) -> None:
-    """Save a figure as PNG and SVG; a thread compresses the one while the other is drawn.
+    """Save a figure as PNG and SVG; a thread compresses the PNG while the SVG is drawn.
 
     Args:
         figure: The figure.
-        png: One file.
-        svg: The other one.
+        png: Path of the PNG file.
+        svg: Path of the SVG file.
         within: As for :func:`dssc_jax.core.files.replacing`.
     """
     with ExitStack() as stack:
@@ -150,21 +190,20 @@ def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None 
         drawing_file = stack.enter_context(files.replacing(svg, within))
         compressing = stack.enter_context(ThreadPoolExecutor(1))
         arrange(figure)
-        figure.set_dpi(STYLE["savefig.dpi"])
+        figure.set_dpi(PIXELS_PER_INCH)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         image = canvas.buffer_rgba()
-        compressed = compressing.submit(
-            imsave, image_file, image, format="png", dpi=figure.dpi, origin="upper", **FAST_PNG
-        )
+        options = {"dpi": figure.dpi, "pil_kwargs": FAST_PNG}
+        compressed = compressing.submit(imsave, image_file, image, format="png", origin="upper", **options)
         figure.savefig(drawing_file, format="svg")
         compressed.result()
 
 
 def arrange(figure: Figure) -> None:
-    """Lay a figure out once, for all files that it is written to; matplotlib would do so twice for each."""
+    """Lay a figure out once for all its files; matplotlib would do so twice for each file."""
     engine = figure.get_layout_engine()
     if engine is not None:
-        figure.set_dpi(STYLE["savefig.dpi"])
+        figure.set_dpi(PIXELS_PER_INCH)
         engine.execute(figure)
         figure.set_layout_engine(None)

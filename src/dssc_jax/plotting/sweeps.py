@@ -1,7 +1,8 @@
 """Figures of a sweep: failure probability and the headline metric over one axis as curves, over two as maps."""
 
 import textwrap
-from typing import Any
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,19 +10,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
+from matplotlib.typing import LineStyleType
 
 from dssc_jax.closed_loop.metrics import Measure
-from dssc_jax.plotting.cells import OUTLINE, cell_edges, cells, colour_limits, contour, map_top
+from dssc_jax.plotting.cells import OUTLINE, capped_limits, contour, map_top, needs_bitmap
+from dssc_jax.plotting.curves import probability_curve, typical_curve
 from dssc_jax.plotting.draws import metric_bounds
 from dssc_jax.plotting.standings import standing_colours, standing_keys, standing_of
 from dssc_jax.plotting.style import (
-    BLUE,
-    GREEN,
     GREY,
     PANEL,
-    RED,
     SLIDE,
-    fit_probability,
     is_log,
     label,
     named,
@@ -31,17 +30,25 @@ from dssc_jax.plotting.style import (
     styled,
     title,
 )
-from dssc_jax.plotting.thinning import envelope, thinned
+from dssc_jax.plotting.sweep_marks import (
+    CERTIFIED,
+    STUDY_VALUE,
+    certified_region,
+    free_axes,
+    mark_study_value,
+    reaches_study_value,
+)
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import Result, measure_named
 from dssc_jax.statistics.order import upper_quantiles
 
-MARKED = 200  # a curve of more points shows none of them
-CERTIFIED = "Theorem 1: without lag and sampling"
-PROVED = "proved, with lag and sampling"
-HALF, BOUND = ("half of the draws fail", "-"), ("95 % upper bound of the probability at 5 %", "--")
-OWN_VALUE = "the study's own value"
-AT_LIMIT = ("the median at its limit", "-")
+LineKey: TypeAlias = tuple[str, LineStyleType]
+"""Legend entry of a white line on a map: meaning and style."""
+
+MAP_PANEL = (PANEL[0], PANEL[1] + 0.8)  # inches
+HALF: LineKey = ("half of the draws fail", "-")
+BOUND: LineKey = ("95 % upper bound of the probability at 5 %", "--")
+AT_LIMIT: LineKey = ("the median at its limit", "-")
 
 
 @styled
@@ -52,32 +59,42 @@ def sweep(result: Result) -> Figure:
         ValueError: the result has no sweep.
     """
     result = held_to_two(result)
-    across = len(free_axes(result)) == 1
-    both = bool(result.study.requirements) or not across
-    figure = Figure(figsize=SLIDE if across else (SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, 1 + both, sharey=not across))
-    if across:
-        typical(result, panels[0])
-        if both:
-            probability(result, panels[1])
-    else:
-        standing(result, panels[0]) if "proved" in result.dataset else probability(result, panels[0])
-        typical(result, panels[1])
-        panels[1].set_ylabel("")
-        for ax in panels:
-            if (legend := ax.get_legend()) is not None:
-                legend.remove()
-        known = "proved" in result.dataset
-        keys: list[tuple[str, Any]] = [AT_LIMIT] if known else [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND]
-        handles = [*(standing_keys() if known else []), *map_keys(result, keys)]
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-    title(figure, f"{result.study.config.description or result.study.name}{held(result)}\n{remarks(result)}")
+    figure = sweep_curves(result) if len(free_axes(result)) == 1 else sweep_maps(result)
+    name = result.study.config.description or result.study.name
+    remarks = [text for text in (idle_text(result), result.certificate) if text]
+    title(figure, f"{name}{held(result)}\n" + "\n".join(remarks))
     return figure
 
 
-def remarks(result: Result) -> str:
-    """What a sweep's title says besides its subject: idle axes, and what is certified."""
-    return "\n".join(filter(None, (idle_text(result), result.certificate)))
+def sweep_curves(result: Result) -> Figure:
+    """Plot the headline metric over one axis, and the failure probability if there are requirements."""
+    figure = Figure(figsize=SLIDE, layout="constrained")
+    if result.study.requirements:
+        left, right = figure.subplots(1, 2)
+        typical(result, left)
+        probability(result, right)
+    else:
+        typical(result, figure.subplots())
+    return figure
+
+
+def sweep_maps(result: Result) -> Figure:
+    """Plot proofs or the failure probability, and the headline metric, over two axes with a common legend."""
+    figure = Figure(figsize=(SLIDE[0], SLIDE[1] + 0.6), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    if "proved" in result.dataset:
+        standing(result, left)
+        handles = [*standing_keys(), *map_keys(result, [AT_LIMIT])]
+    else:
+        probability(result, left)
+        handles = map_keys(result, [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND])
+    typical(result, right)
+    right.set_ylabel("")
+    for ax in (left, right):
+        if (legend := ax.get_legend()) is not None:
+            legend.remove()
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+    return figure
 
 
 @styled
@@ -95,18 +112,19 @@ def probability(result: Result, ax: Axes | None = None) -> Figure:
         ValueError: the result has no sweep.
     """
     result = held_to_two(result)
-    figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
     axes = free_axes(result)
     if len(axes) == 1:
+        figure, ax = panel(ax)
         probability_curve(ax, result, axes[0])
     else:
-        probability_map(ax, result, *axes)
+        figure, ax = panel(ax, MAP_PANEL)
+        probability_map(ax, result, axes[0], axes[1])
     return figure
 
 
 @styled
 def standing(result: Result, ax: Axes | None = None) -> Figure:
-    """Plot how each point of a sweep over two axes stands: proved, surviving every draw, failing in some, or in all.
+    """Plot what is known of each point of a sweep over two axes: proved, no draw fails, some fail, or all fail.
 
     Args:
         result: A sweep with proofs; axes beyond the second are held at their first value.
@@ -119,26 +137,31 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     axes = free_axes(result)
     if len(axes) != 2 or "proved" not in result.dataset:
         raise ValueError("needs a sweep over two axes with proofs: dssc-jax sweep --prove")
-    figure, ax = panel(ax, (PANEL[0], PANEL[1] + 0.8))
+    figure, ax = panel(ax, MAP_PANEL)
     down, across = axes
     share = result.failed.transpose(down, across, "draw").values.mean(-1)
     proved = result.dataset["proved"].transpose(down, across).values
-    x, y = result.dataset[across].values, result.dataset[down].values
-    kinds, colours = standing_of(proved, share), standing_colours()
-    ax.pcolormesh(x, y, kinds, cmap=colours, vmin=-0.5, vmax=3.5, edgecolor="white", linewidth=0.4, **cells(share))
-    failing = proved & (share > 0.0)  # of a requirement that the proof does not speak of
+    x = result.dataset[across].values
+    y = result.dataset[down].values
+    mesh = ax.pcolormesh(
+        x, y, standing_of(proved, share), cmap=standing_colours(), vmin=-0.5, vmax=3.5, shading="nearest"
+    )
+    mesh.set(edgecolor="white", linewidth=0.4, rasterized=needs_bitmap(share))
+    failing = proved & (share > 0.0)  # by a requirement that the proof does not cover
     for i, j in np.argwhere(failing):
         ax.text(float(x[j]), float(y[i]), f"{share[i, j]:.0%}", ha="center", va="center", fontsize="x-small")
-    required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
-    ax.set_title(textwrap.fill(f"{result.failed.sizes['draw']} draws: {required}", 44), parse_math=False)
+    draws = result.failed.sizes["draw"]
+    ax.set_title(textwrap.fill(f"{draws} draws: {required_text(result)}", 44), parse_math=False)
     finish_map(ax, result, down, across, [])
-    ax.legend(
-        handles=[*standing_keys(), *map_keys(result, [])],
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.32),
-        frameon=False,
-    )
+    handles = [*standing_keys(), *map_keys(result, [])]
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.32), frameon=False)
     return figure
+
+
+def required_text(result: Result) -> str:
+    """The study's requirements in one line."""
+    texts = [requirement.text for requirement in result.study.requirements]
+    return "; ".join(texts) or "the draw stays finite"
 
 
 @styled
@@ -155,18 +178,15 @@ def typical(result: Result, ax: Axes | None = None, metric: str | None = None) -
         ConfigError: the result has no such metric.
     """
     result = held_to_two(result)
-    figure, ax = panel(ax, PANEL if len(free_axes(result)) == 1 else (PANEL[0], PANEL[1] + 0.8))
     axes = free_axes(result)
+    measure = measure_named(result, metric)
     if len(axes) == 1:
-        typical_curve(ax, result, measure_named(result, metric), axes[0])
+        figure, ax = panel(ax)
+        typical_curve(ax, result, measure, axes[0])
     else:
-        typical_map(ax, result, measure_named(result, metric), *axes)
+        figure, ax = panel(ax, MAP_PANEL)
+        typical_map(ax, result, measure, axes[0], axes[1])
     return figure
-
-
-def free_axes(result: Result) -> list[str]:
-    """The swept parameters that are still dimensions of the dataset."""
-    return [name for name in result.study.axes if name in result.dataset.dims]
 
 
 def held_to_two(result: Result) -> Result:
@@ -179,201 +199,99 @@ def held_to_two(result: Result) -> Result:
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
     shown = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
-    fixed = {name: 0 for name in axes if name not in shown}
+    fixed = dict.fromkeys([name for name in axes if name not in shown], 0)
     return result.at(fixed) if fixed else result
 
 
 def held(result: Result) -> str:
     """The swept parameters that a figure holds at one value, for its title."""
-    left = [name for name in result.study.axes if name not in result.dataset.dims]
-    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in left)
-
-
-def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
-    """Draw a metric's quantiles along one axis."""
-    x = result.dataset[axis].values
-    low, middle, high = quantiles(result, measure)
-    several = result.study.config.draws > 1
-    if several:
-        band = envelope(x, low, high)
-        ax.fill_between(*band, color=BLUE, alpha=0.2, linewidth=0.0, label="5 to 95 % of draws")
-    ax.plot(*thinned(x, middle), point_markers(x), color=BLUE, label="median" if several else "simulated")
-    if len(x) > 1:
-        ax.set_xlim(x.min(), x.max())
-    if not np.isfinite(middle).any():
-        ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    for limit in metric_bounds(result, measure):
-        ax.axhline(limit, color=RED, linestyle="--", label="required")
-    set_scale(ax, middle[np.isfinite(middle)], "y")
-    if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
-        add_slope(ax, x, middle)
-    ax.set_ylabel(label(result.dataset[measure.name].attrs))
-    finish_curve(ax, result, axis)
-
-
-def probability_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Draw the failure probability with its interval along one axis."""
-    x, failed = result.dataset[axis].values, result.failed.values
-    interval = result.method.interval(failed)
-    band = envelope(x, *interval.T)
-    ax.fill_between(*band, color=RED, alpha=0.2, linewidth=0.0, label=f"95 % {result.method.name}")
-    ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
-    ax.set_ylabel("failure probability")
-    fit_probability(ax, float(interval.max()))
-    finish_curve(ax, result, axis)
-
-
-def point_markers(x: np.ndarray) -> str:
-    """The marker of a curve: a mark at each point if they can be distinguished."""
-    return "o-" if len(x) <= MARKED else "-"
-
-
-def finish_curve(ax: Axes, result: Result, axis: str) -> None:
-    """Add what all curves show: the certified stretch, the study's own value, scale and labels of the axis."""
-    x = result.dataset[axis].values
-    set_scale(ax, x)
-    certified = certified_region(result)
-    if certified is not None and certified.any():
-        inside = certified.values
-        edges = cell_edges(x, is_log(x))
-        turns = np.flatnonzero(np.diff(inside, prepend=False, append=False))  # where stretches begin, and end
-        for begin, end in turns.reshape(-1, 2):
-            text = CERTIFIED if begin == turns[0] else None
-            ax.axvspan(
-                float(edges[begin]), float(edges[end]), fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text
-            )
-        ax.set_xlim(edges[0], edges[-1])
-    if "proved" in result.dataset:
-        mark_proved(ax, x, result.dataset["proved"].values)
-    mark_own_value(ax, result, axis, GREY)
-    ax.set_xlabel(named(axis, result.dataset[axis].attrs))
-    ax.legend(frameon=False)
-
-
-def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
-    """Mark the proved stretches by a bar along the axis."""
-    edges, low = cell_edges(x, is_log(x)), ax.get_xaxis_transform()
-    turns = np.flatnonzero(np.diff(proved, prepend=False, append=False))
-    for begin, end in turns.reshape(-1, 2):
-        text = PROVED if begin == turns[0] else None
-        ax.plot(edges[[begin, end]], [0.0, 0.0], transform=low, color=GREEN, linewidth=7.0, label=text, zorder=0)
+    fixed = [name for name in result.study.axes if name not in result.dataset.dims]
+    return "".join(f"; {name} = {result.dataset[name].item():g}" for name in fixed)
 
 
 def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     """Draw the failure probability over two axes."""
     failed = result.failed.transpose(down, across, "draw").values
-    draws, share = failed.shape[-1], failed.mean(-1)
-    x, y = result.dataset[across].values, result.dataset[down].values
-    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=map_top(share), **cells(share))
+    share = failed.mean(-1)
+    upper = result.method.interval(failed)[..., 1]
+    x = result.dataset[across].values
+    y = result.dataset[down].values
+    bitmap = needs_bitmap(share)
+    top = map_top(share)
+    image = ax.pcolormesh(x, y, share, cmap="cividis", vmin=0.0, vmax=top, shading="nearest", rasterized=bitmap)
     contour(ax, x, y, share, 0.5, "-")
-    contour(ax, x, y, result.method.interval(failed)[..., 1], 0.05, "--")
-    text = f"failure probability ({draws} draws)"
+    contour(ax, x, y, upper, 0.05, "--")
+    text = f"failure probability ({failed.shape[-1]} draws)"
     ax.figure.colorbar(image, ax=ax, format=PercentFormatter(1.0), label=text)
-    required = "; ".join(r.text for r in result.study.requirements) or "the draw stays finite"
-    ax.set_title(textwrap.fill(required, 44), parse_math=False)
+    ax.set_title(textwrap.fill(required_text(result), 44), parse_math=False)
     finish_map(ax, result, down, across, [HALF, BOUND])
 
 
 def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: str) -> None:
     """Draw the median of a metric over two axes."""
-    x, y = result.dataset[across].values, result.dataset[down].values
-    middle = upper_quantiles(result.dataset[measure.name].transpose(down, across, "draw").values, (0.5,))[0]
+    x = result.dataset[across].values
+    y = result.dataset[down].values
+    metric = result.dataset[measure.name]
+    middle = upper_quantiles(metric.transpose(down, across, "draw").values, (0.5,))[0]
     finite = middle[np.isfinite(middle)]
-    norm = "log" if is_log(finite) else "linear"
-    upper_limits = [r.maximum for r in result.study.requirements if r.measure.name == measure.name and r.maximum]
-    cap = 30.0 * min(upper_limits) if upper_limits and norm == "log" else None
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
-    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, **cells(middle), **colour_limits(finite, cap))
-    bar = ax.figure.colorbar(
-        image,
-        ax=ax,
-        label=textwrap.fill(f"median {label(result.dataset[measure.name].attrs)}", 40),
-        extend="max" if colour_limits(finite, cap) else "neither",
-    )
+    norm = "log" if is_log(finite) else "linear"
+    cap = colour_cap(result, measure) if norm == "log" else None
+    limits = capped_limits(finite, cap)
+    image = ax.pcolormesh(x, y, middle, cmap="viridis", norm=norm, shading="nearest", rasterized=needs_bitmap(middle))
+    if limits is not None:
+        image.set_clim(*limits)
+    text = textwrap.fill(f"median {label(metric.attrs)}", 40)
+    bar = ax.figure.colorbar(image, ax=ax, label=text, extend="neither" if limits is None else "max")
     if norm == "log":
         set_log_ticks(bar.ax.yaxis, *image.get_clim())
-    for limit in metric_bounds(result, measure):
-        contour(ax, x, y, middle, limit, "-")
+    bounds = metric_bounds(result, measure)
+    for bound in bounds:
+        contour(ax, x, y, middle, bound, "-")
     ax.set_title("median over draws")
-    finish_map(ax, result, down, across, [AT_LIMIT] if metric_bounds(result, measure) else [])
+    finish_map(ax, result, down, across, [AT_LIMIT] if bounds else [])
 
 
-def finish_map(ax: Axes, result: Result, down: str, across: str, keys: list[tuple[str, Any]]) -> None:
+def colour_cap(result: Result, measure: Measure) -> float | None:
+    """Upper end of a logarithmic map's colours, 30 times the metric's lowest upper limit; None without such a limit."""
+    upper_limits: list[float] = []
+    for requirement in result.study.requirements:
+        if requirement.measure.name == measure.name and requirement.maximum:
+            upper_limits.append(requirement.maximum)
+    return 30.0 * min(upper_limits) if upper_limits else None
+
+
+def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[LineKey]) -> None:
     """Add what all maps show: the certified region, the study's own values, scales, labels and a key below."""
-    x, y = result.dataset[across].values, result.dataset[down].values
+    x = result.dataset[across].values
+    y = result.dataset[down].values
     certified = certified_region(result)
-    if certified is not None and certified.any():
+    if certified is not None:
         inside = certified.transpose(down, across).values
         hatched = np.ma.masked_array(np.ones(inside.shape), mask=~inside)
         ax.pcolor(x, y, hatched, shading="nearest", facecolor="none", edgecolor="white", hatch="//", linewidth=0.0)
     ax.grid(False)
     set_scale(ax, x)
     set_scale(ax, y, "y")
-    mark_own_value(ax, result, across, "white")
-    mark_own_value(ax, result, down, "white", "y")
+    mark_study_value(ax, result, across, "x", on_map=True)
+    mark_study_value(ax, result, down, "y", on_map=True)
     ax.set_xlabel(named(across, result.dataset[across].attrs))
     ax.set_ylabel(named(down, result.dataset[down].attrs))
     if handles := map_keys(result, keys):
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
-def map_keys(result: Result, keys: list[tuple[str, Any]]) -> list[Any]:
+def map_keys(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
     """Legend of a map's white elements, drawn as in the map: its contours, and what every map shows."""
-    if any(reaches_own_value(result, name) for name in free_axes(result)):
-        keys = [*keys, (OWN_VALUE, ":")]
-    handles: list[Any] = [
-        Line2D([], [], color="white", linestyle=line, linewidth=1.8, label=text, path_effects=OUTLINE)
-        for text, line in keys
-    ]
-    if (certified := certified_region(result)) is not None and certified.any():
+    shown = list(keys)
+    if any(reaches_study_value(result, name) for name in free_axes(result)):
+        shown.append((STUDY_VALUE, ":"))
+    handles: list[Line2D | Patch] = []
+    for text, style in shown:
+        line = Line2D([], [], color="white", linestyle=style, linewidth=1.8, label=text)
+        line.set_path_effects(OUTLINE)
+        handles.append(line)
+    if certified_region(result) is not None:
         handles.append(Patch(facecolor=GREY, edgecolor="white", hatch="//", linewidth=0.0, label=CERTIFIED))
     return handles
-
-
-def certified_region(result: Result) -> Any:
-    """The region in which Theorem 1 certifies the loop, over the remaining axes; None if it does not apply."""
-    dataset = result.with_theorem().dataset
-    return dataset["certified"].astype(bool) if "certified" in dataset else None
-
-
-def quantiles(result: Result, measure: Measure) -> np.ndarray:
-    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
-    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
-
-
-def own_value(result: Result, name: str) -> float | None:
-    """The study's own value of a swept number; None if it is a law."""
-    value = result.study.leaves().get(name)
-    return float(value) if isinstance(value, float) else None
-
-
-def reaches_own_value(result: Result, name: str) -> bool:
-    """Whether an axis includes the study's own value of its number."""
-    value, axis = own_value(result, name), result.study.axes[name]
-    return value is not None and min(axis) <= value <= max(axis)
-
-
-def mark_own_value(ax: Axes, result: Result, name: str, colour: str, which: str = "x") -> None:
-    """Draw a dotted line at the study's own value of a swept number, if the axis reaches it."""
-    if reaches_own_value(result, name):
-        line = ax.axvline if which == "x" else ax.axhline
-        look: dict[str, Any] = {"path_effects": OUTLINE} if colour == "white" else {"label": OWN_VALUE}
-        line(own_value(result, name) or 0.0, color=colour, linestyle=":", linewidth=2.0, **look)
-
-
-def is_power(values: np.ndarray) -> bool:
-    """Whether the values have logarithms."""
-    return bool(np.isfinite(values).all() and (values > 0).all())
-
-
-def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Fit slope and intercept of log y against log x by least squares."""
-    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
-    return float(slope), float(intercept)
-
-
-def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
-    """Draw the fitted power law."""
-    slope, intercept = fitted_slope(x, y)
-    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")

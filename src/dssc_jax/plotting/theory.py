@@ -1,8 +1,7 @@
 """Figure of theory and simulation: local and performance margins, and chattering predicted and simulated."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -10,12 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.margins import certificate, set_walk
+from dssc_jax.plotting.margins import MarginSummary, certificate, in_order_of_walk, set_walk, summary_of
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, PANEL, RED, SKY, SLIDE, VIOLET, styled
 from dssc_jax.results.analysis import Analysis
 
 THEORY_COLOURS = (BLUE, RED, ORANGE, VIOLET, SKY, "black")
-NO_ANSWER = 1e-2  # of the push [1/s]: a deviation that dies away is not drawn
+SETTLED = 1e-2  # 1/s
+"""A final amplitude up to this many times the initial push has died away, and is not drawn."""
 
 
 @styled
@@ -35,50 +35,69 @@ def theory(
             left panel is drawn.
         local: Local critical value of the loop on the right whose gains are finite at the origin.
     """
-    size = (SLIDE[0] if oscillations else PANEL[0] + 1.4, SLIDE[1] + 0.9)
-    figure = Figure(figsize=size, layout="constrained")
-    left, *others = np.atleast_1d(figure.subplots(1, 2 if oscillations else 1))
-    summaries = {name: one.summary() for name, one in margins.items()}
-    for colour, (name, one) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
-        cumulative(left, one, summaries[name], name, colour)
-    first = next(iter(summaries.values()))
-    left.set_ylim(-0.03, 1.03)
-    set_walk(left, first)
-    certificate(left, first)
-    left.set(xlabel=f"critical {first['parameter']} [{first['unit']}]")
-    side = "below" if first["bounds"][1] > first["bounds"][0] else "above"
-    left.set_ylabel(f"share of draws at or {side}")
-    left.yaxis.set_major_formatter(PercentFormatter(1.0))
-    left.legend(frameon=False, fontsize=11)
-    left.set_title("margins of random draws")
-    for right in others:
-        draw_beyond(right, oscillations or {}, local)
+    oscillations = oscillations or {}
+    width = SLIDE[0] if oscillations else PANEL[0] + 1.4
+    figure = Figure(figsize=(width, SLIDE[1] + 0.9), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, 2 if oscillations else 1))
+    margins_panel(panels[0], margins)
+    if oscillations:
+        oscillations_panel(panels[1], oscillations, local)
     return figure
 
 
-def draw_beyond(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
+def margins_panel(ax: Axes, margins: Mapping[str, Analysis]) -> None:
+    """Draw the distribution functions of all margins, and the first one's result of Theorem 1."""
+    summaries = {name: summary_of(analysis) for name, analysis in margins.items()}
+    for colour, (name, analysis) in zip(cycle(THEORY_COLOURS), margins.items(), strict=False):
+        cumulative(ax, analysis.dataset, summaries[name], name, colour)
+    first = next(iter(summaries.values()))
+    start, end = first["bounds"]
+    ax.set_ylim(-0.03, 1.03)
+    set_walk(ax, first)
+    certificate(ax, first)
+    ax.set_xlabel(f"critical {first['parameter']} [{first['unit']}]")
+    side = "below" if end > start else "above"
+    ax.set_ylabel(f"share of draws at or {side}")
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.legend(frameon=False, fontsize=11)
+    ax.set_title("margins of random draws")
+
+
+def oscillations_panel(ax: Axes, oscillations: Mapping[str, xr.Dataset], local: float | None) -> None:
     """Draw amplitudes over the lag's time constant, simulated and predicted."""
-    unit = next((f" [{one['amplitude'].attrs['units']}]" for one in oscillations.values()), "")
-    for colour, (name, one) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
-        mu = one[next(iter(one.dims))].values
-        amplitude = np.where(one["amplitude"] > NO_ANSWER * one.attrs["push"], one["amplitude"], np.nan)
+    for colour, (name, oscillation) in zip(cycle(THEORY_COLOURS), oscillations.items(), strict=False):
+        mu = oscillation[next(iter(oscillation.dims))].values
+        final = oscillation["amplitude"]
+        amplitude = np.where(final > SETTLED * oscillation.attrs["push"], final, np.nan)
         ax.loglog(mu, amplitude, "o", color=colour, label=f"{name}, simulated")
-        if not np.isnan(one["predicted"]).all():
-            ax.loglog(mu, one["predicted"], color=colour, label=f"{name}, describing function")
+        predicted = oscillation["predicted"]
+        if not np.isnan(predicted).all():
+            ax.loglog(mu, predicted, color=colour, label=f"{name}, describing function")
     if local is not None:
         ax.axvline(local, color=GREY, linestyle="--", label=f"local margin {local:.3g} s")
-    ax.set(xlabel="time constant $\\mu$ of the lag [s]", ylabel=rf"amplitude of $\sigma$ that is left{unit}")
+    first = next(iter(oscillations.values()))
+    unit = first["amplitude"].attrs["units"]
+    ax.set(xlabel="time constant $\\mu$ of the lag [s]", ylabel=rf"amplitude of $\sigma$ that is left [{unit}]")
     ax.legend(frameon=False, fontsize=11)
     ax.set_title("beyond the local margin")
 
 
-def cumulative(ax: Axes, margins: Analysis, summary: Mapping[str, Any], name: str, colour: str) -> None:
+def cumulative(ax: Axes, margins: xr.Dataset, summary: MarginSummary, name: str, colour: str) -> None:
     """Draw the distribution function of critical values; with censored draws it does not reach 0 or 1."""
-    critical, censoring = margins.dataset["critical"].values, margins.dataset["censoring"].values
+    critical = margins["critical"].values
+    censoring = margins["censoring"].values
     start, end = summary["bounds"]
-    steps = np.sort(critical[censoring == 0])
-    steps = steps if end > start else steps[::-1]
-    share = (np.count_nonzero(censoring < 0) + np.arange(len(steps) + 1)) / critical.size
-    x, criterion = np.concatenate([[start], steps, [end]]), " ".join(summary["criterion"])
-    style = "-" if "linearised" not in criterion else "--" if "sampled" in criterion else ":"
-    ax.step(x, np.concatenate([share, share[-1:]]), where="post", color=colour, linestyle=style, label=name)
+    steps = in_order_of_walk(critical[censoring == 0], summary)
+    failed_at_start = np.count_nonzero(censoring < 0)
+    share = (failed_at_start + np.arange(len(steps) + 1)) / critical.size
+    x = np.concatenate([[start], steps, [end]])
+    y = np.concatenate([share, share[-1:]])
+    ax.step(x, y, where="post", color=colour, linestyle=line_style(summary["criterion"]), label=name)
+
+
+def line_style(criterion: Sequence[str]) -> str:
+    """Solid for a simulated criterion, dashed for one of the sampled linearisation, dotted in continuous time."""
+    text = " ".join(criterion)
+    if "linearised" not in text:
+        return "-"
+    return "--" if "sampled" in text else ":"

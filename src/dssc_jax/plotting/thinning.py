@@ -26,9 +26,10 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple
     for group in np.array_split(np.arange(len(x)), columns):
         inside = y[group]
         if np.isnan(inside).all():
-            kept += [int(group[0])]
+            kept.append(int(group[0]))
             continue
-        kept += sorted({int(group[np.nanargmin(inside)]), int(group[np.nanargmax(inside)])})
+        extremes = {int(group[np.nanargmin(inside)]), int(group[np.nanargmax(inside)])}
+        kept += sorted(extremes)
     return x[kept], y[kept]
 
 
@@ -50,10 +51,12 @@ def envelope(
         return x, low, high
     first = len(x) * np.arange(columns) // columns
     ends = np.append(first, len(x) - 1)
-    lowest, highest = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
+    lowest = np.minimum.reduceat(low, first)
+    highest = np.maximum.reduceat(high, first)
     return x[ends], np.append(lowest, lowest[-1]), np.append(highest, highest[-1])
 
 
-def picked(count: int, most: int = PIXEL_COLUMNS) -> np.ndarray:
-    """At most ``most`` indices of 0 .. count-1, evenly spaced, including both ends."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+def picked(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
+    """At most ``limit`` indices of 0 .. count-1, evenly spaced, including both ends."""
+    spaced = np.linspace(0, count - 1, min(count, limit))
+    return np.unique(spaced.round().astype(int))

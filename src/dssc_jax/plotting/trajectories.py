@@ -1,19 +1,25 @@
 """Figures of one draw over time."""
 
+import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.typing import LineStyleType
+from mpl_toolkits.mplot3d import Axes3D
 
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, label, panel, styled, title
 from dssc_jax.plotting.thinning import picked, thinned
 
-STILL = 1e-9  # of a signal's size: what is smaller is rounding noise
-CYCLE = (BLUE, ORANGE, GREEN, RED, GREY)
+ROUNDING_NOISE = 1e-9
+"""Signals below this share of the size of their channel are rounding noise."""
+SIGNAL_COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 ROTOR_COLOURS = (BLUE, ORANGE, GREEN, GREY)  # red is the limit
+PATH_HEIGHT = 4.2  # inches
+ROW_HEIGHT = 2.3
 WIND = ("wind_x", "wind_y", "wind_z")
 
 
@@ -29,21 +35,23 @@ def trajectory(run: xr.Dataset) -> Figure:
     if "y" not in run:
         return flight(run)
     figure = Figure(figsize=(11.5, 8.0), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True)
-    line(panels[0, 0], run, "y_ref", GREY, "desired $y_m$", linestyle="--")
-    line(panels[0, 0], run, "y", BLUE, "output $y$")
-    panels[0, 0].set_ylabel(signal_label(run, "y"))
-    line(panels[0, 1], run, "e", BLUE, f"error $e$ {bracketed_unit(run, 'e')}")
-    line(panels[0, 1], run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {bracketed_unit(run, 'sigma')}")
-    panels[0, 1].set_ylabel(rf"error $e$ {bracketed_unit(run, 'e')}, $\sigma$ {bracketed_unit(run, 'sigma')}")
-    line(panels[1, 0], run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
-    line(panels[1, 0], run, "u", RED, "robust $u$")
-    panels[1, 0].set_ylabel(signal_label(run, "u_total"))
-    state_dependent(panels[1, 1], run)
-    for ax in panels.flat:
+    (output, error), (command, functions) = figure.subplots(2, 2, sharex=True)
+    line(output, run, "y_ref", GREY, "desired $y_m$", linestyle="--")
+    line(output, run, "y", BLUE, "output $y$")
+    output.set_ylabel(signal_label(run, "y"))
+    error_unit = bracketed_unit(run, "e")
+    sigma_unit = bracketed_unit(run, "sigma")
+    line(error, run, "e", BLUE, f"error $e$ {error_unit}")
+    line(error, run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {sigma_unit}")
+    error.set_ylabel(rf"error $e$ {error_unit}, $\sigma$ {sigma_unit}")
+    line(command, run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
+    line(command, run, "u", RED, "robust $u$")
+    command.set_ylabel(signal_label(run, "u_total"))
+    state_dependent(functions, run)
+    for ax in (output, error, command, functions):
         if ax.has_data():
             ax.legend(loc="best", frameon=False)
-    for ax in panels[1]:
+    for ax in (command, functions):
         ax.set_xlabel("time [s]")
     title(figure, how_it_ended(run))
     return figure
@@ -62,19 +70,28 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
         KeyError: the trajectory has no such signal.
         ValueError: there are more signals than distinguishable colours.
     """
-    if len(names) > len(CYCLE):
-        raise ValueError(f"shows at most {len(CYCLE)} signals, got {len(names)}")
+    if len(names) > len(SIGNAL_COLOURS):
+        raise ValueError(f"shows at most {len(SIGNAL_COLOURS)} signals, got {len(names)}")
     figure, ax = panel(ax)
-    for name, colour in zip(names, CYCLE[: len(names)], strict=True):
+    for name, colour in zip(names, SIGNAL_COLOURS[: len(names)], strict=True):
         line(ax, run, name, colour, label(run[name].attrs) or name)
-    ax.set(xlabel="time [s]", ylabel=", ".join(dict.fromkeys(f"[{run[name].attrs['units']}]" for name in names)))
+    units = dict.fromkeys(bracketed_unit(run, name) for name in names)
+    ax.set(xlabel="time [s]", ylabel=", ".join(units))
     ax.legend(loc="best", frameon=False)
     return figure
 
 
-def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: object) -> None:
+class LineLook(TypedDict, total=False):
+    """Width in points, and style, of a line."""
+
+    linewidth: float
+    linestyle: LineStyleType
+
+
+def line(ax: Axes, run: xr.Dataset, name: str, colour: str, text: str, **look: Unpack[LineLook]) -> None:
     """Draw one signal, with as many points as a page can show."""
-    ax.plot(*thinned(run["t"].values, run[name].values), color=colour, label=text, **look)  # type: ignore[arg-type]
+    time, values = thinned(run["t"].values, run[name].values)
+    ax.plot(time, values, color=colour, label=text, **look)
 
 
 def bracketed_unit(run: xr.Dataset, name: str) -> str:
@@ -84,8 +101,9 @@ def bracketed_unit(run: xr.Dataset, name: str) -> str:
 
 def signal_label(run: xr.Dataset, name: str) -> str:
     """A signal's meaning without its symbol, and its unit."""
-    words = run[name].attrs["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
-    return label({"long_name": words, "units": run[name].attrs["units"]})
+    attributes = run[name].attrs
+    meaning = attributes["long_name"].removesuffix(" y").removesuffix(" u + u_n").removeprefix("total ")
+    return label({"long_name": meaning, "units": attributes["units"]})
 
 
 def flight(run: xr.Dataset) -> Figure:
@@ -94,50 +112,63 @@ def flight(run: xr.Dataset) -> Figure:
     A channel whose error and command are rounding noise is left out, and named in the title.
     """
     channels = [str(name).removesuffix("_y_ref") for name in run if str(name).endswith("_y_ref")]
-    active = [channel for channel in channels if not is_still(run, channel)] or channels
+    active = [channel for channel in channels if not is_noise(run, channel)] or channels
     vehicle = all(name in run for name in ("x_y", "y_y", "z_y", "phi", "theta"))
-    panels = vehicle_panels(run) if vehicle else []
-    heights = [*([4.2] if vehicle else []), *[2.3] * (-(-len(panels) // 2) + len(active))]
+    heights: list[float] = []
+    panels: list[Callable[[Axes, xr.Dataset], None]] = []
+    if vehicle:
+        panels = vehicle_panels(run)
+        heights = [PATH_HEIGHT] + [ROW_HEIGHT] * math.ceil(len(panels) / 2)
+    first_channel_row = len(heights)
+    heights += [ROW_HEIGHT] * len(active)
     figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     if vehicle:
         path_in_space(figure.add_subplot(grid[0, 0], projection="3d"), run)
         path_from_above(figure.add_subplot(grid[0, 1]), run)
-        for place, draw in enumerate(panels):
-            draw(figure.add_subplot(grid[1 + place // 2, place % 2]), run)
-    for row, channel in enumerate(active, len(heights) - len(active)):
-        left, right = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
-        line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
-        line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
-        line(right, run, f"{channel}_e", BLUE, "error")
-        left.set_ylabel(f"{channel}: command [{run[f'{channel}_u'].attrs['units']}]")
-        right.set_ylabel(f"{channel}: error [{run[f'{channel}_e'].attrs['units']}]")
+    for index, draw in enumerate(panels):
+        draw(figure.add_subplot(grid[1 + index // 2, index % 2]), run)
+    for row, channel in enumerate(active, first_channel_row):
+        left = figure.add_subplot(grid[row, 0])
+        right = figure.add_subplot(grid[row, 1])
+        channel_panels(left, right, run, channel)
         if channel == active[0]:
             left.legend(loc="best", frameon=False)
         if channel == active[-1]:
             left.set_xlabel("time [s]")
             right.set_xlabel("time [s]")
-    still = [channel for channel in channels if channel not in active]
-    note = f"\nnot shown: {', '.join(still)}, whose error and command are rounding noise" if still else ""
+    hidden = [channel for channel in channels if channel not in active]
+    note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
     title(figure, how_it_ended(run) + note)
     return figure
 
 
+def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:
+    """Draw a channel's commands on the left, and its error on the right."""
+    line(left, run, f"{channel}_u_total", GREY, "total $u + u_n$", linewidth=1.2)
+    line(left, run, f"{channel}_u", RED, "robust $u$", linewidth=1.2)
+    line(right, run, f"{channel}_e", BLUE, "error")
+    left.set_ylabel(f"{channel}: command {bracketed_unit(run, f'{channel}_u')}")
+    right.set_ylabel(f"{channel}: error {bracketed_unit(run, f'{channel}_e')}")
+
+
 def vehicle_panels(run: xr.Dataset) -> list[Callable[[Axes, xr.Dataset], None]]:
-    """What else of a vehicle there is to draw over time."""
-    there = {
-        attitude: True,
-        rotors: "rotor_1" in run,
-        wind: any(largest_magnitude(run, name) > 0.0 for name in WIND if name in run),
-        lift: "thrust" in run,
-    }
-    return [draw for draw, shown in there.items() if shown]
+    """The functions that draw a vehicle's other signals over time, as far as the run has them."""
+    panels: list[Callable[[Axes, xr.Dataset], None]] = [attitude]
+    if "rotor_1" in run:
+        panels.append(rotors)
+    if any(largest_magnitude(run, name) > 0.0 for name in WIND if name in run):
+        panels.append(wind)
+    if "thrust" in run:
+        panels.append(thrust)
+    return panels
 
 
-def is_still(run: xr.Dataset, channel: str) -> bool:
+def is_noise(run: xr.Dataset, channel: str) -> bool:
     """Whether a channel's error and command are rounding noise."""
-    size = max(1.0, *(largest_magnitude(run, f"{channel}_{name}") for name in ("y", "y_ref")))
-    return all(largest_magnitude(run, f"{channel}_{name}") <= STILL * size for name in ("e", "u_total"))
+    size = max(1.0, largest_magnitude(run, f"{channel}_y"), largest_magnitude(run, f"{channel}_y_ref"))
+    signal = max(largest_magnitude(run, f"{channel}_e"), largest_magnitude(run, f"{channel}_u_total"))
+    return signal <= ROUNDING_NOISE * size
 
 
 def largest_magnitude(run: xr.Dataset, name: str) -> float:
@@ -146,11 +177,13 @@ def largest_magnitude(run: xr.Dataset, name: str) -> float:
     return float(np.max(values[np.isfinite(values)], initial=0.0))
 
 
-def path_in_space(ax: Any, run: xr.Dataset) -> None:
+def path_in_space(ax: Axes3D, run: xr.Dataset) -> None:
     """Draw the path and its reference in three dimensions."""
     shown = picked(run.sizes["t"])
-    for suffix, colour, text, style in (("y_ref", GREY, "desired", "--"), ("y", BLUE, "flown", "-")):
-        ax.plot(*(run[f"{axis}_{suffix}"].values[shown] for axis in "xyz"), color=colour, label=text, linestyle=style)
+    desired = [run[f"{axis}_y_ref"].values[shown] for axis in "xyz"]
+    flown = [run[f"{axis}_y"].values[shown] for axis in "xyz"]
+    ax.plot(*desired, color=GREY, label="desired", linestyle="--")
+    ax.plot(*flown, color=BLUE, label="flown", linestyle="-")
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     ax.legend(loc="upper left", frameon=False)
 
@@ -158,13 +191,16 @@ def path_in_space(ax: Any, run: xr.Dataset) -> None:
 def path_from_above(ax: Axes, run: xr.Dataset) -> None:
     """Draw the path and its reference from above, with equal scales, and mark the start and the end."""
     shown = picked(run.sizes["t"])
-    x, y = (run[f"{axis}_y"].values[shown] for axis in "xy")
+    x = run["x_y"].values[shown]
+    y = run["y_y"].values[shown]
     ax.plot(run["x_y_ref"].values[shown], run["y_y_ref"].values[shown], color=GREY, linestyle="--", label="desired")
     ax.plot(x, y, color=BLUE, label="flown")
     finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     if finite.size:
-        ax.plot(x[finite[0]], y[finite[0]], "o", color=GREEN, label="start")
-        ax.plot(x[finite[-1]], y[finite[-1]], "s", color=RED, label="end")
+        start = finite[0]
+        end = finite[-1]
+        ax.plot(x[start], y[start], "o", color=GREEN, label="start")
+        ax.plot(x[end], y[end], "s", color=RED, label="end")
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_aspect("equal", adjustable="datalim")
     ax.legend(loc="best", frameon=False)
@@ -173,36 +209,42 @@ def path_from_above(ax: Axes, run: xr.Dataset) -> None:
 def attitude(ax: Axes, run: xr.Dataset) -> None:
     """Draw roll and pitch in degrees."""
     for name, colour, text in (("phi", BLUE, "roll"), ("theta", ORANGE, "pitch")):
-        ax.plot(*thinned(run["t"].values, np.degrees(run[name].values)), color=colour, label=text)
+        time, angle = thinned(run["t"].values, np.degrees(run[name].values))
+        ax.plot(time, angle, color=colour, label=text)
     ax.set_ylabel("attitude [deg]")
     ax.legend(loc="best", frameon=False)
 
 
 def rotors(ax: Axes, run: xr.Dataset) -> None:
     """Draw the commanded thrust of each rotor and its limit, and shade the time with a rotor at its limit."""
-    each = [str(name) for name in run if str(name).startswith("rotor_") and str(name)[6:].isdigit()]
-    for place, name in enumerate(each):
-        style = "-" if place < len(ROTOR_COLOURS) else ":"
-        line(ax, run, name, ROTOR_COLOURS[place % len(ROTOR_COLOURS)], name[6:], linewidth=1.0, linestyle=style)
-    time, at_limit = run["t"].values, run["rotor_limited"].values > 0.5
-    low, high = ax.get_ylim()
+    numbers = [str(name).removeprefix("rotor_") for name in run if str(name).startswith("rotor_")]
+    for index, number in enumerate(filter(str.isdigit, numbers)):
+        colour = ROTOR_COLOURS[index % len(ROTOR_COLOURS)]
+        style = "-" if index < len(ROTOR_COLOURS) else ":"
+        line(ax, run, f"rotor_{number}", colour, number, linewidth=1.0, linestyle=style)
     limit = largest_magnitude(run, "rotor_limit")
-    if at_limit.any():
-        low, high = min(low, 0.0), max(high, limit)
-        look = {"color": RED, "alpha": 0.2, "linewidth": 0.0, "label": "one at its limit"}
-        ax.fill_between(time, low, high, where=list(at_limit), **look)
-    if high >= limit:
+    bottom, top = ax.get_ylim()
+    limited = list(run["rotor_limited"].values > 0.5)
+    if any(limited):
+        bottom = min(bottom, 0.0)
+        top = max(top, limit)
+        text = "one at its limit"
+        ax.fill_between(run["t"].values, bottom, top, where=limited, color=RED, alpha=0.2, linewidth=0.0, label=text)
+    if top >= limit:
         line(ax, run, "rotor_limit", RED, "limit", linewidth=1.0, linestyle="--")
-    ax.set_ylabel("rotor thrust [N]" if high >= limit else f"rotor thrust [N]\n(limit {limit:.3g})")
+        ax.set_ylabel("rotor thrust [N]")
+    else:
+        ax.set_ylabel(f"rotor thrust [N]\n(limit {limit:.3g})")
     ax.legend(loc="best", frameon=False, ncols=3)
 
 
 def wind(ax: Axes, run: xr.Dataset) -> None:
     """Draw the wind, and mark its onset if it does not blow from the start."""
-    for name, colour in zip(WIND, CYCLE[: len(WIND)], strict=True):
+    for name, colour in zip(WIND, SIGNAL_COLOURS[: len(WIND)], strict=True):
         if largest_magnitude(run, name) > 0.0:
             line(ax, run, name, colour, name[-1])
-    blowing = np.flatnonzero(np.any([np.abs(run[name].values) > 0.0 for name in WIND], axis=0))
+    speeds = np.abs([run[name].values for name in WIND])
+    blowing = np.flatnonzero((speeds > 0.0).any(axis=0))
     if blowing[0] > 1:
         onset = float(run["t"].values[blowing[0]])
         ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
@@ -210,8 +252,8 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
     ax.legend(loc="best", frameon=False, ncols=2)
 
 
-def lift(ax: Axes, run: xr.Dataset) -> None:
-    """Draw the wanted thrust."""
+def thrust(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the commanded thrust."""
     line(ax, run, "thrust", BLUE, "wanted thrust")
     ax.set_ylabel("wanted thrust [N]")
 
@@ -231,5 +273,7 @@ def state_dependent(ax: Axes, run: xr.Dataset) -> None:
 
 
 def how_it_ended(run: xr.Dataset) -> str:
-    """The title of a trajectory: how the draw ended."""
-    return f"{run.attrs.get('study', '')}, draw {run.attrs.get('draw', 0)}: {run.attrs.get('verdict', '')}"
+    """The title of a trajectory: the study, the draw and how it ended."""
+    study = run.attrs.get("study", "")
+    draw = run.attrs.get("draw", 0)
+    return f"{study}, draw {draw}: {run.attrs.get('verdict', '')}"

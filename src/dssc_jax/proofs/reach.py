@@ -45,10 +45,10 @@ class ProvedReach:
         """The outcome in one sentence."""
         if self.last is None:
             return f"Not proved at the safe end {self.name} = {self.values[0][0]:g}: {self.reason}."
-        apart = ", each value on its own"
+        alone = ", each value on its own"
         if self.refused is None:
-            return f"Proved up to the end, {self.name} = {self.proved:.4g}{apart}. {self.last.statement()}"
-        sentence = f"Proved up to {self.name} = {self.proved:.4g}{apart}; not at {self.refused:.4g}: {self.reason}."
+            return f"Proved up to the end, {self.name} = {self.proved:.4g}{alone}. {self.last.statement()}"
+        sentence = f"Proved up to {self.name} = {self.proved:.4g}{alone}; not at {self.refused:.4g}: {self.reason}."
         return f"{sentence} {self.last.statement()}"
 
     def summary(self) -> dict[str, Any]:
@@ -89,23 +89,24 @@ def proved_up_to(
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
     """
-    safe, far = bounds
-    if safe == far or (log and min(bounds) <= 0.0):
-        raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {far:g}")
+    safe, end = bounds
+    if safe == end or (log and min(bounds) <= 0.0):
+        raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
     single = study.without_sweep()
     proofs: dict[float, tuple[float, Proved]] = {}
 
     def proved_at(share: np.ndarray | float) -> bool:
-        """Whether the study is proved at a share of the way from the safe end to the far end."""
+        """Whether the study is proved at a share of the way from the safe end to the other."""
         share = float(share)
-        value = safe * (far / safe) ** share if log else safe + share * (far - safe)
+        value = safe * (end / safe) ** share if log else safe + share * (end - safe)
         proof = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
         proofs[share] = (value, proof)
         if progress is not None:
             progress(len(proofs), None)
         return proof.complete
 
-    inside, outside = 0.0, 1.0
+    inside = 0.0
+    outside = 1.0
     if not proved_at(inside):
         value, proof = proofs[inside]
         return ProvedReach(name, tried(proofs), None, None, value, REASONS[proof.failures[0].reason])

@@ -21,7 +21,7 @@ from typing import Any
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
-from dssc_jax.lanes import machine
+from dssc_jax.lanes.llvm import machine
 from dssc_jax.results.blocks import Chunks
 from dssc_jax.results.manifest import Manifest, listed, machinery_differences
 from dssc_jax.results.store import Store
@@ -214,7 +214,8 @@ def block_ranges(blocks: list[Block], workers: int) -> list[list[Block]]:
 
 def summed(shares: list[Share], steps: int, seconds: float) -> dict[str, float]:
     """The times of a run: the workers' rates add up, and their compilations run in parallel."""
-    lanes, busy = {}, {}
+    lanes: dict[str, int] = {}
+    busy: dict[str, float] = {}
     for share in shares:
         lanes[share.worker] = lanes.get(share.worker, 0) + share.lanes
         busy[share.worker] = busy.get(share.worker, 0.0) + share.seconds

@@ -16,12 +16,13 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
+from dssc_jax.results.result import Result
+from dssc_jax.results.schema import in_memory, put
+from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.correlation import gaussian
 
 if TYPE_CHECKING:
-    from dssc_jax.results.result import Result
-    from dssc_jax.results.store import Store
     from dssc_jax.runs.cluster import Cluster
 
 
@@ -72,7 +73,7 @@ def run(
     notify: Callable[[str], None] = print,
     local: str | None = None,
     check: bool = True,
-) -> "Result":
+) -> Result:
     """Simulate every draw of a study at every point of its sweep.
 
     Args:
@@ -107,15 +108,10 @@ def run(
     this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
         this_process.start(layout, layout.blocks())
-
-    # xarray and Zarr take as long to import as a small study takes to run: the first block runs meanwhile
-    from dssc_jax.results.result import Result
-    from dssc_jax.results.store import Store
-
     with ExitStack() as stack:
         workers: ThisProcess | Cluster = this_process
         if cluster:
-            from dssc_jax.runs.cluster import connected
+            from dssc_jax.runs.cluster import connected  # needs an optional package
 
             workers = stack.enter_context(connected(cluster, notify, local))
         manifest = run_manifest(study, layout, workers.machinery())
@@ -157,7 +153,7 @@ class ThisProcess:
         self.computed = execute(self.engine, blocks)
         return self.computed
 
-    def fill(self, target: "Store", advance: Callable[[int], None]) -> Manifest:
+    def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
         for box, results, values in self.computed or self.start(target.layout, target.pending):
             target.write(box, results, values)
@@ -194,15 +190,11 @@ def integration_entry(study: Study, check: bool) -> Manifest:
 
 def run_in_memory(
     study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, check: bool
-) -> "Result":
+) -> Result:
     """Run a study in memory."""
     began = time.perf_counter()
     blocks = layout.blocks()
     computed = execute(engine, blocks)
-
-    from dssc_jax.results.result import Result
-    from dssc_jax.results.schema import in_memory, put
-
     manifest = run_manifest(study, layout, computing())
     dataset = in_memory(study)
     advance = LanesDone(progress, layout, blocks)

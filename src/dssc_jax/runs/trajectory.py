@@ -14,10 +14,10 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
+from dssc_jax.engine import forms
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.lanes import forms
 from dssc_jax.results.schema import outcome_codes, variables, verdict
 from dssc_jax.study import Study
 

@@ -21,8 +21,8 @@ from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.registry import single
+from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.lanes.cache.user_cache import remembered
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.differentiators import DIFFERENTIATORS

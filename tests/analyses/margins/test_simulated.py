@@ -9,7 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.analyses.margins import Censoring, Margins, Walk
 from dssc_jax.analyses.margins.search import Critical
-from dssc_jax.lanes import forms
+from dssc_jax.engine import forms
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.results import result as results
 from dssc_jax.results.manifest import write_json, write_sealed

@@ -13,7 +13,7 @@ from dssc_jax.core.signals import Measurement, ReferencePoint
 from dssc_jax.engine import evaluation
 from dssc_jax.engine.batching import lane_of_study
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
-from dssc_jax.lanes.plain import plain_options
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.components import parse_component
 from tests.analyses.tuning.cases import SMALL

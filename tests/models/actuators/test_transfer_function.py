@@ -8,7 +8,7 @@ from scipy import signal
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.lanes.plain import plain_options
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.study.components import parse_component
 from tests.loops import LAGGED

@@ -13,8 +13,8 @@ import dssc_jax as dj
 from dssc_jax.closed_loop.draw import simulate_recorded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.runs.trajectory import recorder
 
 CHANNELS = ("x", "y", "z", "psi")

@@ -30,7 +30,7 @@ from dssc_jax.core.signals import (
 )
 from dssc_jax.core.smoothness import SmoothExtent
 from dssc_jax.engine.batching import Arrays
-from dssc_jax.lanes.plain import plain_options
+from dssc_jax.engine.plain import plain_options
 
 SMALL = 1e-8  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
 LARGE = 1e-6

@@ -23,8 +23,8 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.lanes.plain import plain_options
 from dssc_jax.study import Study
 
 BATCH_LANES = 2048  # derivatives that are computed at once

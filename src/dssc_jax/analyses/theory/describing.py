@@ -23,7 +23,7 @@ from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, op
 from dssc_jax.core.contracts import HarmonicBalance
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import medians
-from dssc_jax.lanes.plain import plain_options
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.study import Study
 
 SPAN, SCANNED = 1e4, 400  # frequencies scanned, around that of the fastest pole

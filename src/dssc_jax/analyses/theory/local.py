@@ -31,7 +31,7 @@ from dssc_jax.analyses.theory.linearised import (
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Arrays, drawn
-from dssc_jax.lanes.plain import plain_options
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 

@@ -13,6 +13,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.models.controllers.dssc_forms import DsscGains
+from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
 
@@ -139,7 +140,6 @@ class Plan:
 
     def proof_at(self, numbers: Mapping[str, float]) -> "Proved":
         """The proof of the study with other numbers, as far as there is one."""
-        from dssc_jax.proofs import SWEEP_BOXES
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())

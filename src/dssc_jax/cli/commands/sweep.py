@@ -10,6 +10,7 @@ from dssc_jax.cli.proving import require_proofs
 from dssc_jax.cli.running import computed_result, print_result, simulated_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.certification import NotCovered
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -38,8 +39,7 @@ def require_provable(study: Study) -> None:
         ConfigError: they do not.
     """
     require_proofs()
-    from dssc_jax.design.certification import NotCovered  # needs optional packages, as the two below
-    from dssc_jax.proofs.coverage import problem_of
+    from dssc_jax.proofs.coverage import problem_of  # needs optional packages, as the one below
     from dssc_jax.runs.prove_sweep import sweep_points
 
     try:

@@ -18,10 +18,10 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.numerics import atan2
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10

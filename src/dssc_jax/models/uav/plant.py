@@ -7,13 +7,14 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Plant, Preset
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import atan2, dot, root_abs
+from dssc_jax.core.numerics import dot, root_abs
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Registry, Slot, single
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import piecewise
 from dssc_jax.core.units import ANGLE, POSITION
 from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
+from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate, pseudo_inverse
 from dssc_jax.models.uav.inner_loop import Demand, InnerGains, Integrals, demand, euler_of, euler_rates, trig_of

@@ -165,7 +165,8 @@ def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, 
 
 def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: str) -> None:
     """(P4) What was shown lies in the region of a stage."""
-    sigma, e = stage["sigma"], stage["e"]
+    sigma = stage["sigma"]
+    e = stage["e"]
     require_premise(limits.sigma * factor <= arb(sigma), f"{subject} leaves |sigma| <= {sigma}")
     require_premise(limits.e * factor <= arb(e), f"{subject} leaves |e| <= {e}")
     if stage.get("coordinate") == "u_av":

@@ -1,0 +1,61 @@
+"""Small trees of plain values as JSON: numbers, strings, types of arrays, containers, this package's named tuples."""
+
+import importlib
+import json
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.trace_memory.names import Undescribed, place
+
+CONTAINERS = {"tuple": tuple, "dict": dict, "OrderedDict": OrderedDict}
+DTYPE = "dtype"
+
+
+def encoded(tree: Any) -> bytes:
+    """A tree as JSON.
+
+    Raises:
+        Undescribed: It contains something else, or a named tuple that cannot be imported.
+    """
+    return json.dumps(as_plain(tree)).encode()
+
+
+def decoded(content: bytes) -> Any:
+    """The tree that :func:`encoded` was given."""
+    return restored(json.loads(content))
+
+
+def as_plain(tree: Any) -> Any:
+    """A tree in terms of JSON; what JSON does not know is an object with one member, its type."""
+    match tree:
+        case None | bool() | int() | float() | str():
+            return tree
+        case list():
+            return [as_plain(part) for part in tree]
+        case np.dtype():
+            return {DTYPE: tree.str}
+        case tuple() if hasattr(tree, "_fields"):
+            return {place(type(tree)).decode(): [as_plain(part) for part in tree]}
+        case tuple():
+            return {"tuple": [as_plain(part) for part in tree]}
+        case dict():
+            return {type(tree).__name__: [[as_plain(key), as_plain(part)] for key, part in tree.items()]}
+    raise Undescribed(tree)
+
+
+def restored(content: Any) -> Any:
+    """The tree that :func:`as_plain` was given."""
+    if isinstance(content, list):
+        return [restored(part) for part in content]
+    if not isinstance(content, dict):
+        return content
+    ((kind, parts),) = content.items()
+    if kind == DTYPE:
+        return np.dtype(parts)
+    inside = restored(parts)
+    if kind in CONTAINERS:
+        return CONTAINERS[kind](inside)
+    module, _, name = kind.rpartition(".")
+    return getattr(importlib.import_module(module), name)(*inside)

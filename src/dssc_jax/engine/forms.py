@@ -1,0 +1,130 @@
+"""The forms in which a batch of lanes can run, and the choice between them.
+
+On a CPU, lanes run as machine code of this package (:mod:`dssc_jax.lanes.lanes`). What cannot be translated runs as
+plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample.
+"""
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.engine.compiled_lanes import LaneBatch, compiled_lanes
+from dssc_jax.engine.plain import PlainBatch, plain_options
+from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.unsupported import Unsupported
+
+KERNEL_VARIABLE = "DSSC_JAX_KERNEL"
+Start = Callable[[dict[str, np.ndarray], np.ndarray], Callable[[], tuple[dict[Any, np.ndarray], float]]]
+"""(columns of numbers, draw indices) -> a function that waits for the results.
+
+They are columns of the same length, beside the time of :func:`time.perf_counter` at which the lanes ended.
+"""
+
+
+class Form(StrEnum):
+    """How a batch runs.
+
+    ``lanes``: machine code for a CPU, in fast arithmetic. ``strict``: the same without contraction, with the same bits
+    on every machine. ``scan``: plain XLA.
+    """
+
+    LANES = "lanes"
+    STRICT = "strict"
+    SCAN = "scan"
+
+
+class KernelWarning(UserWarning):
+    """A study runs in a slower form than its machine could."""
+
+
+def requested(choice: str = "") -> str:
+    """The requested form, from the argument or the environment.
+
+    Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU.
+
+    Raises:
+        ConfigError: There is no such form.
+    """
+    choice = choice or os.environ.get(KERNEL_VARIABLE, "")
+    if not choice:
+        return Form.LANES if jax.default_backend() == "cpu" else Form.SCAN
+    if choice not in tuple(Form):
+        raise ConfigError("kernel", f"must be lanes, strict or scan, got '{choice}'; {nearest(choice, tuple(Form))}")
+    return choice
+
+
+def compiler_settings() -> list[str]:
+    """What affects the last digits of a result beside the versions: the compiler, the processor, a request."""
+    requests = [f"{KERNEL_VARIABLE}={requested()}"] if os.environ.get(KERNEL_VARIABLE) else []
+    return [*machine.code_settings(), *requests]
+
+
+def compiled(
+    choice: str, lane: Callable[..., Any], names: Sequence[str], lanes: int, tile: int | None, devices: int | None
+) -> Start:
+    """Compile the program of a lane for batches.
+
+    Args:
+        choice: The result of :func:`requested`.
+        lane: (numbers by name, draw index) -> results of one lane.
+        names: Names of the numbers.
+        lanes: Most lanes of a batch.
+        tile: Lanes of a tile, for the forms of XLA.
+        devices: Cores of a CPU, or GPUs; None: all.
+
+    Raises:
+        ConfigError: Strict arithmetic was requested, and cannot express the program.
+
+    Warns:
+        KernelWarning: The program runs in a slower form.
+    """
+    if choice in (Form.LANES, Form.STRICT):
+        try:
+            return LaneBatch(lane, names, devices, strict=choice == Form.STRICT).start
+        except Unsupported as problem:
+            if choice == Form.STRICT:
+                raise ConfigError("kernel", f"strict arithmetic cannot express {problem}") from None
+            slower(f"no machine code for {problem}")
+    return PlainBatch(lane, names, lanes, tile, devices).start
+
+
+def compiled_single(lane: Callable[..., Any], names: Sequence[str], plain: bool = False) -> Callable[..., Any]:
+    """Compile the program of one lane, which may record arrays.
+
+    Args:
+        lane: (numbers by name, draw index) -> a tree of results.
+        names: Names of the numbers.
+        plain: By plain XLA.
+
+    Returns:
+        The same function for numbers, with results as NumPy arrays.
+
+    Warns:
+        KernelWarning: There is no machine code for the program.
+    """
+    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    if jax.default_backend() == "cpu" and not plain:
+        try:
+            compiled = compiled_lanes(lane, dict.fromkeys(names, number), jax.ShapeDtypeStruct((), jnp.uint32), width=1)
+            return lambda values, index: jax.tree.map(
+                lambda column: column[0],
+                compiled.start(({name: np.array([values[name]]) for name in names}, np.array([index])), 1, 1)(),
+            )
+        except Unsupported as problem:
+            slower(f"no machine code for {problem}")
+    jitted = jax.jit(lane, compiler_options=plain_options())
+    return lambda values, index: jax.tree.map(
+        np.asarray, jitted({name: values[name] for name in names}, np.uint32(index))
+    )
+
+
+def slower(reason: str) -> None:
+    """Warn that a program runs as plain XLA."""
+    warnings.warn(f"slower, by plain XLA: {reason}", KernelWarning, stacklevel=3)

@@ -1,0 +1,71 @@
+"""The front door: a function of one lane, compiled for batches of lanes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.lanes.lanes import CompiledLanes
+from dssc_jax.lanes.llvm import machine
+
+
+def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -> Callable[..., Any]:
+    """Compile a function of scalars for many lanes, as ``jax.jit(jax.vmap(function))`` would.
+
+    The lanes of a batch run on all cores, several in each vector register. The function may use ``jax.lax``'s
+    elementwise operations, loops, branches, random numbers, and small arrays within a lane.
+
+    Args:
+        function: A pure function of trees of scalars; its results are scalars, and arrays that a ``scan`` records.
+        example: An example of each argument: trees of numbers or of ``jax.ShapeDtypeStruct``. Only their types count,
+            which are JAX's: 64 bits under ``jax.enable_x64``, 32 bits otherwise.
+        strict: Contract no product with a sum, so that the bits are the same on every machine.
+
+    Returns:
+        The function of trees whose scalars are replaced by columns of one length n. Its results are NumPy arrays of
+        shape (n, ...).
+
+    Raises:
+        Unsupported: An operation has no translation; the message names it and its place in the source.
+        TypeError: An example holds something else than numbers.
+
+    Example:
+        >>> import numpy as np
+        >>> from dssc_jax import lanes
+        >>> def population(rate, start):
+        ...     return jax.lax.fori_loop(0, 100, lambda year, x: rate * x * (1.0 - x), start)
+        >>> import jax
+        >>> batch = lanes.compile(population, 1.0, 1.0)
+        >>> batch(np.array([0.5, 2.0]), np.array([0.3, 0.3])).round(3)
+        array([0. , 0.5], dtype=float32)
+    """
+    types = tuple(jax.tree.map(scalar_type, argument) for argument in example)
+    structure = jax.tree.structure(types)
+    compiled = CompiledLanes(function, *types, strict=strict)
+    threads = machine.usable_cores()
+
+    def batch(*arguments: Any) -> Any:
+        """Run the lanes; arguments are columns of one length."""
+        columns = jax.tree.leaves(arguments)
+        if jax.tree.structure(arguments) != structure:
+            raise TypeError(f"the arguments must have the structure {structure}, got {jax.tree.structure(arguments)}")
+        shapes = {np.shape(column) for column in columns}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 1:
+            raise ValueError(f"the columns must have one shape (n,), got {sorted(shapes)}")
+        return compiled.start(arguments, len(columns[0]), threads)()
+
+    return batch
+
+
+def scalar_type(example: Any) -> jax.ShapeDtypeStruct:
+    """The type of a scalar, from an example of it.
+
+    Raises:
+        TypeError: It is no scalar.
+    """
+    if np.shape(example) != ():
+        raise TypeError(f"an example must be a tree of scalars, got an array of shape {np.shape(example)}")
+    dtype = example.dtype if hasattr(example, "dtype") else jnp.result_type(example)
+    return jax.ShapeDtypeStruct((), jax.dtypes.canonicalize_dtype(dtype))

@@ -1,0 +1,1 @@
+"""C as the text of a program, for people and compilers."""

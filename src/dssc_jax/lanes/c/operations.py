@@ -1,0 +1,303 @@
+"""C's notation of the single operations of a program, with the bits that strict machine code gives.
+
+Integers are computed without sign, where C defines every overflow, and their bits are taken as signed again. Functions
+that C's library does not give exactly are written out, from sums of floating-point numbers and comparisons alone.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.program import BOOL, Value
+from dssc_jax.lanes.unsupported import Unsupported
+
+TERNARY, OR, AND, XOR, EQUAL, COMPARE, SHIFT, SUM, PRODUCT, UNARY, ATOM = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11
+"""Precedences, lowest first."""
+
+SIGNS = {
+    "add": ("+", SUM), "sub": ("-", SUM), "mul": ("*", PRODUCT), "div": ("/", PRODUCT), "eq": ("==", EQUAL),
+    "ne": ("!=", EQUAL), "lt": ("<", COMPARE), "le": ("<=", COMPARE), "gt": (">", COMPARE), "ge": (">=", COMPARE),
+    "and": ("&", AND), "or": ("|", OR), "xor": ("^", XOR),
+}  # fmt: skip
+LOGIC = {"and": ("&&", AND), "or": ("||", OR), "xor": ("!=", EQUAL), "eq": ("==", EQUAL), "ne": ("!=", EQUAL)}
+
+HELPERS = {
+    "maximum": """static {T} maximum{x}({T} a, {T} b)  /* not a number if either is; of zeros +0 */
+{{
+    if (a == 0 && b == 0) {{
+        return a + b;
+    }}
+    return a != a ? a : (a > b ? a : b);
+}}""",
+    "minimum": """static {T} minimum{x}({T} a, {T} b)  /* not a number if either is; of zeros -0 */
+{{
+    if (a == 0 && b == 0) {{
+        return -(-a - b);
+    }}
+    return a != a ? a : (a < b ? a : b);
+}}""",
+    "nearest": """static {T} nearest{x}({T} x)  /* the nearest whole number, halves to even */
+{{
+    const {T} whole = {digits};  /* from here on every number is whole */
+    const {T} size = {fabs}(x);
+    const {T} rounded = size < whole ? (size + whole) - whole : size;
+    return x < 0 ? -rounded : (x > 0 ? rounded : x);
+}}""",
+    "round_down": """static {T} round_down{x}({T} x)
+{{
+    const {T} near = nearest{x}(x);
+    return near > x ? near - 1 : near;
+}}""",
+    "round_up": """static {T} round_up{x}({T} x)
+{{
+    const {T} near = nearest{x}(x);
+    return near < x ? -(-near - 1) : near;
+}}""",
+    "toward_zero": """static {T} toward_zero{x}({T} x)
+{{
+    const {T} near = nearest{x}({fabs}(x));
+    const {T} below = near > {fabs}(x) ? near - 1 : near;
+    return x < 0 ? -below : (x > 0 ? below : x);
+}}""",
+    "bits_of": """static {I} bits_of{x}({T} x)
+{{
+    union {{ {T} number; {I} bits; }} same;
+    same.number = x;
+    return same.bits;
+}}""",
+    "number_of": """static {T} number_of{x}({I} bits)
+{{
+    union {{ {T} number; {I} bits; }} same;
+    same.bits = bits;
+    return same.number;
+}}""",
+}
+"""Functions of floating-point numbers that a program may need."""
+
+HELPERS_NEEDED = {"round_down": "nearest", "round_up": "nearest", "toward_zero": "nearest", "quotient": "signed"}
+
+INTEGER_HELPERS = {
+    "signed": """static {I} signed_{w}({U} bits)
+{{
+    union {{ {I} number; {U} bits; }} same;
+    same.bits = bits;
+    return same.number;
+}}""",
+    "shift_right": """static {I} shift_right_{w}({I} x, {I} count)  /* keeps the sign */
+{{
+    return x < 0 ? ~(~x >> count) : x >> count;
+}}""",
+    "quotient": """static {I} quotient_{w}({I} a, {I} b)  /* towards zero; b is not 0 */
+{{
+    return b == -1 ? signed_{w}(0u - ({U})a) : a / b;
+}}""",
+    "remainder": """static {I} remainder_{w}({I} a, {I} b)  /* has the sign of a; b is not 0 */
+{{
+    return b == -1 ? 0 : a % b;
+}}""",
+    "truncated": """static {I} truncated_{w}{x}({T} x)  /* 0 for what is not a number, the extremes beyond the range */
+{{
+    if (x != x) {{
+        return 0;
+    }}
+    if (x >= {top}) {{
+        return {I_max};
+    }}
+    if (x < -{top}) {{
+        return {I_min};
+    }}
+    return ({I})x;
+}}""",
+}
+"""Functions of integers of each width, by name and width."""
+
+
+def c_type(dtype: np.dtype) -> str:
+    """C's type of a number."""
+    if dtype == BOOL:
+        return "bool"
+    if dtype.kind == "f":
+        return {4: "float", 8: "double"}[dtype.itemsize]
+    return f"{'u' if dtype.kind == 'u' else ''}int{8 * dtype.itemsize}_t"
+
+
+def c_literal(number: Any, dtype: np.dtype) -> str:
+    """C's notation of a number, which the compiler reads back to the same bits."""
+    if dtype == BOOL:
+        return "true" if number else "false"
+    if dtype.kind in "iu":
+        wide = dtype.itemsize == 8
+        if int(number) == np.iinfo(dtype).min and dtype.kind == "i":
+            return f"INT{8 * dtype.itemsize}_MIN"
+        macro = f"{'U' if dtype.kind == 'u' else ''}INT{8 * dtype.itemsize}_C"
+        return f"{macro}({int(number)})" if wide or dtype.kind == "u" else str(int(number))
+    suffix = "f" if dtype.itemsize == 4 else ""
+    if math.isnan(number):
+        return f"(0.0{suffix} / 0.0{suffix})"
+    if math.isinf(number):
+        infinity = "HUGE_VALF" if suffix else "HUGE_VAL"
+        return f"-{infinity}" if number < 0 else infinity
+    text = repr(float(number)) if dtype.itemsize == 8 else str(np.float32(number))
+    return f"{text}{suffix}"
+
+
+def bracketed(text: str, precedence: int, surrounding: int) -> str:
+    """An expression, in brackets if it binds less than required."""
+    return text if precedence >= surrounding else f"({text})"
+
+
+class Notation:
+    """Writes operations of numbers of one precision, and remembers the functions that they need.
+
+    Args:
+        real: The type of the floating-point numbers.
+    """
+
+    def __init__(self, real: np.dtype) -> None:
+        self.real = real
+        self._needed: dict[tuple[str, np.dtype | None, str], str] = {}
+
+    def helpers(self) -> list[str]:
+        """Definitions of the functions that were needed, in an order that C accepts."""
+        return [
+            self._needed[key]
+            for key in sorted(self._needed, key=lambda key: (key[0] not in HELPERS_NEEDED.values(), str(key)))
+        ]
+
+    def need(self, name: str, integer: np.dtype | None = None, real: np.dtype | None = None) -> str:
+        """The name of a function, whose definition is needed from now on.
+
+        Args:
+            name: Of :data:`HELPERS`, or with an integer of :data:`INTEGER_HELPERS`.
+            integer: The type of the integers.
+            real: The type of the floating-point numbers; None: that of the program.
+        """
+        real = self.real if real is None else real
+        if name in HELPERS_NEEDED:
+            self.need(HELPERS_NEEDED[name], integer, real)
+        single = real.itemsize == 4
+        width = 8 * (integer.itemsize if integer is not None else real.itemsize)
+        words = {
+            "T": c_type(real), "fabs": "fabsf" if single else "fabs", "w": width, "I": f"int{width}_t",
+            "digits": "8388608.0f" if single else "4503599627370496.0", "U": f"uint{width}_t",
+            "I_max": f"INT{width}_MAX", "I_min": f"INT{width}_MIN",
+            "top": c_literal(real.type(2.0 ** (width - 1)), real), "x": "" if real == self.real else f"_{c_type(real)}",
+        }  # fmt: skip
+        templates = HELPERS if integer is None else INTEGER_HELPERS
+        ending = words["x"] if integer is None or name == "truncated" else ""
+        self._needed[name, integer, ending] = templates[name].format(**words)
+        return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
+
+    def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+        """An operation on operands, each with its precedence.
+
+        Raises:
+            Unsupported: C has no exact form of it.
+        """
+        operation, dtype = value.operation, value.dtype
+        source = value.operands[0].dtype if value.operands else dtype
+        if operation == "any":
+            return operands[0]
+        if operation == "select":
+            condition, first, second = (bracketed(*operand, surrounding=OR) for operand in operands)
+            return f"{condition} ? {first} : {second}", TERNARY
+        if operation == "rarely":
+            condition, usual = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
+            arguments = ", ".join(text for text, _ in operands[2:])
+            return f"{condition} ? {value.detail.name}({arguments}) : {usual}", TERNARY
+        if operation == "convert":
+            return self.converted(value, source, operands[0])
+        if operation == "bitcast":
+            return self.same_bits(source, dtype, operands[0])
+        if dtype.kind == "f":
+            return self.floating(value, operands)
+        if source == BOOL and operation in LOGIC:
+            sign, precedence = LOGIC[operation]
+            first, second = (bracketed(*operand, surrounding=UNARY) for operand in operands)
+            return f"{first} {sign} {second}", precedence
+        if dtype == BOOL:
+            if operation not in SIGNS:
+                raise Unsupported(f"'{operation}' of truth values in C")
+            sign, precedence = SIGNS[operation]
+            first, second = (bracketed(*operand, surrounding=SHIFT) for operand in operands)
+            return f"{first} {sign} {second}", precedence
+        return self.integer(value, operands)
+
+    def floating(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+        """An operation of floating-point numbers."""
+        operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
+        if operation in SIGNS:
+            sign, precedence = SIGNS[operation]
+            left = bracketed(*operands[0], surrounding=precedence)
+            return f"{left} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
+        if operation == "neg":
+            return f"-{bracketed(*operands[0], surrounding=ATOM)}", UNARY
+        if operation in ("max", "min"):
+            first, second = operands
+            return f"{self.need(operation + 'imum', real=real)}({first[0]}, {second[0]})", ATOM
+        names = {"floor": "round_down", "ceil": "round_up", "round": "nearest", "trunc": "toward_zero"}
+        if operation in names:
+            return f"{self.need(names[operation], real=real)}({operands[0][0]})", ATOM
+        library = {"sqrt": "sqrt", "abs": "fabs", "rem": "fmod"}
+        if operation in library:
+            arguments = ", ".join(text for text, _ in operands)
+            return f"{library[operation]}{'f' if single else ''}({arguments})", ATOM
+        raise Unsupported(f"'{operation}' of floating-point numbers in C")
+
+    def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
+        """An operation of integers."""
+        operation, dtype = value.operation, value.dtype
+        texts = [text for text, _ in operands]
+        unsigned = f"uint{8 * dtype.itemsize}_t"
+        called = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
+        if operation in called and dtype.kind == "i":
+            return f"{self.need(called[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+        if operation == "neg":
+            operation, texts = "sub", ["0", texts[0]]
+        signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}
+        if dtype.kind == "u":
+            signs |= {"shr": ">>", "div": "/", "rem": "%"}
+        if operation in signs and dtype.itemsize >= 4:
+            text = f"({unsigned})({texts[0]}) {signs[operation]} ({unsigned})({texts[1]})"
+            return (f"({text})", ATOM) if dtype.kind == "u" else (f"{self.need('signed', dtype)}({text})", ATOM)
+        if operation in ("max", "min"):
+            sign = ">" if operation == "max" else "<"
+            return f"({texts[0]}) {sign} ({texts[1]}) ? ({texts[0]}) : ({texts[1]})", TERNARY
+        raise Unsupported(f"'{operation}' of {dtype} in C")
+
+    def converted(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+        """A number in another type."""
+        text, dtype = operand[0], value.dtype
+        if source.kind == "f" and dtype.kind in "iu":
+            if dtype.kind == "u":
+                raise Unsupported(f"conversion of {source} to {dtype} in C")
+            return f"{self.need('truncated', dtype, source)}({text})", ATOM
+        if source == BOOL:
+            unit, zero = (c_literal(dtype.type(number), dtype) for number in (1, 0))
+            return f"{bracketed(*operand, surrounding=OR)} ? {unit} : {zero}", TERNARY
+        wraps = source.kind in "iu" and (dtype.itemsize < source.itemsize or (dtype.itemsize == source.itemsize
+                                                                              and source.kind == "u"))  # fmt: skip
+        if dtype.kind == "i" and wraps:  # C leaves it to the compiler
+            unsigned = f"(uint{8 * dtype.itemsize}_t)"
+            return f"{self.need('signed', dtype)}({unsigned}{bracketed(*operand, surrounding=UNARY)})", ATOM
+        return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+
+    def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
+        """The same bits as another type."""
+        if dtype.kind == "f" and source.kind in "iu":
+            bits = (
+                operand[0]
+                if source.kind == "i"
+                else f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({operand[0]})"
+            )
+            return f"{self.need('number_of', real=dtype)}({bits})", ATOM
+        if source.kind == "f" and dtype.kind in "iu":
+            bits = f"{self.need('bits_of', real=source)}({operand[0]})"
+            return (bits, ATOM) if dtype.kind == "i" else (f"({c_type(dtype)}){bits}", UNARY)
+        if source.kind == "u" and dtype.kind == "i":
+            return f"{self.need('signed', dtype)}({operand[0]})", ATOM
+        if source.kind == "i" and dtype.kind == "u":
+            return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+        raise Unsupported(f"the bits of {source} as {dtype} in C")

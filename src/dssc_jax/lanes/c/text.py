@@ -1,0 +1,238 @@
+"""C's text of a program, for people: one statement a line, with the names of the model.
+
+It is the second emitter of a trace beside :mod:`dssc_jax.lanes.llvm.module_text`. Both keep every operation and its
+operands, so a C compiler that neither contracts nor reorders gives the bits of strict machine code. What the model
+gives a name gets a statement of its own; so does what is needed twice, and what would make a line too long.
+"""
+
+import re
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from dssc_jax.lanes.c.names import is_known, underscored
+from dssc_jax.lanes.c.operations import ATOM, UNARY, Notation, c_literal, c_type
+from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, read_by
+from dssc_jax.lanes.tracing.origins import Origin
+from dssc_jax.lanes.unsupported import Unsupported
+
+LONGEST_EXPRESSION = 88
+"""Characters of an expression on a line."""
+
+
+class CText:
+    """Writes the statements of a program.
+
+    Args:
+        program: The program.
+        origins: Where the model computes each value, by identity.
+        inputs: C's expression of each input.
+        real: The type of the floating-point numbers.
+        taken: Names that no variable may have.
+        constants: Names of constants of the file, by value.
+        notation: Where to remember the functions that operations need; None: a new one.
+        prefix: What the names of tables begin with.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        origins: Mapping[int, Origin],
+        inputs: Sequence[str],
+        real: np.dtype,
+        taken: Iterable[str] = (),
+        constants: Mapping[float, str] | None = None,
+        notation: Notation | None = None,
+        prefix: str = "",
+    ) -> None:
+        self.program, self.origins, self.inputs = program, origins, inputs
+        self.constants = constants or {}
+        self.notation = notation or Notation(real)
+        self.tables: list[str] = []
+        self.functions: dict[str, str] = {}
+        self._real, self._prefix = real, prefix
+        self.lines: list[str] = []
+        self._taken = {*taken}
+        self._written: dict[int, tuple[str, int]] = {}
+        self._uses = use_counts(program)
+        self._function = ""
+        self._indent = 1
+
+    # What a function is made of
+
+    def compute(self, outputs: Sequence[Value]) -> None:
+        """Write the statements that some outputs need and that are not written yet."""
+        self._block(self.program.body, reachable(Program(self.program.inputs, self.program.body, list(outputs))))
+
+    def indented(self, steps: int) -> None:
+        """Write what follows deeper, or less deep."""
+        self._indent += steps
+
+    def line(self, text: str) -> None:
+        """Write a line."""
+        self.lines.append("    " * self._indent + text if text else "")
+
+    def read(self, value: Value) -> str:
+        """The expression of a value."""
+        return self._expression(value)[0]
+
+    # Blocks
+
+    def _block(self, block: CodeBlock, alive: set[int]) -> None:
+        for node in block.nodes:
+            if id(node) not in alive or id(node) in self._written:
+                continue
+            if isinstance(node, CodeLoop):
+                self._loop(node, alive)
+            elif isinstance(node, Branch):
+                self._branch(node, alive)
+            elif isinstance(node, Value) and node.operation not in ("input", "state", "result", "joined"):
+                self._value(node)
+
+    def _value(self, value: Value) -> None:
+        """Write a statement for a value that needs one; others stay part of the expressions that use them."""
+        origin = self.origins.get(id(value), Origin(""))
+        text, precedence = self._operation(value)
+        simple = precedence >= UNARY and len(text) < 30 and not origin.name and value.operation == "neg"
+        if origin.name or (self._uses.get(id(value), 0) > 1 and not simple) or len(text) > LONGEST_EXPRESSION:
+            self._heading(origin)
+            name = self._variable(origin.name or "part")
+            self.line(f"const {c_type(value.dtype)} {name} = {text};")
+            text, precedence = name, ATOM
+        self._written[id(value)] = text, precedence
+
+    def _heading(self, origin: Origin) -> None:
+        """A comment where another function of the model begins."""
+        if origin.function and origin.function != self._function:
+            self._function = origin.function
+            name = origin.function.rpartition(".")[2]
+            summary = f": {origin.summary}" if origin.summary else ""
+            self.line("")
+            for text in comment(f"{name}{summary}"):
+                self.line(text)
+
+    def _variable(self, name: str) -> str:
+        """A new name like the wanted one."""
+        base = underscored(name) or "part"
+        base = f"part_{base}" if base[0].isdigit() else base
+        name, count = base, 1
+        while name in self._taken or (count == 1 and (base == "part" or is_known(base))):
+            name = f"{base}_{count}"
+            count += 1
+        self._taken.add(name)
+        return name
+
+    # Control
+
+    def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
+        """A loop that tests at its end."""
+        pairs = zip(loop.states, loop.results, strict=True)
+        kept = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
+        names = {i: self._variable("state") for i in kept}
+        for i in kept:
+            self.line(f"{c_type(loop.states[i].dtype)} {names[i]} = {self.read(loop.begin[i])};")
+            self._written[id(loop.states[i])] = self._written[id(loop.results[i])] = names[i], ATOM
+        proceed = self._variable("again")
+        self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
+        self.line(f"while ({proceed}) {{")
+        self.indented(1)
+        self._block(loop.body, alive)
+        after = {i: self._variable("next") for i in kept}
+        for i in kept:
+            self.line(f"const {c_type(loop.states[i].dtype)} {after[i]} = {self.read(loop.following[i])};")
+        assert loop.proceed is not None
+        self.line(f"{proceed} = {self.read(loop.proceed)};")
+        for i in kept:
+            self.line(f"{names[i]} = {after[i]};")
+        self.indented(-1)
+        self.line("}")
+        self._written[id(loop)] = "", ATOM
+
+    def _branch(self, branch: Branch, alive: set[int]) -> None:
+        """One of two sides."""
+        kept = [i for i, value in enumerate(branch.results) if id(value) in alive]
+        names = {i: self._variable("chosen") for i in kept}
+        for i in kept:
+            self.line(f"{c_type(branch.results[i].dtype)} {names[i]};")
+            self._written[id(branch.results[i])] = names[i], ATOM
+        self.line(f"if ({self.read(branch.condition)}) {{")
+        for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
+            if number:
+                self.line("} else {")
+            self.indented(1)
+            self._block(block, alive)
+            for i in kept:
+                self.line(f"{names[i]} = {self.read(values[i])};")
+            self.indented(-1)
+        self.line("}")
+        self._written[id(branch)] = "", ATOM
+
+    # Expressions
+
+    def _expression(self, value: Value) -> tuple[str, int]:
+        """The expression of a value and its precedence."""
+        if value.operation == "constant":
+            if value.dtype.kind == "f" and (known := self.constants.get(float(value.detail))) is not None:
+                return known, ATOM
+            text = c_literal(value.detail, value.dtype)
+            return text, UNARY if text.startswith("-") else ATOM
+        if value.operation == "input":
+            return self.inputs[int(value.detail)], ATOM
+        return self._written[id(value)]
+
+    def _operation(self, value: Value) -> tuple[str, int]:
+        """The expression of an operation."""
+        operands = [self._expression(operand) for operand in value.operands]
+        if value.operation == "lookup":
+            return self._lookup(value, operands[0][0]), ATOM
+        if value.operation == "rarely":
+            self._subroutine(value.detail)
+        return self.notation.expression(value, operands)
+
+    def _subroutine(self, subroutine: Subroutine) -> None:
+        """Write the function of a subroutine, once."""
+        name, program = subroutine.name, subroutine.program
+        if name in self.functions:
+            return
+        self._taken.add(name)
+        inputs = [f"x{i + 1}" for i in range(len(program.inputs))]
+        text = CText(program, {}, inputs, self._real, inputs, notation=self.notation, prefix=f"{name}_")
+        (result,) = program.outputs
+        assert isinstance(result, Value)
+        text.compute([result])
+        arguments = [f"{c_type(dtype)} {argument}" for dtype, argument in zip(program.inputs, inputs, strict=True)]
+        head = f"static {c_type(result.dtype)} {name}({', '.join(arguments)})  /* of an argument that is rare */"
+        self.functions[name] = "\n".join([head, "{", *text.lines, f"    return {text.read(result)};", "}"])
+        self.tables += text.tables
+
+    def _lookup(self, value: Value, index: str) -> str:
+        """An element of a constant table; an index beyond its end gives the last."""
+        table, (position,) = value.detail, value.operands
+        if position.dtype.itemsize != 4:
+            raise Unsupported(f"a table with an index of type {position.dtype} in C")
+        name = f"{self._prefix}table_{len(self.tables) + 1}"
+        numbers = ", ".join(c_literal(number, value.dtype) for number in table)
+        self.tables.append(f"static const {c_type(value.dtype)} {name}[{table.size}] = {{{numbers}}};")
+        end = table.size - 1
+        return f"{name}[(uint32_t)({index}) < {end}u ? (uint32_t)({index}) : {end}u]"
+
+
+def comment(text: str) -> list[str]:
+    """The lines of a comment."""
+    plain = re.sub(r"\*/|/\*", "", text).encode("ascii", "replace").decode()
+    lines = textwrap.wrap(plain, LONGEST_EXPRESSION, break_on_hyphens=False) or [""]
+    return [*(f"{' *' if i else '/*'} {line}" for i, line in enumerate(lines[:-1])),
+            f"{' *' if len(lines) > 1 else '/*'} {lines[-1]} */"]  # fmt: skip
+
+
+def use_counts(program: Program) -> dict[int, int]:
+    """How often each value is an operand of what is needed, or an output; more than once within a deeper block."""
+    alive, counts = reachable(program), dict.fromkeys((id(value) for value in program.outputs), 1)
+    for block in all_blocks(program.body):
+        for node in block.nodes:
+            if id(node) in alive:
+                for operand in read_by(node):
+                    counts[id(operand)] = counts.get(id(operand), 0) + (1 if operand.block is block else 2)
+    return counts

@@ -1,0 +1,1 @@
+"""Elementary functions as arithmetic: the same bits on every machine and for every width of vectors."""

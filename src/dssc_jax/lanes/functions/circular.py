@@ -1,0 +1,216 @@
+"""Sine, cosine and tangent of every number.
+
+Up to :data:`MOST_QUARTERS` quarter turns, pi/2 in three or four parts removes them, after Cody and Waite. Beyond, lanes
+rarely get: there the product of the number and 2/pi is formed as an integer of 192 bits, after Payne and Hanek.
+
+References:
+    W. J. Cody, W. Waite, Software Manual for the Elementary Functions (1980).
+    M. H. Payne, R. N. Hanek, "Radian reduction for trigonometric functions", SIGNUM Newsletter 18 (1983).
+    Sun Microsystems, FreeBSD's msun (1993): coefficients of sine and cosine.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.lanes.functions.approximations import polynomial
+
+# pi/2 in parts; a product of all but the last with a whole number below MOST_QUARTERS is exact.
+HALF_PI = {
+    64: (1.57079632673412561417e0, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
+    32: (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12),
+}
+SINE_SERIES = (1.58969099521155010221e-10, -2.50507602534068634195e-8, 2.75573137070700676789e-6,
+        -1.98412698298579493134e-4, 8.33333333332248946124e-3, -1.66666666666666324348e-1)  # fmt: skip
+COSINE_SERIES = (-1.13596475577881948265e-11, 2.08757232129817482790e-9, -2.75573143513906633035e-7,
+          2.48015872894767294178e-5, -1.38888888888741095749e-3, 4.16666666666666019037e-2)  # fmt: skip
+MOST_QUARTERS = {64: 2.0**20, 32: 2.0**12}
+ROUNDER = {64: 1.5 * 2.0**52, 32: 1.5 * 2.0**23}
+"""A number added to it rounds another to a whole number, which is then in the low bits of the sum."""
+
+TWO_BY_PI = (
+    0x0000000000000000, 0xA2F9836E4E441529, 0xFC2757D1F534DDC0, 0xDB6295993C439041, 0xFE5163ABDEBBC561,
+    0xB7246E3A424DD2E0, 0x06492EEA09D1921C, 0xFE1DEB1CB129A73E, 0xE88235F52EBB4484, 0xE99C7026B45F7E41,
+    0x3991D639835339F4, 0x9C845F8BBDF9283B, 0x1FF897FFDE05980F, 0xEF2F118B5A0A6D1F, 0x6D367ECF27CB09B7,
+    0x4F463F669E5FEA2D, 0x7527BAC7EBE5F17B, 0x3D0739F78A5292EA, 0x6BFB5FB11F8D5D08, 0x56033046FC7B6BAB,
+)  # fmt: skip
+"""2/pi in words of 64 bits; the first is its whole part."""
+
+HALF_PI_SPLIT = 1.5707963109016418, 1.5893254712295857e-8, 6.123233995736766e-17
+"""pi/2: 26 bits, the 27 after them, and the next."""
+
+
+class Reduced(NamedTuple):
+    """A number without its whole quarter turns.
+
+    Args:
+        quarters: Their number, modulo 4, in the two lowest bits of an integer.
+        angle: The remaining angle, within pi/4.
+        excess: By how much ``angle`` is too large.
+    """
+
+    quarters: jax.Array
+    angle: jax.Array
+    excess: jax.Array
+
+
+def usual(x: jax.Array) -> Reduced:
+    """The reduction of a number below :data:`MOST_QUARTERS`."""
+    bits = 8 * x.dtype.itemsize
+    raised = x * (2.0 / math.pi) + ROUNDER[bits]
+    turns = raised - ROUNDER[bits]
+    angle, excess = x, jnp.zeros_like(x)
+    for part in HALF_PI[bits]:
+        low = angle - turns * part
+        excess = excess + (turns * part - (angle - low))
+        angle = low
+    return Reduced(jax.lax.bitcast_convert_type(raised, f"int{bits}"), angle, excess)
+
+
+def is_far(x: jax.Array) -> jax.Array:
+    """Whether a number has too many quarter turns for :func:`usual`."""
+    return jnp.abs(x) >= (0.5 * math.pi) * MOST_QUARTERS[8 * x.dtype.itemsize]
+
+
+def word(number: int) -> jax.Array:
+    """A constant word."""
+    return jnp.uint64(number)
+
+
+def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
+    """The upper word of the product of two words, the first below 2^53."""
+    low = word(0xFFFFFFFF)
+    x_high, x_low, y_high, y_low = x >> word(32), x & low, y >> word(32), y & low
+    across, along = x_low * y_high, x_high * y_low
+    middle = (x_low * y_low >> word(32)) + (across & low) + (along & low)
+    return x_high * y_high + (across >> word(32)) + (along >> word(32)) + (middle >> word(32))
+
+
+def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
+    """The 64 bits that begin ``shift`` bits after the beginning of two words."""
+    return high << shift | (low >> word(1)) >> (word(63) - shift)
+
+
+def real(x: jax.Array, scale: float) -> jax.Array:
+    """A word below 2^32 as a number, times a power of two."""
+    return x.astype(jnp.int64).astype(jnp.float64) * scale
+
+
+def reduced_far(x: jax.Array) -> Reduced:
+    """The reduction of a float64 number of any size, at least 2^-9; NaN for an infinite one.
+
+    |x| = m 2^e with an integer m of 53 bits. Those bits of 2/pi whose product with it is a multiple of 4 are left out;
+    the next 192 give |x| 2/pi modulo 4 with 126 bits behind the point. Of these, no number cancels more than 62.
+    """
+    bits = jax.lax.bitcast_convert_type(jnp.abs(x), jnp.uint64)
+    mantissa = bits & word(2**52 - 1) | word(2**52)
+    place = (bits >> word(52)).astype(jnp.int32) - (1075 - 62)  # of the first bit, from that of 2^63
+    shift = (place & 63).astype(jnp.uint64)
+    table = jnp.asarray(np.array(TWO_BY_PI, np.uint64))
+    words = jnp.unstack(jax.lax.dynamic_slice(table, (place >> 6,), (4,)))
+    first = following_bits(words[0], words[1], shift)
+    second = following_bits(words[1], words[2], shift)
+    third = following_bits(words[2], words[3], shift)
+    low = mantissa * second
+    middle = low + high_product(mantissa, third)
+    carry = (middle < low).astype(jnp.uint64)
+    high = mantissa * first + high_product(mantissa, second) + carry
+    upper, lower = high << word(2) | middle >> word(62), middle << word(2)
+    above_half = upper >> word(63)
+    quarters = (high >> word(62)) + above_half
+    flipped = word(0) - above_half  # all bits, where the fraction is nearer to 1
+    upper, lower = upper ^ flipped, lower ^ flipped
+    return radians(x, quarters, above_half, upper, lower)
+
+
+def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.Array, lower: jax.Array) -> Reduced:
+    """The angle of a fraction of a quarter turn, given by two words without sign, with the sign of x."""
+    half = word(0xFFFFFFFF)
+    first, second = real(upper >> word(32), 2.0**-32), real(upper & half, 2.0**-64)
+    third, fourth = real(lower >> word(32), 2.0**-96), real(lower & half, 2.0**-128)
+    sum_of_first = first + second
+    tail = (second - (sum_of_first - first)) + (third + fourth)
+    fraction = sum_of_first + tail
+    remainder = tail - (fraction - sum_of_first)
+    bits = jax.lax.bitcast_convert_type(fraction, jnp.uint64)
+    top = jax.lax.bitcast_convert_type(bits & word(2**64 - 2**27), jnp.float64)
+    bottom = fraction - top
+    p_top, p_bottom, p_rest = HALF_PI_SPLIT
+    angle = fraction * (p_top + p_bottom)
+    excess = (((angle - top * p_top) - top * p_bottom) - bottom * p_top) - bottom * p_bottom
+    excess = excess - (fraction * p_rest + remainder * (p_top + p_bottom))
+    negated = (negative == word(1)) ^ (x < 0.0)
+    quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
+    not_a_number = x - x  # NaN of an infinite number
+    return Reduced(
+        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(negated, -angle, angle) + not_a_number,
+        jnp.where(negated, -excess, excess),
+    )  # fmt: skip
+
+
+def sine_of(reduced: Reduced) -> jax.Array:
+    """The sine of the remaining angle; that of -0 is -0."""
+    _, angle, excess = reduced
+    z = angle * angle
+    return angle - (excess - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * excess))
+
+
+def cosine_of(reduced: Reduced) -> jax.Array:
+    """The cosine of the remaining angle."""
+    _, angle, excess = reduced
+    z = angle * angle
+    half = 0.5 * z
+    leading = 1.0 - half
+    return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * excess))
+
+
+def sine(reduced: Reduced) -> jax.Array:
+    """The sine, from sine or cosine of the remaining angle."""
+    value = jnp.where(reduced.quarters & 1 == 1, cosine_of(reduced), sine_of(reduced))
+    return jnp.where(reduced.quarters & 2 == 2, -value, value)
+
+
+def cosine(reduced: Reduced) -> jax.Array:
+    """The cosine, likewise."""
+    value = jnp.where(reduced.quarters & 1 == 1, sine_of(reduced), cosine_of(reduced))
+    return jnp.where((reduced.quarters + 1) & 2 == 2, -value, value)
+
+
+def tangent(reduced: Reduced) -> jax.Array:
+    """The tangent, likewise."""
+    odd = reduced.quarters & 1 == 1
+    along, across = cosine_of(reduced), sine_of(reduced)
+    return jnp.where(odd, -along, across) / jnp.where(odd, across, along)
+
+
+def sin(x: jax.Array) -> jax.Array:
+    """The sine up to :data:`MOST_QUARTERS`."""
+    return sine(usual(x))
+
+
+def cos(x: jax.Array) -> jax.Array:
+    """The cosine up to :data:`MOST_QUARTERS`."""
+    return cosine(usual(x))
+
+
+def tan(x: jax.Array) -> jax.Array:
+    """The tangent up to :data:`MOST_QUARTERS`."""
+    return tangent(usual(x))
+
+
+def far_sin(x: jax.Array) -> jax.Array:
+    """The sine beyond."""
+    return sine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+
+
+def far_cos(x: jax.Array) -> jax.Array:
+    """The cosine beyond."""
+    return cosine(reduced_far(x.astype(jnp.float64))).astype(x.dtype)
+
+
+def far_tan(x: jax.Array) -> jax.Array:
+    """The tangent beyond."""
+    return tangent(reduced_far(x.astype(jnp.float64))).astype(x.dtype)

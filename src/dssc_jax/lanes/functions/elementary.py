@@ -1,0 +1,184 @@
+"""Elementary functions as arithmetic, so that every machine and every width of vectors computes the same bits.
+
+They are ordinary functions of JAX arrays: a lane's program traces them where it meets the primitive of the same name.
+Over the whole range of float64 and float32, subnormal numbers included, results are within a few units in the last
+place of the exact value; docs/lanes.md has the numbers. Infinities, NaN and the sign of zero are those of C99.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import JaxprEqn
+
+from dssc_jax.lanes.functions import circular, exponentials
+from dssc_jax.lanes.functions.approximations import atan, atan2, polynomial
+from dssc_jax.lanes.functions.exponentials import is_negative, logarithm, mantissa, width
+from dssc_jax.lanes.functions.powers import power
+from dssc_jax.lanes.tracing.specification import REAL, WHOLE, Specification, TranslationRule, absent, array_type, rule
+
+INVERSE_ERROR = {
+    64: (
+        (
+            3.240704459379902e-21, -1.113483769832702e-21, -3.4996044354754177e-19, 1.150022252066253e-18,
+            1.5574320246233251e-17, -1.3016928016796445e-16, -4.0282154327661744e-17, 6.5964077124208341e-15,
+            -4.0012377350918961e-14, -8.1183994430743526e-14, 2.6304834740560442e-12, -1.2976885526532075e-11,
+            -5.414287198084716e-11, 1.0512181539804126e-09, -4.1126608200232397e-09, -2.9070382262927266e-08,
+            4.2347881737823391e-07, -1.3654691850603575e-06, -1.3882523394405316e-05, 0.00018673420802464837,
+            -0.00074070253415447704, -0.0060336708714278497, 0.24015818242558831, 1.6536545626831027,
+        ),
+        (
+            -1.5102695423335065e-08, 6.9692419776296945e-10, 1.3104351499972014e-07, -2.7134511054394561e-07,
+            -2.7004219280868947e-08, 1.4987130784186127e-06, -3.986084395214756e-06, 2.9257291901789823e-06,
+            1.2465167157087251e-05, -4.7318984120112452e-05, 6.8287086547533766e-05, 2.4031257015092525e-05,
+            -0.00035503780975963814, 0.00095328936374356377, -0.0016882755357337071, 0.0024914420969817607,
+            -0.003751208508215561, 0.0053709145535716799, 1.0052589676941652, 3.0838856104922208,
+        ),
+        (
+            2.7520836691204922e-11, -2.2467591693364952e-11, -3.7171553416167463e-10, 1.4895546197648137e-09,
+            -3.5875995609819953e-09, 7.6443359835573965e-09, -1.5146221782627176e-08, 2.9124399186491765e-08,
+            -6.761414811460412e-08, 2.2901554497563463e-07, -9.9301191834829539e-07, 4.5260599477720725e-06,
+            -1.9681773483763821e-05, 7.5995277351601924e-05, -0.00021503011962944126, -0.00013871931835112341,
+            1.0103004648645413, 4.8499064014085844,
+        ),
+    ),
+    32: (
+        (
+            -8.931925970244222e-09, 2.3335967195708108e-08, 4.6813134805534123e-07, -3.4639852676333717e-06,
+            -4.9724196894547514e-06, 0.00021834938623976644, -0.0012527263917732291, -0.0041773928752031489,
+            0.24664027905463662, 1.5014093604503289,
+        ),
+        (
+            9.4318286945379432e-05, -0.00028383382080894755, -2.9263578703979435e-05, 0.0014519277163066668,
+            -0.0036101715202431378, 0.0057004171379147631, -0.0076347339589097592, 0.0094435543259884531,
+            1.0016747999742759, 2.8329768349758204,
+        ),
+    ),
+}  # fmt: skip
+"""Of erfinv(x)/x in powers of w - c, w = -ln(1 - x^2), near 0, and of w^(1/2) - c in the tails; highest power first.
+
+They interpolate values of 50 digits at Chebyshev's nodes."""
+
+INVERSE_ERROR_RANGES = {64: ((6.25, 3.125), (16.0, 3.25), (math.inf, 5.0)), 32: ((5.0, 2.5), (math.inf, 3.0))}
+"""End of each range of w, and c."""
+
+SIDES = {
+    64: ((2.0**1000, 2.0**-60), (2.0**-900, 2.0**200)),
+    32: ((2.0**100, 2.0**-24), (2.0**-80, 2.0**60)),
+}
+"""Largest side of a triangle that is not scaled, and the scale of larger ones; the smallest, and that of smaller."""
+
+
+def erf_inv(x: jax.Array) -> jax.Array:
+    """The inverse of the error function; its tails are computed only if a lane is in them.
+
+    The form in w is that of M. Giles, "Approximating the erfinv function", GPU Computing Gems, Jade Edition (2012).
+    """
+    y = (1.0 - x) * (1.0 + x)
+    fraction, k = mantissa(y)
+    w = -logarithm(fraction - 1.0, jnp.zeros_like(x), k)
+    central_coefficients, *tails = zip(INVERSE_ERROR[width(x)], INVERSE_ERROR_RANGES[width(x)], strict=True)
+
+    def tail() -> jax.Array:
+        root = jnp.sqrt(w)
+        *intervals, (coefficients, (_, centre)) = tails
+        value = jnp.asarray(polynomial(coefficients, root - centre))
+        for coefficients, (end, centre) in reversed(intervals):
+            value = jnp.where(w < end, polynomial(coefficients, root - centre), value)
+        return jnp.where(y > 0.0, value, jnp.where(y == 0.0, jnp.inf, jnp.nan))
+
+    coefficients, (end, centre) = central_coefficients
+    central = polynomial(coefficients, w - centre)
+    return x * jax.lax.cond(y > math.exp(-end), lambda: jnp.asarray(central), tail)
+
+
+def asin(x: jax.Array) -> jax.Array:
+    """The arc sine."""
+    size = jnp.abs(x)
+    value = jnp.asarray(atan2(size, jnp.sqrt((1.0 - size) * (1.0 + size))))
+    return jnp.where(is_negative(x), -value, value)
+
+
+def acos(x: jax.Array) -> jax.Array:
+    """The arc cosine."""
+    return jnp.asarray(atan2(jnp.sqrt((1.0 - x) * (1.0 + x)), x))
+
+
+def arc_tangent(x: jax.Array) -> jax.Array:
+    """The arctangent."""
+    value = jnp.asarray(atan(jnp.abs(x)))
+    return jnp.where(is_negative(x), -value, value)
+
+
+def angle(y: jax.Array, x: jax.Array) -> jax.Array:
+    """The angle of (x, y) in [-pi, pi]; sides whose sum overflows, or whose digits are few, are scaled."""
+    longer = jnp.maximum(jnp.abs(x), jnp.abs(y))
+    (largest, smaller), (smallest, larger) = SIDES[width(x)]
+    scale = jnp.where(longer > largest, smaller, jnp.where(longer < smallest, larger, 1.0))
+    diagonal = jnp.isinf(x) & jnp.isinf(y)  # a diagonal
+    across, along = jnp.abs(y) * scale, x * scale
+    magnitude = atan2(jnp.where(diagonal, 1.0, across), jnp.where(diagonal, jnp.sign(x), along))
+    magnitude = jnp.where((x == 0.0) & (y == 0.0) & is_negative(x), math.pi, magnitude)
+    return jnp.where(is_negative(y), -magnitude, magnitude)
+
+
+def one_minus_square(x: jax.Array) -> jax.Array:
+    """1 - x^2, also near 1."""
+    return (1.0 + x) * (1.0 - x)
+
+
+@dataclass(frozen=True)
+class RareRule(TranslationRule):
+    """A rule with another function for arguments that few lanes have.
+
+    Args:
+        is_rare: Whether an argument is one of them.
+        rarely: The function for them, which a program calls if a lane needs it.
+    """
+
+    is_rare: Callable[..., Any]
+    rarely: Callable[..., Any]
+
+
+def accurate(function: Callable[..., Any]) -> TranslationRule:
+    """The rule of a function whose accuracy may be asked for; any but the default is refused."""
+    return rule(function, REAL, accuracy=absent)
+
+
+def real_base(equation: JaxprEqn) -> str | None:
+    """Refuse a power of an integer; an exponent may be one."""
+    return None if np.dtype(array_type(equation.invars[0]).dtype) in REAL else "a power of an integer"
+
+
+def circular_rule(usually: Callable[..., Any], rarely: Callable[..., Any]) -> RareRule:
+    """The rule of a function of an angle."""
+    return RareRule(usually, Specification(REAL, {"accuracy": absent}), circular.is_far, rarely)
+
+
+ELEMENTARY: dict[str, TranslationRule] = {
+    "sin": circular_rule(circular.sin, circular.far_sin),
+    "cos": circular_rule(circular.cos, circular.far_cos),
+    "tan": circular_rule(circular.tan, circular.far_tan),
+    "exp": accurate(exponentials.exp),
+    "exp2": accurate(exponentials.exp2),
+    "expm1": accurate(exponentials.expm1),
+    "log": accurate(exponentials.log),
+    "log2": accurate(exponentials.log2),
+    "log1p": accurate(exponentials.log1p),
+    "tanh": accurate(exponentials.tanh),
+    "logistic": accurate(exponentials.logistic),
+    "sinh": rule(exponentials.sinh, REAL),
+    "cosh": rule(exponentials.cosh, REAL),
+    "asin": rule(asin, REAL),
+    "acos": rule(acos, REAL),
+    "atan": rule(arc_tangent, REAL),
+    "atan2": rule(angle, REAL),
+    "erf_inv": rule(erf_inv, REAL),
+    "one_minus_square": rule(one_minus_square, REAL),
+    "pow": TranslationRule(power, Specification(REAL | WHOLE, exact=real_base)),
+}
+"""TranslationRule of each function by its primitive's name. A new one takes its definition above and a row here."""

@@ -1,0 +1,194 @@
+"""Exponential, logarithm and the hyperbolic functions of every number.
+
+References:
+    W. J. Cody, W. Waite, Software Manual for the Elementary Functions (1980): reduction of the argument.
+    Sun Microsystems, FreeBSD's msun (1993): coefficients of the logarithm.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.lanes.functions.approximations import LOG_SERIES, polynomial
+
+# ln 2 in parts; a product of the first with a whole number of moderate size is exact.
+LN_2 = {64: (6.93147180369123816490e-1, 1.90821492927058770002e-10), 32: (0.693359375, -2.12194440054690582e-4)}
+EXPONENTIAL = tuple(1.0 / math.factorial(n) for n in range(14, 2, -1))  # of (e^x - 1 - x - x^2/2)/x^3, by Taylor
+EXPONENTS = {64: (-746.0, 711.0), 32: (-104.5, 90.0)}
+"""Outside, e^x and e^x/2 are 0 or infinite."""
+
+BINARY_EXPONENTS = {64: (-1076.0, 1025.0), 32: (-151.0, 129.0)}
+"""Outside, 2^x is 0 or infinite."""
+
+
+def width(x: jax.Array) -> int:
+    """Bits of a floating-point type."""
+    return 8 * jnp.asarray(x).dtype.itemsize
+
+
+def bits_of(x: jax.Array) -> jax.Array:
+    """The bits of a number as an integer."""
+    return jax.lax.bitcast_convert_type(x, jnp.int64 if width(x) == 64 else jnp.int32)
+
+
+def as_integer(x: jax.Array) -> jax.Array:
+    """A whole number in the integer type of the same width."""
+    return x.astype(jnp.int64 if width(x) == 64 else jnp.int32)
+
+
+def is_negative(x: jax.Array) -> jax.Array:
+    """Whether the sign is negative, also of zero."""
+    return bits_of(x) < 0
+
+
+def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
+    """2^n of a whole number within the range of normal numbers."""
+    digits, bias = (52, 1023) if width(like) == 64 else (23, 127)
+    integer = as_integer(exponent)
+    return jax.lax.bitcast_convert_type((integer + bias) << digits, like.dtype)
+
+
+def less_one(r: jax.Array, lost: jax.Array | float = 0.0) -> jax.Array:
+    """e^(r + lost) - 1 for |r| at most about ln 2 / 2, and a correction of about a rounding error."""
+    return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + lost * (1.0 + r)))
+
+
+def reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """A whole number n, r and a small correction to r with x = n ln 2 + r, for x that gives neither 0 nor infinity."""
+    high, low = LN_2[width(x)]
+    x = jnp.clip(x, *EXPONENTS[width(x)])
+    n = jnp.round(x * (1.0 / math.log(2.0)))
+    first = x - n * high
+    r = first - n * low
+    return jnp.where(jnp.isnan(n), 0.0, n), r, (first - r) - n * low
+
+
+def exponential(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A whole number n and e^r - 1 with x = n ln 2 + r."""
+    n, r, lost = reduced(x)
+    return n, less_one(r, lost)
+
+
+def scaled(x: jax.Array, n: jax.Array) -> jax.Array:
+    """2^n x, through two factors, so that the first result out of range is the last."""
+    half = jnp.floor(0.5 * n)
+    return x * exponential_of_two(half, x) * exponential_of_two(n - half, x)
+
+
+def exp(x: jax.Array) -> jax.Array:
+    """e^x.
+
+    Infinity is selected, so that fast arithmetic does not contract the last product with a difference: e^inf - inf is
+    NaN.
+    """
+    n, remainder = exponential(x)
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, n))
+
+
+def exp2(x: jax.Array) -> jax.Array:
+    """2^x; infinity as in :func:`exp`."""
+    bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
+    n = jnp.round(bounded)
+    remainder = less_one((bounded - n) * math.log(2.0))
+    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
+
+
+def expm1(x: jax.Array) -> jax.Array:
+    """e^x - 1, also near 0."""
+    n, remainder = exponential(x)
+    steep = jnp.abs(n) > 60.0
+    factor = exponential_of_two(jnp.where(steep, 0.0, n), x)
+    value = factor * remainder + (factor - 1.0)
+    value = jnp.where(n == 0.0, remainder, jnp.where(steep, scaled(1.0 + remainder, n) - 1.0, value))
+    return jnp.where(jnp.isnan(x) | (x == 0.0), x, value)
+
+
+def mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """m in [2^(-1/2), 2^(1/2)) and a whole number k with x = 2^k m, of a positive normal number."""
+    digits, root = (52, 0x3FE6A09E667F3BCD) if width(x) == 64 else (23, 0x3F3504F3)
+    bits = bits_of(x)
+    exponent = (bits - root) >> digits
+    return jax.lax.bitcast_convert_type(bits - (exponent << digits), x.dtype), exponent.astype(x.dtype)
+
+
+def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
+    """k ln 2 + ln(1 + f + correction) for 1 + f in [2^(-1/2), 2^(1/2)) and a small correction."""
+    high, low = LN_2[width(f)]
+    s = f / (2.0 + f)
+    z = s * s
+    half = 0.5 * f * f
+    remainder = s * (half + z * polynomial(LOG_SERIES, z)) + (k * low + correction)
+    return k * high - ((half - remainder) - f)
+
+
+def normalised(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """As :func:`mantissa`, of a positive number that may be subnormal."""
+    lift = 54 if width(x) == 64 else 25
+    small = x < np.finfo(x.dtype).tiny
+    fraction, k = mantissa(jnp.where(small, x * 2.0**lift, x))
+    return fraction, jnp.where(small, k - lift, k)
+
+
+def log_at_edges(x: jax.Array, inside: jax.Array) -> jax.Array:
+    """The logarithm with its values at 0, infinity, NaN and below 0."""
+    value = jnp.where(x < jnp.inf, inside, x)
+    return jnp.where(x > 0.0, value, jnp.where(x == 0.0, -jnp.inf, jnp.nan))
+
+
+def log(x: jax.Array) -> jax.Array:
+    """ln x."""
+    fraction, k = normalised(x)
+    return log_at_edges(x, logarithm(fraction - 1.0, jnp.zeros_like(x), k))
+
+
+def log2(x: jax.Array) -> jax.Array:
+    """The logarithm to base 2."""
+    fraction, k = normalised(x)
+    zero = jnp.zeros_like(x)
+    return log_at_edges(x, k + logarithm(fraction - 1.0, zero, zero) * (1.0 / math.log(2.0)))
+
+
+def log1p(x: jax.Array) -> jax.Array:
+    """ln(1 + x), also near 0."""
+    u = 1.0 + x
+    lost = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
+    fraction, k = mantissa(u)
+    unscaled = k == 0.0
+    f = jnp.where(unscaled, x, fraction - 1.0)
+    value = logarithm(f, jnp.where(unscaled, 0.0, lost / u), k)
+    return jnp.where(x == 0.0, x, log_at_edges(u, value))
+
+
+def tanh(x: jax.Array) -> jax.Array:
+    """The hyperbolic tangent."""
+    t = expm1(jnp.minimum(2.0 * jnp.abs(x), 50.0))
+    value = jnp.where(t < 1.0, t / (t + 2.0), 1.0 - 2.0 / (t + 2.0))
+    return jnp.where(is_negative(x), -value, value)
+
+
+def logistic(x: jax.Array) -> jax.Array:
+    """1/(1 + e^-x), whose exponential does not overflow."""
+    small = exp(-jnp.abs(x))
+    return jnp.where(x < 0.0, small, 1.0) / (1.0 + small)
+
+
+def half_exponential(x: jax.Array) -> jax.Array:
+    """e^x/2, which overflows later than e^x."""
+    n, remainder = exponential(x)
+    return scaled(1.0 + remainder, n - 1.0)
+
+
+def sinh(x: jax.Array) -> jax.Array:
+    """The hyperbolic sine."""
+    size = jnp.abs(x)
+    t = expm1(jnp.minimum(size, 40.0))
+    value = jnp.where(size < 40.0, 0.5 * (t + t / (t + 1.0)), half_exponential(size))
+    return jnp.where(is_negative(x), -value, value)
+
+
+def cosh(x: jax.Array) -> jax.Array:
+    """The hyperbolic cosine."""
+    half = half_exponential(jnp.abs(x))
+    return half + 0.25 / half

@@ -1,0 +1,112 @@
+"""x^y, with the logarithm as the sum of two numbers.
+
+An error of y ln x is as large relative to x^y; y ln x may be 700. Float64 therefore carries twice the digits up to
+there, by sums and products with their exact rounding errors. Float32 is computed in float64.
+
+References:
+    T. J. Dekker, "A floating-point technique for extending the available precision", Numerische Mathematik 18 (1971).
+    ISO/IEC 9899:1999 (C99), annex F.9.4.4: the values at 0, 1, infinity and NaN.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.lanes.functions.approximations import polynomial
+from dssc_jax.lanes.functions.exponentials import EXPONENTS, LN_2, is_negative, less_one, normalised, reduced, scaled
+
+SPLITTER = 2.0**27 + 1.0
+LARGEST_EXPONENT = 2.0**70
+"""Beyond it, x^y is 0, 1 or infinite for every x."""
+
+THIRD = 1.0 / 3.0, 1.850371707708594e-17
+"""1/3, and the rest of it."""
+
+SERIES = tuple(1.0 / n for n in range(27, 4, -2))
+"""Of (atanh(s)/s - 1 - s^2/3)/s^4 in powers of s^2, by Taylor; s^2 is below 0.0295."""
+
+
+class TwoPartNumber(NamedTuple):
+    """A number as a sum of two, the second within the rounding error of the first."""
+
+    high: jax.Array
+    low: jax.Array
+
+
+def exact_sum(larger: jax.Array, smaller: jax.Array) -> TwoPartNumber:
+    """The sum of two numbers, the first of larger magnitude, or 0."""
+    total = larger + smaller
+    return TwoPartNumber(total, smaller - (total - larger))
+
+
+def split_digits(x: jax.Array) -> TwoPartNumber:
+    """A number as a sum of two of 26 bits each."""
+    moved = x * SPLITTER
+    high = moved - (moved - x)
+    return TwoPartNumber(high, x - high)
+
+
+def exact_product(x: jax.Array, y: jax.Array) -> TwoPartNumber:
+    """The product of two numbers that are neither huge nor tiny."""
+    product, a, b = x * y, split_digits(x), split_digits(y)
+    error = ((a.high * b.high - product) + a.high * b.low + a.low * b.high) + a.low * b.low
+    return TwoPartNumber(product, error)
+
+
+def pair_product(x: TwoPartNumber, y: TwoPartNumber) -> TwoPartNumber:
+    """The product of two pairs."""
+    high, low = exact_product(x.high, y.high)
+    return TwoPartNumber(high, low + (x.high * y.low + x.low * y.high))
+
+
+def logarithm_pair(x: jax.Array) -> TwoPartNumber:
+    """ln x of a positive number in float64, to 64 bits.
+
+    With x = 2^k (1 + f) and s = f/(2 + f), it is k ln 2 + 2 atanh s.
+    """
+    fraction, k = normalised(x)
+    f = fraction - 1.0
+    denominator = exact_sum(jnp.full_like(f, 2.0), f)
+    s_high = f / denominator.high
+    covered = exact_product(s_high, denominator.high)
+    s = TwoPartNumber(s_high, (((f - covered.high) - covered.low) - s_high * denominator.low) / denominator.high)
+    z = pair_product(s, s)
+    correction = z.high * polynomial(SERIES, z.high)
+    start = exact_sum(jnp.full_like(f, THIRD[0]), correction)
+    term = pair_product(s, pair_product(z, TwoPartNumber(start.high, start.low + THIRD[1])))
+    high, low = LN_2[64]
+    first = exact_sum(k * high, 2.0 * s.high)
+    second = exact_sum(first.high, 2.0 * term.high)
+    remainder = (first.low + second.low) + (k * low + 2.0 * (s.low + term.low))
+    return exact_sum(second.high, remainder)
+
+
+def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
+    """x^y of a positive, finite x in float64."""
+    limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
+    log = logarithm_pair(x)
+    exponent = exact_product(limited, log.high)
+    n, r, lost = reduced(exponent.high)
+    outside = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
+    lost = jnp.where(outside, 0.0, lost + (exponent.low + limited * log.low))
+    remainder = less_one(r)
+    return scaled(1.0 + (remainder + lost * (1.0 + remainder)), n)
+
+
+def power(x: jax.Array, y: jax.Array) -> jax.Array:
+    """x^y; of a negative x for whole y only."""
+    y = y.astype(x.dtype)
+    size = jnp.abs(x)
+    ordinary = (size > 0.0) & (size < jnp.inf)
+    base, exponent = jnp.where(ordinary, size, 1.0).astype(jnp.float64), y.astype(jnp.float64)
+    value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
+    grows = (size == 0.0) == (y < 0.0)
+    value = jnp.where(ordinary, value, jnp.where(grows, jnp.inf, 0.0))
+    integral = jnp.floor(y) == y
+    odd = integral & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)
+    value = jnp.where(odd & is_negative(x), -value, value)
+    value = jnp.where((x < 0.0) & ordinary & ~integral, jnp.nan, value)
+    value = jnp.where(jnp.isnan(x) | jnp.isnan(y), jnp.nan, value)
+    value = jnp.where(y == 1.0, x, value)
+    return jnp.where((y == 0.0) | (x == 1.0), 1.0, value)

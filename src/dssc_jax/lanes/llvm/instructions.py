@@ -1,0 +1,297 @@
+"""LLVM's instructions for the single values of a program."""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.interface import stored_type
+from dssc_jax.lanes.operations import COMPARISONS
+from dssc_jax.lanes.passes.signs import is_unsigned
+from dssc_jax.lanes.program import BOOL, Subroutine, Value
+
+FAST, STRICT = "contract nsz ", ""
+FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
+INTEGERS = {"add": "add", "sub": "sub", "mul": "mul", "and": "and", "or": "or", "xor": "xor", "shl": "shl"}
+SIGNED = {"div": "sdiv", "rem": "srem", "shr": "ashr"}
+UNSIGNED = {"div": "udiv", "rem": "urem", "shr": "lshr"}
+CALLED = {"sqrt": "sqrt", "floor": "floor", "ceil": "ceil", "round": "roundeven", "trunc": "trunc", "abs": "fabs"}
+FLOAT_COMPARISONS = {"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
+
+
+def scalar_type(dtype: np.dtype) -> str:
+    """LLVM's type of a number."""
+    if dtype.kind == "f":
+        return {4: "float", 8: "double"}[dtype.itemsize]
+    return "i1" if dtype == BOOL else f"i{8 * dtype.itemsize}"
+
+
+def literal(number: Any, dtype: np.dtype) -> str:
+    """LLVM's notation of a number."""
+    if dtype == BOOL:
+        return "true" if number else "false"
+    if dtype.kind == "f":
+        return f"0x{struct.pack('>d', float(number)).hex().upper()}"
+    return str(int(number))
+
+
+@dataclass
+class Instructions:
+    """Writes instructions, and remembers the register of each value.
+
+    Args:
+        width: Lanes of a vector.
+        flags: :data:`FAST` or :data:`STRICT`.
+    """
+
+    width: int
+    flags: str = FAST
+    lines: list[str] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    names: dict[tuple[int, bool], str] = field(default_factory=dict)
+    declared: set[str] = field(default_factory=set)
+    subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
+    count: int = 0
+    label: str = "entry"
+
+    # Names and types
+
+    def fresh(self, prefix: str = "v") -> str:
+        """A new name."""
+        self.count += 1
+        return f"{prefix}{self.count}"
+
+    def kind(self, dtype: np.dtype, vector: bool) -> str:
+        """The type of a scalar or of a vector of lanes."""
+        scalar = scalar_type(dtype)
+        return f"<{self.width} x {scalar}>" if vector and self.width > 1 else scalar
+
+    def emit(self, text: str, prefix: str = "v") -> str:
+        """An instruction; its result's name."""
+        name = f"%{self.fresh(prefix)}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def read(self, value: Value, vector: bool) -> str:
+        """A value as an operand."""
+        vector = vector and self.width > 1
+        if value.operation == "constant":
+            number = literal(value.detail, value.dtype)
+            return f"splat ({scalar_type(value.dtype)} {number})" if vector else number
+        return self.names[id(value), vector]
+
+    def is_vector(self, value: Value) -> bool:
+        """Whether a value is computed as a vector."""
+        return value.varying and self.width > 1
+
+    def repeated(self, dtype: np.dtype, name: str) -> str:
+        """A vector whose elements are all a scalar."""
+        scalar, kind = scalar_type(dtype), self.kind(dtype, True)
+        inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
+        return self.emit(f"shufflevector {kind} {inserted}, {kind} poison, <{self.width} x i32> zeroinitializer", "s")
+
+    def name(self, value: Value, name: str) -> None:
+        """Remember the register of a value; a uniform one also as a vector."""
+        vector = self.is_vector(value)
+        self.names[id(value), vector] = name
+        if not vector and self.width > 1:
+            self.names[id(value), True] = self.repeated(value.dtype, name)
+
+    def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
+        """A call of one of LLVM's own functions."""
+        kinds = ", ".join(kind for kind, _ in arguments)
+        self.declared.add(f"declare {result} @{function}({kinds})")
+        return self.emit(f"call {result} @{function}({', '.join(' '.join(pair) for pair in arguments)})")
+
+    def suffix(self, dtype: np.dtype, vector: bool) -> str:
+        """How LLVM names a type within a function's name."""
+        scalar = f"f{8 * dtype.itemsize}" if dtype.kind == "f" else scalar_type(dtype)
+        return f"v{self.width}{scalar}" if vector and self.width > 1 else scalar
+
+    def column(self, array: str, position: int) -> str:
+        """The address of an input or output."""
+        place = self.emit(f"getelementptr ptr, ptr %{array}, i64 {position}", "p")
+        return self.emit(f"load ptr, ptr {place}", "p")
+
+    # Basic blocks
+
+    def begin(self, label: str) -> None:
+        """Start a basic block."""
+        self.lines.append(f"{label}:")
+        self.label = label
+
+    def current(self) -> str:
+        """The label of the basic block that is being written."""
+        return self.label
+
+    # Operations
+
+    def any_lane(self, mask: str) -> str:
+        """Whether a truth value holds in any lane."""
+        kind = self.kind(BOOL, True)
+        return self.call(f"llvm.vector.reduce.or.v{self.width}i1", "i1", (kind, mask))
+
+    def value(self, value: Value) -> str:
+        """The instructions of one value; its register."""
+        operation, dtype = value.operation, value.dtype
+        wide = self.is_vector(value)
+        kind = self.kind(dtype, wide)
+        if operation == "input":
+            return self.input(value, wide)
+        if operation == "any":
+            (mask,) = value.operands
+            return self.any_lane(self.read(mask, True)) if self.is_vector(mask) else self.read(mask, False)
+        if operation == "lookup":
+            return self.lookup(value, wide)
+        if operation == "rarely":
+            return self.rarely(value, wide)
+        if operation == "select":
+            condition, *cases = value.operands
+            chosen = self.is_vector(condition)
+            first, second = (self.read(case, wide) for case in cases)
+            return self.emit(
+                f"select {self.kind(BOOL, chosen)} {self.read(condition, chosen)}, {kind} {first}, {kind} {second}"
+            )
+        names = [self.read(operand, wide) for operand in value.operands]
+        source = value.operands[0].dtype
+        if operation in COMPARISONS:
+            return self.compare(operation, source, wide, names)
+        if operation in ("convert", "bitcast"):
+            return self.convert(operation, source, dtype, wide, names[0])
+        if operation in ("max", "min"):
+            return self.extreme(operation, value, wide, names)
+        return self.arithmetic(operation, dtype, wide, names)
+
+    def input(self, value: Value, wide: bool) -> str:
+        """A number that the lanes are given."""
+        column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
+        stored = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
+        return self.from_memory(value.dtype, wide, stored)
+
+    def from_memory(self, dtype: np.dtype, wide: bool, stored: str) -> str:
+        """A value that was loaded; a truth value from its byte."""
+        if dtype != BOOL:
+            return stored
+        return self.compare("ne", stored_type(BOOL), wide, [stored, self.zero(BOOL, wide) if wide else "0"])
+
+    def rarely(self, value: Value, wide: bool) -> str:
+        """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
+        condition, usual, *arguments = value.operands
+        kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
+        function = f"{value.detail.name}_{self.width if wide else 1}"
+        self.subroutines[function] = value.detail, self.width if wide else 1
+        passed = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
+        value_now = self.read(usual, wide)
+        taken = self.any_lane(mask) if wide else mask
+        inside, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
+        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}, !prof !0")
+        self.begin(inside)
+        rare = self.emit(f"call {kind} @{function}({passed})")
+        chosen = self.emit(f"select {self.kind(BOOL, wide)} {mask}, {kind} {rare}, {kind} {value_now}")
+        self.lines.append(f"  br label %{end}")
+        self.begin(end)
+        return self.emit(f"phi {kind} [ {value_now}, %{entry} ], [ {chosen}, %{inside} ]")
+
+    def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
+        """An operation with the type of its operands."""
+        kind = self.kind(dtype, wide)
+        if dtype.kind == "f":
+            if operation == "neg":
+                return self.emit(f"fneg {self.flags}{kind} {names[0]}")
+            if operation in CALLED:
+                return self.call(f"llvm.{CALLED[operation]}.{self.suffix(dtype, wide)}", kind, (kind, names[0]))
+            return self.emit(f"{FLOATS[operation]} {self.flags}{kind} {names[0]}, {names[1]}")
+        if operation == "neg":
+            return self.emit(f"sub {kind} {self.zero(dtype, wide)}, {names[0]}")
+        if operation == "abs":
+            if dtype.kind == "u":
+                return names[0]
+            return self.call(f"llvm.abs.{self.suffix(dtype, wide)}", kind, (kind, names[0]), ("i1", "false"))
+        if operation in ("floor", "ceil", "round", "trunc"):
+            return names[0]
+        notation = SIGNED if dtype.kind == "i" else UNSIGNED
+        return self.emit(f"{INTEGERS.get(operation) or notation[operation]} {kind} {names[0]}, {names[1]}")
+
+    def zero(self, dtype: np.dtype, wide: bool) -> str:
+        """Zero."""
+        return "zeroinitializer" if wide else literal(0, dtype)
+
+    def compare(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
+        """A comparison; with NaN only ``ne`` is true."""
+        kind = self.kind(dtype, wide)
+        if dtype.kind == "f":
+            return self.emit(f"fcmp {FLOAT_COMPARISONS[operation]} {kind} {names[0]}, {names[1]}")
+        sign = "" if operation in ("eq", "ne") else "s" if dtype.kind == "i" else "u"
+        return self.emit(f"icmp {sign}{operation} {kind} {names[0]}, {names[1]}")
+
+    def extreme(self, operation: str, value: Value, wide: bool, names: Sequence[str]) -> str:
+        """The larger or smaller number; NaN if either is.
+
+        The select returns its last operand if one is NaN. A constant, which is not, therefore comes first. As an
+        integer, a NaN without sign is larger than every number.
+        """
+        kind, mask = self.kind(value.dtype, wide), self.kind(BOOL, wide)
+        if operation == "max" and value.dtype.kind == "f" and is_unsigned(value):
+            integer = np.dtype(f"i{value.dtype.itemsize}")
+            bits = [(self.kind(integer, wide), self.convert("bitcast", value.dtype, integer, wide, n)) for n in names]
+            largest = self.call(f"llvm.smax.{self.suffix(integer, wide)}", bits[0][0], *bits)
+            return self.convert("bitcast", integer, value.dtype, wide, largest)
+        if value.dtype.kind == "f" and self.flags == STRICT:  # the larger of zeros is +0
+            function = f"llvm.{operation}imum.{self.suffix(value.dtype, wide)}"
+            return self.call(function, kind, *((kind, name) for name in names))
+        first, second = names
+        if value.operands[1].operation == "constant":
+            first, second = second, first
+        if value.dtype.kind != "f":
+            beyond_first = self.compare("gt" if operation == "max" else "lt", value.dtype, wide, [first, second])
+            return self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
+        beyond_first = self.emit(f"fcmp {'ogt' if operation == 'max' else 'olt'} {kind} {first}, {second}")
+        chosen = self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
+        if any(operand.operation == "constant" and operand.detail == operand.detail for operand in value.operands):
+            return chosen
+        missing = self.emit(f"fcmp uno {kind} {first}, {first}")
+        return self.emit(f"select {mask} {missing}, {kind} {first}, {kind} {chosen}")
+
+    def convert(self, operation: str, source: np.dtype, dtype: np.dtype, wide: bool, name: str) -> str:
+        """A number in another type, or the same bits."""
+        old, new = self.kind(source, wide), self.kind(dtype, wide)
+        if operation == "bitcast" or (source.kind in "iu" and dtype.kind in "iu" and source.itemsize == dtype.itemsize):
+            return name if old == new else self.emit(f"bitcast {old} {name} to {new}")
+        if source.kind == "f" and dtype.kind == "f":
+            return self.emit(f"{'fpext' if dtype.itemsize > source.itemsize else 'fptrunc'} {old} {name} to {new}")
+        if source.kind == "f":
+            signed = "fptosi" if dtype.kind == "i" else "fptoui"
+            function = f"llvm.{signed}.sat.{self.suffix(dtype, wide)}.{self.suffix(source, wide)}"
+            return self.call(function, new, (old, name))
+        signed = source.kind == "i"
+        if dtype.kind == "f":
+            return self.emit(f"{'sitofp' if signed else 'uitofp'} {old} {name} to {new}")
+        if dtype.itemsize < source.itemsize and source != BOOL:
+            return self.emit(f"trunc {old} {name} to {new}")
+        return self.emit(f"{'sext' if signed else 'zext'} {old} {name} to {new}")
+
+    def lookup(self, value: Value, wide: bool) -> str:
+        """An element of a constant table."""
+        table, (index,) = value.detail, value.operands
+        dtype = stored_type(value.dtype)
+        scalar, count = scalar_type(dtype), table.size
+        name = f"@t{len(self.tables)}"
+        numbers = ", ".join(f"{scalar} {literal(number, dtype)}" for number in table)
+        self.tables.append(f"{name} = private constant [{count} x {scalar}] [{numbers}]")
+        largest = f"{scalar_type(index.dtype)} {count - 1}"  # a loop computes ahead beyond its end
+        limit = (self.kind(index.dtype, wide), f"splat ({largest})" if wide else str(count - 1))
+        typed = (self.kind(index.dtype, wide), self.read(index, wide))
+        register = self.call(f"llvm.umin.{self.suffix(index.dtype, wide)}", limit[0], typed, limit)
+        if not wide:
+            place = self.emit(f"getelementptr {scalar}, ptr {name}, {scalar_type(index.dtype)} {register}", "p")
+            return self.from_memory(value.dtype, False, self.emit(f"load {scalar}, ptr {place}"))
+        kind, mask = self.kind(dtype, True), self.kind(BOOL, True)
+        pointers = f"<{self.width} x ptr>"
+        places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
+        function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"
+        self.declared.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
+        arguments = f"{pointers} align {dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
+        return self.from_memory(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))

@@ -1,0 +1,260 @@
+"""LLVM's text of a lane's program: one function that runs all lanes of a range, a vector of lanes at a time.
+
+Fast arithmetic lets the machine contract a product and a sum into one rounding, and forgets the sign of zero. Nothing
+else is assumed: a NaN is an outcome. Strict arithmetic does neither.
+"""
+
+from collections.abc import Sequence
+
+from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
+from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.lanes.passes.liveness import reachable
+from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, planned
+from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Value
+
+WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
+ATTRIBUTES = (
+    f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache
+    f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
+    '!0 = !{!"branch_weights", i32 1, i32 1000000}',  # of what happens rarely
+)
+
+
+class Emitter(Instructions):
+    """Writes the function of a program.
+
+    Args:
+        program: The program.
+        width: Lanes of a vector.
+        strict: Whether the arithmetic is strict.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+    """
+
+    def __init__(self, program: Program, width: int, strict: bool, window: int) -> None:
+        super().__init__(width, STRICT if strict else FAST)
+        self.program, self.window, self.strict = program, window, strict
+        self.alive = reachable(program)
+        self.allocated: list[str] = []
+        self.computed: set[int] = set()
+
+    def text(self) -> str:
+        """The module."""
+        self.lines += [
+            "  %some = icmp ult i64 %first, %last",
+            "  br i1 %some, label %lanes, label %done",
+            "lanes:",
+            "  %lane = phi i64 [ %first, %entry ], [ %next, %store ]",
+        ]
+        self.label = "lanes"
+        self.block(self.program.body)
+        self.lines += ["  br label %store", "store:"]
+        for position, output in enumerate(self.program.outputs):
+            if isinstance(output, Value):
+                self.store(position, output)
+        self.lines += [
+            f"  %next = add i64 %lane, {self.width}",
+            "  %more = icmp ult i64 %next, %last",
+            "  br i1 %more, label %lanes, label %done",
+            "done:",
+            "  ret void",
+        ]
+        head = f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
+        functions = self.functions()
+        start = [*self.tables, *sorted(self.declared), head, "entry:", *self.allocated]
+        return "\n".join([*start, *self.lines, "}", *functions, *ATTRIBUTES, ""])
+
+    def functions(self) -> list[str]:
+        """The subroutines that were called."""
+        lines: list[str] = []
+        for name, (subroutine, width) in self.subroutines.items():
+            inside = SubroutineEmitter(subroutine.program, width, self.strict, 0)
+            inside.tables, inside.declared = self.tables, self.declared
+            lines += inside.definition(name)
+        return lines
+
+    # Blocks
+
+    def block(self, block: CodeBlock) -> None:
+        """All that a block computes and that is needed."""
+        for node in ordered([node for node in block.nodes if self.is_needed(node)], self.window):
+            if isinstance(node, Record):
+                self.record(node)
+            elif isinstance(node, Value):
+                self.name(node, self.value(node))
+            elif isinstance(node, CodeLoop):
+                self.loop(node)
+            else:
+                self.branch(node)
+
+    def is_needed(self, node: Node) -> bool:
+        """Whether a result depends on a node, and it is not yet computed."""
+        return id(node) in self.alive and id(node) not in self.computed
+
+    def loop(self, loop: CodeLoop) -> None:
+        """A loop that tests at its end; what is common to all lanes is computed ahead where that is worthwhile."""
+        top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
+        alive = [
+            i
+            for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
+            if any(id(value) in self.alive for value in pair)
+        ]
+        chosen = planned(loop, self.alive) if self.width > 1 else None
+        if loop.guard is None:
+            self.lines.append(f"  br label %{top}")
+        else:
+            self.lines.append(f"  br i1 {self.read(loop.guard, False)}, label %{top}, label %{end}")
+        self.begin(top)
+        holes = self.opened([loop.states[i] for i in alive])
+        proceed = self.turns(loop, chosen, alive) if chosen else self.turn(loop)
+        self.lines.append(f"  br i1 {proceed}, label %{top}, label %{end}")
+        final = self.label
+        for hole, i in zip(holes, alive, strict=True):
+            self.fill(hole, loop.states[i], (loop.begin[i], entry), (loop.following[i], final))
+        self.begin(end)
+        names = {}
+        for i in alive:
+            wide = loop.states[i].varying
+            incoming = f"[ {self.read(loop.following[i], wide)}, %{final} ]"
+            if loop.guard is not None:
+                incoming = f"[ {self.read(loop.begin[i], wide)}, %{entry} ], {incoming}"
+            names[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {incoming}")
+        for i in alive:
+            self.name(loop.results[i], names[i])
+
+    def turn(self, loop: CodeLoop) -> str:
+        """The body of a loop; whether it goes on."""
+        self.block(loop.body)
+        assert loop.proceed is not None
+        return self.read(loop.proceed, False)
+
+    def turns(self, loop: CodeLoop, chosen: AheadPlan, alive: Sequence[int]) -> str:
+        """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
+        inner, out = self.fresh("turn"), self.fresh("out")
+        ahead = Ahead(self, chosen, self.window)
+        ahead.write(loop)
+        entry = self.label
+        self.allocated += ahead.allocations()
+        self.computed |= {id(value) for value in chosen.values}
+        varying = [i for i in alive if i not in chosen.counters]
+        first = {i: self.read(loop.states[i], True) for i in varying}
+        self.lines.append(f"  br label %{inner}")
+        self.begin(inner)
+        turn_value, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
+        at = len(self.lines)
+        self.lines.append("")
+        holes = self.opened([loop.states[i] for i in varying])
+        ahead.load(turn_value)
+        proceed = self.turn(loop)
+        self.lines.append(f"  {next_turn} = add i64 {turn_value}, 1")
+        left = self.emit(f"icmp ult i64 {next_turn}, {TURNS}")
+        proceed_both = self.emit(f"and i1 {left}, {proceed}")
+        self.lines.append(f"  br i1 {proceed_both}, label %{inner}, label %{out}")
+        self.lines[at] = f"  {turn_value} = phi i64 [ 0, %{entry} ], [ {next_turn}, %{self.label} ]"
+        for hole, i in zip(holes, varying, strict=True):
+            self.fill(hole, loop.states[i], (first[i], entry), (loop.following[i], self.label))
+        self.begin(out)
+        return proceed
+
+    def opened(self, states: Sequence[Value]) -> list[int]:
+        """Name states at the top of a loop; the lines where :meth:`fill` writes where they come from."""
+        start = len(self.lines)
+        names = [f"%{self.fresh('x')}" for _ in states]
+        self.lines += names
+        for state, name in zip(states, names, strict=True):
+            self.name(state, name)
+        return list(range(start, start + len(states)))
+
+    def fill(self, line: int, state: Value, *sources: tuple[Value | str, str]) -> None:
+        """Write where a state comes from: a value or register, and the label before."""
+        wide = state.varying
+        pairs = [(x if isinstance(x, str) else self.read(x, wide), label) for x, label in sources]
+        text = ", ".join(f"[ {name}, %{label} ]" for name, label in pairs)
+        self.lines[line] = f"  {self.lines[line]} = phi {self.kind(state.dtype, wide)} {text}"
+
+    def branch(self, branch: Branch) -> None:
+        """Both sides in turn, each if a lane takes it."""
+        alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
+        varying = self.is_vector(branch.condition)
+        condition = self.read(branch.condition, varying)
+        sides = []
+        for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
+            if any(id(node) in self.alive for node in block.nodes):
+                mask = self.inverted(condition, varying) if number else condition
+                merged = {i: (values[i], result.varying) for i, result in alive.items()}
+                sides.append(self.side(self.any_lane(mask) if varying else mask, block, merged))
+            else:  # its values are known before
+                sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
+        for i, result in alive.items():
+            kind = self.kind(result.dtype, result.varying)
+            chooser = f"{self.kind(BOOL, varying)} {condition}"
+            self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
+
+    def inverted(self, condition: str, wide: bool) -> str:
+        """Where a condition does not hold."""
+        return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
+
+    def side(self, taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
+        """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
+        inside, end, entry = self.fresh("side"), self.fresh("end"), self.label
+        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
+        self.begin(inside)
+        self.block(block)
+        reads = {i: self.read(value, wide) for i, (value, wide) in values.items()}
+        final = self.label
+        self.lines.append(f"  br label %{end}")
+        self.begin(end)
+        joined = {}
+        for i, (value, wide) in values.items():
+            kind = self.kind(value.dtype, wide)
+            joined[i] = self.emit(f"phi {kind} [ zeroinitializer, %{entry} ], [ {reads[i]}, %{final} ]")
+        return joined
+
+    # Memory
+
+    def store(self, position: int, output: Value) -> None:
+        """Store a result of the lanes; a truth value as a byte."""
+        self.write(self.column("outputs", position), "%lane", output, True)
+
+    def write(self, column: str, element: str, value: Value, wide: bool) -> None:
+        """Store a value, or one for each lane, at an element of a column."""
+        register, dtype = self.read(value, wide), value.dtype
+        if dtype == BOOL:
+            kind = self.kind(BOOL, wide)
+            dtype = stored_type(BOOL)
+            register = self.emit(f"zext {kind} {register} to {self.kind(dtype, wide)}")
+        place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 {element}", "p")
+        self.lines.append(f"  store {self.kind(dtype, wide)} {register}, ptr {place}, align {dtype.itemsize}")
+
+    def record(self, record: Record) -> None:
+        """Store an element of a recorded array: those of the lanes of a vector lie side by side."""
+        start = self.emit(f"mul i64 %lane, {record.recording.length}")
+        index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
+        offset = self.emit(f"mul i64 {index}, {self.width}")
+        element = self.emit(f"add i64 {start}, {offset}")
+        for position, output in enumerate(self.program.outputs):
+            if output is record.recording:
+                self.write(self.column("outputs", position), element, record.value, True)
+
+
+class SubroutineEmitter(Emitter):
+    """Writes a subroutine, whose inputs are its arguments."""
+
+    def input(self, value: Value, wide: bool) -> str:
+        """An argument."""
+        return f"%a{value.detail}"
+
+    def definition(self, name: str) -> list[str]:
+        """The lines of the function."""
+        (result,) = self.program.outputs
+        assert isinstance(result, Value)
+        self.block(self.program.body)
+        kind = self.kind(result.dtype, True)
+        parameters = [f"{self.kind(dtype, True)} %a{i}" for i, dtype in enumerate(self.program.inputs)]
+        head = f"define internal {kind} @{name}({', '.join(parameters)}) #1 {{"
+        return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
+
+
+def module_text(program: Program, width: int, strict: bool = False, window: int = 0) -> str:
+    """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
+    return Emitter(program, width, strict, window).text()

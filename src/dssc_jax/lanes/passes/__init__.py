@@ -1,0 +1,1 @@
+"""Passes over a typed program, in order: negated states, liveness, signs, scheduling, precomputation."""

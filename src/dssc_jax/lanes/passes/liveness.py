@@ -1,0 +1,62 @@
+"""What of a program its results depend on."""
+
+from collections import Counter
+
+from dssc_jax.lanes.program import (
+    Branch,
+    CodeBlock,
+    CodeLoop,
+    Node,
+    Program,
+    Record,
+    Recording,
+    Value,
+    all_blocks,
+    inner_blocks,
+)
+
+
+def reachable(program: Program) -> set[int]:
+    """Identities of the values, loops and branches that a result depends on."""
+    seen: set[int] = set()
+    waiting: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
+    records: dict[int, list[Node]] = {}
+    collect_records(program.body, (), records)
+    for value in program.outputs:
+        waiting += records[id(value)] if isinstance(value, Recording) else []
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, Value):
+            waiting += node.operands
+            if node.operation in ("state", "result"):
+                loop, position = node.detail
+                waiting += [loop, loop.begin[position], loop.following[position]]
+            elif node.operation == "joined":
+                branch, position = node.detail
+                waiting += [branch, branch.values[0][position], branch.values[1][position]]
+        elif isinstance(node, CodeLoop):
+            waiting += [value for value in (node.guard, node.proceed) if value is not None]
+        elif isinstance(node, Branch):
+            waiting.append(node.condition)
+        elif isinstance(node, Record):
+            waiting += [node.position, node.value]
+    return seen
+
+
+def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[int, list[Node]]) -> None:
+    """The records of each recording, with the loops and branches around them."""
+    for node in block.nodes:
+        if isinstance(node, Record):
+            records.setdefault(id(node.recording), []).extend([node, *around])
+        for inner in inner_blocks(node):
+            collect_records(inner, (*around, node), records)
+
+
+def operation_counts(program: Program) -> dict[str, int]:
+    """How often each operation occurs among the values that are needed."""
+    alive = reachable(program)
+    nodes = (node for block in all_blocks(program.body) for node in block.nodes)
+    return dict(Counter(node.operation for node in nodes if isinstance(node, Value) and id(node) in alive))

@@ -1,0 +1,104 @@
+"""States of loops that are always the negative of another state, such as DSSC's command u = -u_av.
+
+No loop needs to carry both. Zeros may change their sign by it, so this is for fast arithmetic alone.
+"""
+
+from collections.abc import Iterator
+from itertools import permutations
+
+from dssc_jax.lanes.operations import Operation
+from dssc_jax.lanes.program import CodeBlock, CodeLoop, Program, Value, all_blocks
+
+Pair = tuple[int, int, int]
+"""Identity of a loop, position of a state, position of its negative."""
+
+
+def join_opposites(program: Program) -> None:
+    """Change a program so that no loop carries a state and its negative."""
+    loops = loops_of(program.body)
+    holding = opposite_pairs(loops)
+    for loop in loops:
+        negatives: dict[int, int] = {}
+        for owner, position, negative in sorted(holding):  # the text of a program is the key of its code
+            free = not {position, negative} & negatives.keys() and negative not in negatives.values()
+            if owner == id(loop) and free:
+                negatives[negative] = position
+        if negatives:
+            remove(loop, negatives)
+
+
+def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
+    """The pairs that hold before the first turn, and after a turn if all pairs held before it."""
+    candidates = {(id(loop), *pair): loop for loop in loops for pair in candidate_pairs(loop)}
+    holding, refuted = set(candidates), list[Pair]()
+    dependent: dict[Pair, list[Pair]] = {}
+    for pair, loop in candidates.items():
+        _, value, negated = pair
+        for values in (loop.begin, loop.following):
+            condition = opposite(values[value], values[negated])
+            if condition is False or (condition is not True and condition not in candidates):
+                refuted.append(pair)
+            elif condition is not True:
+                dependent.setdefault(condition, []).append(pair)
+    while refuted:
+        pair = refuted.pop()
+        if pair in holding:
+            holding.remove(pair)
+            refuted += dependent.get(pair, ())
+    return holding
+
+
+def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
+    """Positions of states that may be opposite: they are equally far behind what is computed, as in delays."""
+    alike: dict[int, list[int]] = {}
+    for position in range(len(loop.states)):
+        alike.setdefault(turns_behind(loop, position), []).append(position)
+    for positions in alike.values():
+        yield from permutations(positions, 2)
+
+
+def turns_behind(loop: CodeLoop, position: int) -> int:
+    """How many states of the loop hand a value on, or its negative, before it is in this one."""
+    passed = set[int]()
+    while position not in passed:
+        passed.add(position)
+        following = loop.following[position]
+        source = following.operands[0] if following.operation == "neg" else following
+        if source.operation != "state" or source.detail[0] is not loop:
+            break
+        position = source.detail[1]
+    return len(passed)
+
+
+def loops_of(block: CodeBlock) -> list[CodeLoop]:
+    """All loops within a block."""
+    return [node for inner in all_blocks(block) for node in inner.nodes if isinstance(node, CodeLoop)]
+
+
+def opposite(value: Value, negated: Value) -> bool | Pair:
+    """Whether the second value is the negative of the first, or the pair of states that decides it."""
+    if negated.operation == "neg" and negated.operands[0] is value:
+        return True
+    if value.operation == negated.operation == "constant":
+        return value.dtype == negated.dtype and value.dtype.kind == "f" and bool(value.detail == -negated.detail)
+    if value.operation == negated.operation and value.operation in ("state", "result"):
+        (loop, position), (other_loop, negative) = value.detail, negated.detail
+        return loop is other_loop and (id(loop), position, negative)
+    return False
+
+
+def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
+    """Compute states from their negatives, in the body and behind the loop."""
+    outside = loop.body.parent
+    assert outside is not None
+    after_loop = outside.nodes.index(loop) + 1
+    for values, block, place in ((loop.states, loop.body, 0), (loop.results, outside, after_loop)):
+        changed = [values[negative] for negative in negatives]
+        for value, position in zip(changed, negatives.values(), strict=True):
+            value.operation, value.operands, value.detail = Operation.NEG, (values[position],), None
+        block.nodes[place:place] = changed
+    for values in (loop.begin, loop.states, loop.following, loop.results):
+        values[:] = [value for position, value in enumerate(values) if position not in negatives]
+    for values in (loop.states, loop.results):
+        for position, value in enumerate(values):
+            value.detail = loop, position

@@ -1,0 +1,139 @@
+"""Uniform values of a time loop, computed ahead: several turns at a time, in a vector along time.
+
+All lanes share the time and what follows from it alone, such as the sine of a reference. Once a turn, as scalars, such
+values would cost as much as all lanes of a vector. If the uniform state of a loop only counts, a vector can hold the
+values of the next :data:`TURNS` turns. They are stored, and each turn reads its own.
+"""
+
+from collections.abc import Set
+from dataclasses import dataclass
+
+from dssc_jax.lanes.interface import stored_type
+from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
+from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
+
+TURNS = 8
+WORTHWHILE = 12  # uniform operations in a turn that are worth it
+
+
+@dataclass(frozen=True)
+class AheadPlan:
+    """What to compute ahead.
+
+    Args:
+        counters: Positions of the uniform states, and by how much each grows in a turn.
+        values: The uniform values of the body, in order.
+        outputs: Those of them, and of the counters, that a turn reads.
+    """
+
+    counters: dict[int, int]
+    values: list[Value]
+    outputs: list[Value]
+
+
+def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
+    """What of a loop's body to compute ahead; None if that is impossible or not worthwhile.
+
+    Args:
+        loop: The loop.
+        alive: Identities of the values that are needed.
+    """
+    inside = [node for block in all_blocks(loop.body) for node in block.nodes]
+    nodes = [node for node in inside if id(node) in alive]
+    if any(isinstance(node, CodeLoop) for node in nodes):
+        return None
+    if any(not value.varying for node in nodes if isinstance(node, Branch) for value in node.results):
+        return None
+    values = [node for node in loop.body.nodes if isinstance(node, Value) and not node.varying and id(node) in alive]
+    if len(values) < WORTHWHILE or any(value.operation == "any" for value in values):
+        return None
+    states = [i for i, state in enumerate(loop.states) if id(state) in alive or id(loop.results[i]) in alive]
+    counters = {i: step(loop, i) for i in states if not loop.states[i].varying}
+    if not all(counters.values()):
+        return None
+    ahead = set(map(id, values))
+    read = {id(part) for node in nodes if id(node) not in ahead for part in read_by(node)}
+    read |= {id(loop.proceed), *(id(loop.following[i]) for i in states)}
+    known = [*(loop.states[i] for i in counters), *values]
+    return AheadPlan(counters, values, [value for value in known if id(value) in read])
+
+
+def step(loop: CodeLoop, position: int) -> int:
+    """By how much a state grows in every turn; 0 if it does something else."""
+    state, following = loop.states[position], loop.following[position]
+    if following.operation == "add" and following.dtype.kind in "iu":
+        for left, right in (following.operands, following.operands[::-1]):
+            if left is state and right.operation == "constant":
+                return int(right.detail)
+    return 0
+
+
+class Ahead(Instructions):
+    """Writes the uniform values of the next turns as vectors along time.
+
+    Args:
+        lanes: Where the instructions of the lanes are written; both go to the same lines.
+        chosen: What to compute.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+    """
+
+    def __init__(self, lanes: Instructions, chosen: AheadPlan, window: int) -> None:
+        super().__init__(TURNS, lanes.flags, lanes.lines, lanes.tables, {}, lanes.declared, lanes.subroutines)
+        self.lanes, self.chosen, self.window, self.buffers = lanes, chosen, window, dict[int, str]()
+
+    def fresh(self, prefix: str = "v") -> str:
+        """A new name."""
+        return self.lanes.fresh(prefix)
+
+    def begin(self, label: str) -> None:
+        """Start a basic block of the lanes."""
+        self.lanes.begin(label)
+
+    def current(self) -> str:
+        """The label of the basic block of the lanes."""
+        return self.lanes.current()
+
+    def is_vector(self, value: Value) -> bool:
+        """Every value is computed as a vector."""
+        return value.operation != "constant"
+
+    def read(self, value: Value, vector: bool) -> str:
+        """A value as an operand; one that is known before the loop is repeated."""
+        if value.operation != "constant" and (id(value), True) not in self.names:
+            self.names[id(value), True] = self.repeated(value.dtype, self.lanes.read(value, False))
+        return super().read(value, vector)
+
+    def write(self, loop: CodeLoop) -> None:
+        """Compute the values of the next turns from the counters at the first, and store them."""
+        for position, growth in self.chosen.counters.items():
+            state = loop.states[position]
+            scalar = scalar_type(state.dtype)
+            offsets = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
+            start = self.repeated(state.dtype, self.lanes.read(state, False))
+            self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{offsets}>")
+        for value in ordered(self.chosen.values, self.window):
+            assert isinstance(value, Value)
+            self.name(value, self.value(value))
+        for value in self.chosen.outputs:
+            register, dtype = self.names[id(value), True], stored_type(value.dtype)
+            if value.dtype == BOOL:
+                register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
+            buffer = self.buffers[id(value)] = f"%{self.fresh('ahead')}"
+            self.lines.append(f"  store {self.kind(dtype, True)} {register}, ptr {buffer}, align 64")
+
+    def allocations(self) -> list[str]:
+        """Memory for what is stored, to be reserved once."""
+        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.chosen.outputs)
+        return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
+
+    def load(self, turn: str) -> None:
+        """Read the values of one turn as scalars of the lanes."""
+        for value in self.chosen.outputs:
+            dtype = stored_type(value.dtype)
+            scalar = scalar_type(dtype)
+            place = self.emit(f"getelementptr {scalar}, ptr {self.buffers[id(value)]}, i64 {turn}", "p")
+            name = self.emit(f"load {scalar}, ptr {place}")
+            if value.dtype == BOOL:
+                name = self.emit(f"trunc {scalar} {name} to i1")
+            self.lanes.name(value, name)

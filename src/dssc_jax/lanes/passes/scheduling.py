@@ -1,0 +1,90 @@
+"""The order of a block's nodes: what the others wait for comes first.
+
+A processor looks for work among its next few hundred instructions only. In the order of the trace these often wait for
+each other, such as one stage of Runge-Kutta's method for the one before. List scheduling puts them in the order in
+which a machine would begin them that begins three in a cycle: a node comes as soon as its operands are known, and among
+several the one with the most cycles to the end of the block. The window limits how far a node comes before one that
+precedes it in the trace. The wider it is, the more values are alive at a time, and registers are few.
+"""
+
+from collections.abc import Iterator, Sequence
+from heapq import heappop, heappush
+from itertools import chain
+
+from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, read_by
+
+CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20}
+OTHER_CYCLES = 2
+AT_A_TIME = 3  # operations that begin in a cycle
+
+
+def ordered(nodes: Sequence[Node], window: int) -> list[Node]:
+    """The nodes of a block in the order in which to emit them.
+
+    Args:
+        nodes: Nodes in an order in which operands precede what reads them.
+        window: How many places beyond the first node that is not yet placed to look.
+    """
+    users = users_of(nodes)
+    remaining = [0] * len(nodes)
+    for i in reversed(range(len(nodes))):
+        remaining[i] = cycles(nodes[i]) + max((remaining[user] for user in users[i]), default=0)
+    missing = [0] * len(nodes)
+    for user in chain.from_iterable(users):
+        missing[user] += 1
+
+    done, known_at = [False] * len(nodes), [0.0] * len(nodes)
+    free = [i for i in range(len(nodes)) if not missing[i]]  # operands are placed; a heap by place
+    waiting: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
+    ready: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
+    order, first, time = [], 0, 0.0
+    while len(order) < len(nodes):
+        while done[first]:
+            first += 1
+        while free and free[0] <= first + window:
+            i = heappop(free)
+            heappush(waiting, (known_at[i], -remaining[i], i))
+        if not ready:
+            time = max(time, waiting[0][0])
+        while waiting and waiting[0][0] <= time:
+            heappush(ready, heappop(waiting)[1:])
+        _, i = heappop(ready)
+        order.append(nodes[i])
+        done[i] = True
+        for user in users[i]:
+            missing[user] -= 1
+            known_at[user] = max(known_at[user], time + cycles(nodes[i]))
+            if not missing[user]:
+                heappush(free, user)
+        time += 1.0 / AT_A_TIME
+    return order
+
+
+def users_of(nodes: Sequence[Node]) -> list[list[int]]:
+    """For each node the positions of those that read it."""
+    users: list[list[int]] = [[] for _ in nodes]
+    maker = {id(value): i for i, node in enumerate(nodes) for value in made_by(node)}
+    for i, node in enumerate(nodes):
+        for operand in {maker[id(value)] for value in read_within(node) if id(value) in maker}:
+            users[operand].append(i)
+    return users
+
+
+def made_by(node: Node) -> Sequence[Value]:
+    """The values that a node computes for its block."""
+    if isinstance(node, CodeLoop | Branch):
+        return node.results
+    return (node,) if isinstance(node, Value) else ()
+
+
+def read_within(node: Node) -> Iterator[Value]:
+    """The values that a node and its blocks read."""
+    yield from read_by(node)
+    for block in inner_blocks(node):
+        for part in block.nodes:
+            yield from read_within(part)
+
+
+def cycles(node: Node) -> int:
+    """Until the values of a node are known; loops and branches are not modelled."""
+    return CYCLES.get(node.operation, OTHER_CYCLES) if isinstance(node, Value) else 0

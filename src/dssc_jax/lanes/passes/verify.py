@@ -1,0 +1,142 @@
+"""Verification of a program: every pass must leave one that passes."""
+
+import numpy as np
+
+from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
+from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value, read_by
+
+SAME_TYPE = frozenset(ARITHMETIC) | {Operation.DIV, Operation.REM}
+"""Operations whose operands and result have one type."""
+OPERAND_COUNTS = {
+    **dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "round", "trunc", "not", "convert", "bitcast", "any"), 1),
+    "lookup": 1,
+    "select": 3,
+}
+"""Operands of operations that have not two."""
+
+
+class InvalidProgram(Exception):
+    """A program that breaks a rule of its form; a pass or a translation is wrong."""
+
+
+def verify(program: Program) -> None:
+    """Check the form of a program: types, order of definitions, single assignment, uniform conditions of loops.
+
+    Raises:
+        InvalidProgram: A rule is broken; the message names the operation and the rule.
+    """
+    defined: set[int] = set()
+    verify_block(program.body, defined)
+    for output in program.outputs:
+        if isinstance(output, Value):
+            require_defined(output, defined, "an output")
+
+
+def verify_block(block: CodeBlock, defined: set[int]) -> None:
+    """Check a block; ``defined`` has the values that it and what follows it may read, by their identities."""
+    for node in block.nodes:
+        match node:
+            case Value():
+                verify_value(node, defined)
+                define(node, defined)
+            case CodeLoop():
+                verify_loop(node, defined)
+            case Branch():
+                verify_branch(node, defined)
+            case Record():
+                for value in read_by(node):
+                    require_defined(value, defined, "a record")
+                require(not node.position.varying, node.position, "a record's position must be uniform")
+
+
+def verify_value(value: Value, defined: set[int]) -> None:
+    """Check operands, types and uniformity of a single value."""
+    operation = value.operation
+    operands = value.operands
+    require(isinstance(operation, Operation), value, "is no operation")
+    for operand in operands:
+        require_defined(operand, defined, operation)
+    if operation not in (Operation.INPUT, Operation.RARELY):
+        count = OPERAND_COUNTS.get(operation, 2)
+        require(len(operands) == count, value, f"takes {count} operands, got {len(operands)}")
+    types = [operand.dtype for operand in operands]
+    if operation in SAME_TYPE:
+        require(set(types) == {value.dtype}, value, f"operands and result must have one type, got {types}")
+    elif operation in COMPARISONS:
+        require(value.dtype == BOOL and len(set(types)) == 1, value, f"must compare one type, got {types}")
+    elif operation == Operation.SELECT:
+        require(types[0] == BOOL and types[1:] == [value.dtype] * 2, value, f"must select its own type, got {types}")
+    elif operation == Operation.BITCAST:
+        require(types[0].itemsize == value.dtype.itemsize, value, "must keep the number of bits")
+    elif operation == Operation.ANY:
+        require(types[0] == value.dtype == BOOL, value, "must be of truth values")
+    elif operation == Operation.RARELY:
+        require(types[:2] == [BOOL, value.dtype], value, "must have a condition and a value of its type")
+    elif operation == Operation.LOOKUP:
+        require(types[0].kind in "iu", value, "must have an index")
+        require(isinstance(value.detail, np.ndarray) and value.detail.ndim == 1, value, "must have a table")
+    if operation not in (Operation.INPUT, Operation.ANY):
+        varying = any(operand.varying for operand in operands)
+        require(value.varying or not varying, value, "is uniform, and an operand varies between lanes")
+
+
+def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
+    """Check a loop, its body and its state."""
+    for value in loop.begin:
+        require_defined(value, defined, "a loop's begin")
+    if loop.guard is not None:
+        require_defined(loop.guard, defined, "a loop's guard")
+        require(
+            loop.guard.dtype == BOOL and not loop.guard.varying, loop.guard, "a guard must be a uniform truth value"
+        )
+    inside = set(defined)
+    for state in loop.states:
+        define(state, inside)
+    verify_block(loop.body, inside)
+    parts = (loop.begin, loop.states, loop.following, loop.results)
+    require(len({len(part) for part in parts}) == 1, None, "a loop's states must be complete")
+    for begin, state, following, result in zip(*parts, strict=True):
+        require_defined(following, inside, "a loop's state")
+        types = {value.dtype for value in (begin, state, following, result)}
+        require(len(types) == 1, state, f"a state must keep its type, got {types}")
+        require(state.varying or not (begin.varying or following.varying), state, "is uniform, and its values vary")
+        require(result.varying == state.varying, result, "must vary as the state does")
+        define(result, defined)
+    proceed = loop.proceed
+    assert proceed is not None
+    require_defined(proceed, inside, "a loop's condition")
+    require(proceed.dtype == BOOL and not proceed.varying, proceed, "a loop's condition must be a uniform truth value")
+
+
+def verify_branch(branch: Branch, defined: set[int]) -> None:
+    """Check a branch, its sides and its results."""
+    require_defined(branch.condition, defined, "a branch's condition")
+    require(branch.condition.dtype == BOOL, branch.condition, "a branch's condition must be a truth value")
+    for side, values in zip(branch.sides, branch.values, strict=True):
+        inside = set(defined)
+        verify_block(side, inside)
+        for value in values:
+            require_defined(value, inside, "a branch's value")
+    for first, second, result in zip(*branch.values, branch.results, strict=True):
+        require(first.dtype == second.dtype == result.dtype, result, "both sides must have its type")
+        define(result, defined)
+
+
+def define(value: Value, defined: set[int]) -> None:
+    """Note that a value is defined, once."""
+    require(id(value) not in defined, value, "is defined twice")
+    defined.add(id(value))
+
+
+def require_defined(value: Value, defined: set[int], reader: str) -> None:
+    """Require that a value is a constant or defined before its reader."""
+    require(
+        value.operation == Operation.CONSTANT or id(value) in defined, value, f"is read by {reader} before it is set"
+    )
+
+
+def require(holds: bool, value: Value | None, rule: str) -> None:
+    """Raise :class:`InvalidProgram` unless a rule holds for a value."""
+    if not holds:
+        subject = "the program" if value is None else f"'{value.operation}' of type {value.dtype}"
+        raise InvalidProgram(f"{subject}: {rule}")

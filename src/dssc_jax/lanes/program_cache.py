@@ -1,0 +1,162 @@
+"""A cache of compiled programs in the user's cache directory, which all processes share.
+
+A truncated program, or a different one under the same name, would end the process that runs it. Every file therefore
+begins with the digest of its name and content. A file that does not match is deleted with a one-line message, and the
+program is compiled again. Files are moved into place atomically, so processes need not wait for each other. Where the
+cache cannot be written, the process says so once and goes on without it.
+
+The environment variable ``DSSC_JAX_CACHE=off`` disables the cache.
+"""
+
+import errno
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from uuid import uuid4
+
+CACHE_VARIABLE = "DSSC_JAX_CACHE"
+OFF = ("off", "0", "false")
+CACHE_SIZE = 2**28  # bytes; what has not been read for the longest time goes first
+SEARCHES = 16  # of the whole folder, while as much is stored as it may hold: one visits every file
+DISK_BLOCK = 4096  # bytes of a disk that a file takes at least
+UNUSABLE: set[Path] = set()
+"""Caches that this process has warned of."""
+DIGEST = hashlib.sha256().digest_size
+
+
+class ProgramCache:
+    """A folder of programs by name.
+
+    Args:
+        folder: The folder; created when a program is stored.
+        limit: Maximum size in bytes; about a sixteenth more between two searches for what may go.
+    """
+
+    def __init__(self, folder: Path, limit: int = CACHE_SIZE) -> None:
+        self._path = folder
+        self.limit = limit
+
+    def get(self, key: str) -> bytes | None:
+        """The program of a name; None if there is none, or if the file does not match."""
+        file = self._file(key)
+        try:
+            content = read_file(file)
+        except OSError:
+            return None
+        program = content[DIGEST:]
+        if content[:DIGEST] == digest(key, program):
+            with suppress(OSError):
+                os.utime(file)  # it is in use
+            return program
+        try:
+            file.unlink()
+            done = "deleted"
+        except OSError as error:
+            done = f"could not delete ({error.strerror})"
+        print(f"{done} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
+        return None
+
+    def put(self, key: str, value: bytes) -> None:
+        """Store a program under its name.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._path.mkdir(parents=True, exist_ok=True)
+        content = digest(key, value) + value
+        write_file(self._file(key), content)
+        chance = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
+        if chance * self.limit < SEARCHES * max(len(content), DISK_BLOCK):
+            self._make_room()
+
+    def _file(self, key: str) -> Path:
+        return self._path / f"{key}.program"
+
+    def _make_room(self) -> None:
+        """Delete the files that have not been read for the longest time."""
+        with os.scandir(self._path) as entries:
+            present = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
+        known = [(status.st_mtime_ns, max(status.st_size, DISK_BLOCK), path) for status, path in present]
+        excess = sum(size for _, size, _ in known) - self.limit
+        for _, size, path in sorted(known):
+            if excess <= 0:
+                return
+            Path(path).unlink(missing_ok=True)
+            excess -= size
+
+
+def read_file(path: Path) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        OSError: It is something else, such as a named pipe, or it cannot be read.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    return path.read_bytes()
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file whole, or not at all: beside its place under a name that nobody else uses, then moved into place.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    if path.exists() and not path.is_file():
+        raise FileExistsError(errno.EEXIST, "is no regular file", str(path))
+    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
+    try:
+        with partial.open("xb") as file:
+            file.write(content)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def digest(key: str, program: bytes) -> bytes:
+    """The digest that binds a program to its name."""
+    return hashlib.sha256(key.encode() + b"\n" + program).digest()
+
+
+def kept(name: str, make: Callable[[], bytes]) -> bytes:
+    """What has a name in the user's cache, or is now made and kept there.
+
+    Args:
+        name: Identifies everything that it depends on.
+        make: Makes it.
+    """
+    folder = cache_directory()
+    if folder is None:
+        return make()
+    cache = ProgramCache(folder)
+    known = cache.get(name)
+    if known is not None:
+        return known
+    made = make()
+    try:
+        cache.put(name, made)
+    except OSError as error:  # it is made again next time
+        warn_of_cache(folder, error.strerror or str(error))
+    return made
+
+
+def warn_of_cache(folder: Path, reason: str) -> None:
+    """Say once in this process that nothing can be kept."""
+    if folder in UNUSABLE:
+        return
+    UNUSABLE.add(folder)
+    line = f"warning: nothing is kept in {folder} ({reason}), so each command compiles again"
+    print(f"{line}; {CACHE_VARIABLE}=off silences this", file=sys.stderr)
+
+
+def cache_directory() -> Path | None:
+    """The cache's folder; None if the user has disabled the cache, or has no home directory."""
+    if os.environ.get(CACHE_VARIABLE, "").lower() in OFF:
+        return None
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dssc_jax"
+    except RuntimeError:  # no home
+        return None

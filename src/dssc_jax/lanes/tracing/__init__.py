@@ -1,0 +1,1 @@
+"""From the trace of a lane to its typed program."""

@@ -1,0 +1,279 @@
+"""Small arrays within a lane: moved element by element at translation, so that only arithmetic is left to run.
+
+An array of values is a NumPy array of objects. An array that is known before the run keeps its numbers.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jax.extend.core import JaxprEqn
+
+from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.tracing.specification import (
+    MOVED_TYPES,
+    NUMBER_TYPES,
+    SCALARS,
+    TRUTH,
+    WHOLE,
+    Parameters,
+    Specification,
+    TranslationRule,
+    absent,
+    anything,
+    array_type,
+    element_type,
+    result_type,
+    rule,
+)
+from dssc_jax.lanes.unsupported import Unsupported
+
+Tensor = np.ndarray
+
+
+def as_tensor(value: Any, build: Builder) -> Tensor:
+    """The elements of a value as an array of objects; of shape () for a scalar."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return value
+    tensor = np.empty(np.shape(value) if isinstance(value, np.ndarray) else (), object)
+    if isinstance(value, np.ndarray):
+        tensor.ravel()[:] = [build.constant(number, value.dtype) for number in value.ravel()]
+    else:
+        tensor[()] = value
+    return tensor
+
+
+def from_tensor(tensor: Any) -> Any:
+    """An array of objects; of shape (), its element."""
+    return tensor[()] if isinstance(tensor, np.ndarray) and tensor.dtype == object and not tensor.shape else tensor
+
+
+def elementwise(function: Callable[..., Any], build: Builder, operands: Sequence[Any]) -> Any:
+    """A function of scalars applied to arrays of equal shape, and scalars."""
+    if not any(isinstance(operand, np.ndarray) for operand in operands):
+        return function(*operands)
+    tensors = np.broadcast_arrays(*(as_tensor(operand, build) for operand in operands))
+    results = np.empty(tensors[0].shape, object)
+    for position in np.ndindex(results.shape):
+        results[position] = function(*(tensor[position] for tensor in tensors))
+    return results
+
+
+def broadcast(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """An array repeated along new axes."""
+    shape, axes = params["shape"], params["broadcast_dimensions"]
+    if not shape:
+        return operands[0]
+    source = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
+    sizes = [1] * len(shape)
+    for axis, size in zip(axes, source.shape, strict=True):
+        sizes[axis] = size
+    return np.broadcast_to(source.reshape(sizes), shape)
+
+
+def moving(function: Callable[[Any, Mapping[str, Any]], Any]) -> Callable[..., Any]:
+    """A rule that moves the elements of one array by a function of NumPy."""
+
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        operand = operands[0] if isinstance(operands[0], np.ndarray) else as_tensor(operands[0], build)
+        result = np.asarray(function(operand, params))
+        return scalar_of(build, result)
+
+    return rule
+
+
+def scalar_of(build: Builder, result: Tensor) -> Any:
+    """An array; of shape (), the value in it."""
+    if result.shape:
+        return result
+    return result[()] if result.dtype == object else build.constant(result, result.dtype)
+
+
+def strided(operand: Tensor, params: Parameters) -> Tensor:
+    """A part of an array between fixed indices."""
+    strides = params["strides"] or [1] * operand.ndim
+    parts = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return operand[tuple(slice(start, stop, step) for start, stop, step in parts)]
+
+
+def reshaped(operand: Tensor, params: Parameters) -> Tensor:
+    """The same elements in another shape."""
+    return operand.reshape(params["new_sizes"])
+
+
+def squeezed(operand: Tensor, params: Parameters) -> Tensor:
+    """Without axes of size 1."""
+    return np.squeeze(operand, tuple(params["dimensions"]))
+
+
+def expanded(operand: Tensor, params: Parameters) -> Tensor:
+    """With new axes of size 1."""
+    return np.expand_dims(operand, tuple(params["dimensions"]))
+
+
+def transposed(operand: Tensor, params: Parameters) -> Tensor:
+    """With its axes in another order."""
+    return np.transpose(operand, params["permutation"])
+
+
+def reversed_along(operand: Tensor, params: Parameters) -> Tensor:
+    """Backwards along some axes."""
+    return np.flip(operand, params["dimensions"])
+
+
+def concatenate(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """Arrays one after another."""
+    known = all(operand.dtype != object for operand in operands)
+    parts = operands if known else [as_tensor(operand, build) for operand in operands]
+    return np.concatenate(parts, params["dimension"])
+
+
+def stack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """Arrays beside one another along a new axis."""
+    return np.stack([as_tensor(operand, build) for operand in operands], params["axis"])
+
+
+def unstack(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
+    """The parts of an array along an axis, without that axis."""
+    parts = np.moveaxis(as_tensor(operands[0], build), params["axis"], 0)
+    return [from_tensor(np.asarray(part, object)) for part in parts]
+
+
+def split_array(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Any]:
+    """An array in several parts."""
+    return np.split(operands[0], np.cumsum(params["sizes"])[:-1], params["axis"])
+
+
+def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """An array with a margin, and gaps between its elements."""
+    operand, margin = as_tensor(operands[0], build), operands[1]
+    if any(low < 0 or high < 0 for low, high, _ in params["padding_config"]):
+        raise Unsupported("a negative margin")
+    result = np.empty(array_type(equation.outvars[0]).shape, object)
+    result.ravel()[:] = [margin] * result.size
+    inside = tuple(
+        slice(low, low + (size - 1) * (gap + 1) + 1 if size else low, gap + 1)
+        for size, (low, _, gap) in zip(operand.shape, params["padding_config"], strict=True)
+    )
+    result[inside] = operand
+    return result
+
+
+def iota(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """The index of each element along an axis."""
+    shape, axis = params["shape"], params["dimension"]
+    line = np.arange(shape[axis], dtype=params["dtype"])
+    return np.broadcast_to(line.reshape([-1 if i == axis else 1 for i in range(len(shape))]), shape)
+
+
+def reduction(operation: str) -> Callable[..., Any]:
+    """A rule that combines the elements along some axes."""
+
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        axes, tensor = params["axes"], as_tensor(operands[0], build)
+        kept = [axis for axis in range(tensor.ndim) if axis not in axes]
+        rows = np.transpose(tensor, [*kept, *axes]).reshape(*(tensor.shape[axis] for axis in kept), -1)
+        if not rows.shape[-1]:
+            raise Unsupported("a reduction of nothing")
+        return combined(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
+
+    return rule
+
+
+def combined(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
+    """A function of the last axis."""
+    result = np.empty(rows.shape[:-1], object)
+    for position in np.ndindex(result.shape):
+        result[position] = function(list(rows[position]))
+    return from_tensor(result)
+
+
+def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """Sums of products."""
+    (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
+    sides = []
+    for operand, sums, batch in zip(operands, (left_sum, right_sum), (left_batch, right_batch), strict=True):
+        tensor = as_tensor(operand, build)
+        free = [axis for axis in range(tensor.ndim) if axis not in (*sums, *batch)]
+        shapes = [[tensor.shape[axis] for axis in axes] for axes in (batch, free, sums)]
+        sizes = [int(np.prod(shape)) for shape in shapes]
+        sides.append((np.transpose(tensor, [*batch, *free, *sums]).reshape(sizes), shapes))
+    (left, left_shapes), (right, right_shapes) = sides
+    result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
+    for batch, i, j in np.ndindex(*result.shape):
+        products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
+        zero = build.constant(0, np.dtype(array_type(equation.outvars[0]).dtype))
+        result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else zero
+    return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
+
+
+def cumulative_rule(operation: str) -> Callable[..., Any]:
+    """A rule for partial sums and their like."""
+
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        tensor = np.moveaxis(as_tensor(operands[0], build), params["axis"], -1).copy()
+        steps = range(tensor.shape[-1])
+        order = list(reversed(steps)) if params["reverse"] else list(steps)
+        for position in np.ndindex(tensor.shape[:-1]):
+            for previous, after in pairwise(order):
+                tensor[(*position, after)] = build.add(
+                    operation, tensor[(*position, previous)], tensor[(*position, after)]
+                )
+        return np.moveaxis(tensor, -1, params["axis"])
+
+    return rule
+
+
+def same_precision(precision: Any, equation: JaxprEqn) -> bool:
+    """Any precision of JAX's enumeration: a processor computes all in the type itself. An algorithm is none."""
+    parts = precision if isinstance(precision, tuple) else (precision,)
+    return all(part is None or getattr(part, "name", "") in ("DEFAULT", "HIGH", "HIGHEST") for part in parts)
+
+
+def of_one_type(equation: JaxprEqn) -> str | None:
+    """Refuse a sum of products whose operands and result differ in type."""
+    types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
+    return None if len(types) == 1 else "operands and results of several types"
+
+
+def reduction_rule(operation: str, types: Any) -> TranslationRule:
+    """The rule of a reduction."""
+    return rule(reduction(operation), types, axes=anything, out_sharding=absent)
+
+
+def partial_rule(operation: str) -> TranslationRule:
+    """The rule of partial sums and their like."""
+    return rule(cumulative_rule(operation), NUMBER_TYPES, axis=anything, reverse=anything)
+
+
+ARRAY_RULES: dict[str, TranslationRule] = {
+    "broadcast_in_dim": rule(broadcast, MOVED_TYPES, shape=anything, broadcast_dimensions=anything, sharding=absent),
+    "reshape": rule(moving(reshaped), MOVED_TYPES, new_sizes=anything, dimensions=absent, sharding=absent),
+    "squeeze": rule(moving(squeezed), MOVED_TYPES, dimensions=anything),
+    "expand_dims": rule(moving(expanded), MOVED_TYPES, dimensions=anything),
+    "transpose": rule(moving(transposed), MOVED_TYPES, permutation=anything),
+    "rev": rule(moving(reversed_along), MOVED_TYPES, dimensions=anything),
+    "slice": rule(moving(strided), MOVED_TYPES, start_indices=anything, limit_indices=anything, strides=anything),
+    "concatenate": rule(concatenate, MOVED_TYPES, dimension=anything),
+    "stack": rule(stack, MOVED_TYPES, axis=anything),
+    "unstack": rule(unstack, MOVED_TYPES, axis=anything),
+    "split": rule(split_array, MOVED_TYPES, sizes=anything, axis=anything),
+    "pad": rule(pad, SCALARS, padding_config=anything),
+    "iota": rule(iota, NUMBER_TYPES, dtype=anything, shape=anything, dimension=anything, sharding=absent),
+    "reduce_sum": reduction_rule("add", NUMBER_TYPES),
+    "reduce_prod": reduction_rule("mul", NUMBER_TYPES),
+    "reduce_max": reduction_rule("max", NUMBER_TYPES),
+    "reduce_min": reduction_rule("min", NUMBER_TYPES),
+    "reduce_and": reduction_rule("and", WHOLE | TRUTH),
+    "reduce_or": reduction_rule("or", WHOLE | TRUTH),
+    "cumsum": partial_rule("add"),
+    "cumprod": partial_rule("mul"),
+    "cummax": partial_rule("max"),
+    "cummin": partial_rule("min"),
+    "dot_general": TranslationRule(dot_general, Specification(NUMBER_TYPES, {
+        "dimension_numbers": anything, "precision": same_precision, "preferred_element_type": result_type,
+        "out_sharding": absent}, of_one_type)),
+}  # fmt: skip
+"""TranslationRule of each primitive by its name."""

@@ -1,0 +1,243 @@
+"""Elements of an array within a lane at indices of the run: gathers, scatters and slices.
+
+A table that is known before the run is read in memory; any other array by a chain of selects. Every index is first
+taken as a signed number that can hold the size of the array.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import product
+from typing import Any
+
+import numpy as np
+from jax.extend.core import JaxprEqn
+
+from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.tracing.arrays import Tensor, as_tensor, elementwise, from_tensor
+from dssc_jax.lanes.tracing.specification import (
+    NUMBER_TYPES,
+    SCALARS,
+    Parameters,
+    TranslationRule,
+    absent,
+    anything,
+    array_type,
+    one_of,
+    rule,
+)
+from dssc_jax.lanes.unsupported import Unsupported
+
+MOST_SELECTS = 1024  # elements of an array that are chosen from one by one
+INDEX_TYPE = np.dtype(np.int32)
+
+
+def element(build: Builder, table: Tensor, position: Value) -> Value:
+    """The element of a flat array at a position of the run, which lies within it."""
+    if position.operation == "constant":
+        entry = table[int(position.detail)]
+        return entry if table.dtype == object else build.constant(entry, table.dtype)
+    if table.dtype != object:
+        return build.add("lookup", position, dtype=table.dtype, detail=table)
+    if table.size > MOST_SELECTS:
+        raise Unsupported(f"an array of {table.size} numbers that change, read at an index")
+    chosen = table[-1]
+    for number in range(table.size - 2, -1, -1):
+        chosen = build.add("select", build.add("le", position, build.constant(number, position.dtype)), table[number],
+                           chosen)  # fmt: skip
+    return chosen
+
+
+def row(build: Builder, table: Any, at: Value) -> Any:
+    """A row of an array at an index of the run."""
+    inner, count = table.shape[1:], int(np.prod(table.shape[1:]))
+    columns = table.reshape(table.shape[0], count)
+    elements = np.empty(count, object)
+    for column in range(count):
+        elements[column] = element(build, np.ascontiguousarray(columns[:, column]), at)
+    return from_tensor(elements.reshape(inner))
+
+
+def wide_index(build: Builder, start: Value) -> Value:
+    """An index in a signed type that holds every array's size and all of the index's own values that matter."""
+    if start.dtype == np.dtype(np.uint64):  # beyond the largest signed number: the end of every array
+        limit = build.constant(np.iinfo(np.int64).max, start.dtype)
+        return build.add("convert", build.add("min", start, limit), dtype=np.dtype(np.int64))
+    wide = start.dtype.itemsize == 8 or start.dtype == np.dtype(np.uint32)
+    return build.add("convert", start, dtype=np.dtype(np.int64) if wide else INDEX_TYPE)
+
+
+def clipped(build: Builder, start: Value, limit: int) -> Value:
+    """A wide index within 0 .. most."""
+    return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(limit, start.dtype))
+
+
+def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
+    """A part of an array of fixed size that begins at indices of the run; moved inside if it would reach beyond."""
+    varied = [axis for axis, start in enumerate(starts) if operand.shape[axis] > sizes[axis]]
+    limits = [size - part for size, part in zip(operand.shape, sizes, strict=True)]
+    flat_start: Value | None = None
+    for axis in varied:
+        start = clipped(build, starts[axis], limits[axis])
+        start = build.add("convert", start, dtype=INDEX_TYPE)
+        stride = int(np.prod([limits[inner] + 1 for inner in varied if inner > axis]))
+        part = build.add("mul", start, build.constant(stride, INDEX_TYPE))
+        flat_start = part if flat_start is None else build.add("add", flat_start, part)
+    result = np.empty(tuple(sizes), object)
+    for position in np.ndindex(*sizes):
+        candidates = operand[tuple(
+            slice(at, at + limit + 1) for at, limit in zip(position, limits, strict=True))]  # fmt: skip
+        flat = np.ascontiguousarray(candidates).reshape(-1)
+        result[position] = element(build, flat, build.constant(0, INDEX_TYPE) if flat_start is None else flat_start)
+    return result
+
+
+def index_rows(build: Builder, indices: Any) -> list[list[Value]]:
+    """The index vectors of a gather or scatter, one for each of its points, as wide indices."""
+    tensor = as_tensor(indices, build)
+    rows = tensor.reshape(-1, tensor.shape[-1])
+    return [[wide_index(build, index) for index in vector] for vector in rows]
+
+
+def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """Windows of an array at indices of the run."""
+    operand, indices = operands
+    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    fill = params["mode"].name == "FILL_OR_DROP"
+    if not isinstance(operand, np.ndarray):
+        operand = as_tensor(operand, build)
+    points, zero = [], build.constant(0, INDEX_TYPE)
+    for vector in index_rows(build, indices):
+        starts = [zero] * operand.ndim
+        for axis, start in zip(numbers.start_index_map, vector, strict=True):
+            starts[axis] = start
+        part = window(build, operand, starts, sizes)
+        if fill:
+            inside = lies_within(build, operand.shape, starts, sizes)
+            missing = filler(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
+            part = elementwise(lambda x, inside=inside, missing=missing: build.add("select", inside, x, missing),
+                               build, [part])  # fmt: skip
+        points.append(np.squeeze(part, tuple(numbers.collapsed_slice_dims)))
+    stacked = np.empty((len(points), *points[0].shape), object)
+    for i, part in enumerate(points):
+        stacked[i] = from_tensor(part)
+    shape = array_type(equation.outvars[0]).shape
+    batch = [axis for axis in range(len(shape)) if axis not in numbers.offset_dims]
+    grid = stacked.reshape((*(shape[axis] for axis in batch), *points[0].shape))
+    return from_tensor(np.transpose(grid, np.argsort([*batch, *numbers.offset_dims])) if shape else grid)
+
+
+def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
+    """Whether a window lies within an array."""
+    inside = build.constant(True, np.dtype(bool))
+    for size, start, part in zip(shape, starts, sizes, strict=True):
+        for operation, bound in (("ge", 0), ("le", size - part)):
+            inside = build.add("and", build.add(operation, start, build.constant(bound, start.dtype)), inside)
+    return inside
+
+
+def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
+    """What an index beyond an array reads."""
+    if fill is not None:
+        return build.constant(fill, dtype)
+    match dtype.kind:
+        case "i":
+            return build.constant(np.iinfo(dtype).min, dtype)
+        case "u":
+            return build.constant(np.iinfo(dtype).max, dtype)
+        case "f":
+            return build.constant(np.nan, dtype)
+    return build.constant(True, dtype)
+
+
+def replaced(
+    build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
+) -> Tensor:
+    """An array with a window combined with other values, at indices of the run that lie within it."""
+    if operand.size * update.size > MOST_SELECTS * 16:
+        raise Unsupported(f"{update.size} of {operand.size} numbers written at an index")
+    result = operand.copy()
+    for offset in np.ndindex(update.shape):
+        choices = [
+            range(at, at + size - part + 1) for at, size, part in zip(offset, operand.shape, update.shape, strict=True)
+        ]
+        for position in product(*choices):
+            hit = build.constant(True, np.dtype(bool))
+            for axis, at in enumerate(position):
+                start = build.constant(at - offset[axis], starts[axis].dtype)
+                hit = build.add("and", build.add("eq", starts[axis], start), hit)
+            old: Any = result[position]
+            new: Any = update[offset]
+            result[position] = build.add("select", hit, combine(old, new), old)
+    return result
+
+
+def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """A window of an array."""
+    operand, *starts = operands
+    wide = [wide_index(build, start) for start in starts]
+    return window(build, as_tensor(operand, build) if not isinstance(operand, np.ndarray) else operand, wide,
+                  params["slice_sizes"])  # fmt: skip
+
+
+def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+    """An array with a window replaced."""
+    operand, update, *starts = operands
+    target, new = as_tensor(operand, build), as_tensor(update, build)
+    limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
+    inside = [clipped(build, wide_index(build, start), limit) for start, limit in zip(starts, limits, strict=True)]
+    return replaced(build, target, inside, new, lambda old, new: new)
+
+
+def scatter(operation: str) -> Callable[..., Tensor]:
+    """An array with windows combined with others, at indices of the run."""
+
+    def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
+        operand, indices, updates = operands
+        numbers = params["dimension_numbers"]
+        target, new = as_tensor(operand, build), as_tensor(updates, build)
+        vectors = index_rows(build, indices)
+        batch = [axis for axis in range(new.ndim) if axis not in numbers.update_window_dims]
+        windows = np.transpose(new, [*batch, *numbers.update_window_dims])
+        windows = windows.reshape(len(vectors), *(new.shape[axis] for axis in numbers.update_window_dims))
+        clip = params["mode"].name == "CLIP"
+        for i, vector in enumerate(vectors):
+            update = np.expand_dims(windows[i], tuple(numbers.inserted_window_dims))
+            starts = [build.constant(0, INDEX_TYPE)] * target.ndim
+            for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
+                limit = target.shape[axis] - update.shape[axis]
+                starts[axis] = clipped(build, start, limit) if clip else start
+            target = replaced(build, target, starts, update, lambda old, new: (
+                build.add(operation, old, new) if operation else new))  # fmt: skip
+        return target
+
+    return rule
+
+
+def unbatched(numbers: Any, equation: JaxprEqn) -> bool:
+    """Dimension numbers of a gather or scatter without batches."""
+    return not numbers.operand_batching_dims
+
+
+def mode_of(*names: str) -> Any:
+    """The condition of a gather's or scatter's mode."""
+    return one_of("CLIP", "FILL_OR_DROP", "PROMISE_IN_BOUNDS", *names)
+
+
+def scatter_rule(operation: str) -> TranslationRule:
+    """The rule of a scatter."""
+    return rule(
+        scatter(operation), NUMBER_TYPES if operation else SCALARS, dimension_numbers=unbatched, mode=mode_of(),
+        update_jaxpr=anything, update_consts=absent, indices_are_sorted=anything, unique_indices=anything,
+    )  # fmt: skip
+
+
+INDEXING_RULES: dict[str, TranslationRule] = {
+    "gather": rule(
+        gather, SCALARS, dimension_numbers=unbatched, slice_sizes=anything, mode=mode_of(), fill_value=anything,
+        indices_are_sorted=anything, unique_indices=anything,
+    ),
+    "dynamic_slice": rule(dynamic_slice, SCALARS, slice_sizes=anything),
+    "dynamic_update_slice": rule(dynamic_update_slice, SCALARS),
+    "scatter": scatter_rule(""),
+    "scatter-add": scatter_rule("add"),
+}  # fmt: skip
+"""TranslationRule of each primitive by its name."""

@@ -1,0 +1,258 @@
+"""JAX's elementwise primitives in terms of the operations of a lane's program, one row each.
+
+A row is a function of the builder, the operands, the equation's parameters and the type of the result. Functions such
+as the sine are not here: :mod:`dssc_jax.lanes.functions.elementary` writes them as arithmetic, and JAX traces that.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jax.extend.core import JaxprEqn
+
+from dssc_jax.lanes.program import BOOL, Builder, Value
+from dssc_jax.lanes.tracing.specification import (
+    NUMBER_TYPES,
+    REAL,
+    SCALARS,
+    SIGNED_INTEGERS,
+    TRUTH,
+    WHOLE,
+    Parameters,
+    Specification,
+    TranslationRule,
+    absent,
+    anything,
+    array_type,
+    one_of,
+    rule,
+)
+
+ElementRule = Callable[[Builder, Sequence[Value], Mapping[str, Any], np.dtype], Value]
+
+
+def same_operation(operation: str) -> ElementRule:
+    """An operation of the same meaning."""
+    return lambda build, operands, params, dtype: build.add(operation, *operands)
+
+
+def larger_or_smaller(operation: str) -> ElementRule:
+    """The larger or smaller number; of truth values, whether one or both hold."""
+
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        logic = {"max": "or", "min": "and"}
+        return build.add(logic[operation] if dtype == BOOL else operation, *operands)
+
+    return translate
+
+
+def division(operation: str) -> ElementRule:
+    """Division, or its remainder.
+
+    The machine must not divide an integer by zero, nor the least one by -1. By zero the quotient has all bits set and
+    the remainder is x; the quotient by -1 is -x, which wraps.
+    """
+
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        x, y = operands
+        if dtype.kind == "f":
+            return build.add(operation, x, y)
+        zero, unit = build.constant(0, dtype), build.constant(1, dtype)
+        by_zero = build.add("eq", y, zero)
+        signed = dtype.kind == "i"
+        unusual = build.add("or", by_zero, build.add("eq", y, build.constant(-1, dtype))) if signed else by_zero
+        quotient = build.add(operation, x, build.add("select", unusual, unit, y))
+        if operation == "rem":  # by 1 it is 0, and so it is by -1
+            return build.add("select", by_zero, x, quotient)
+        if signed:
+            quotient = build.add("select", unusual, build.add("neg", x), quotient)
+        all_bits = build.constant(np.array(-1).astype(dtype), dtype)
+        return build.add("select", by_zero, all_bits, quotient)
+
+    return translate
+
+
+def shift(operation: str, taken_as: str = "") -> ElementRule:
+    """A shift; by the width of the type or more it leaves nothing, or the sign.
+
+    Args:
+        operation: ``shl`` or ``shr``.
+        taken_as: The kind of integer whose shift it is, whatever the type: "i" copies the sign bit, "u" moves zeros in.
+    """
+
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        width, plain = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
+        kind = np.dtype(f"{taken_as or dtype.kind}{dtype.itemsize}")
+        x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
+        limit = build.constant(width - 1, kind)
+        inside = build.add("lt", build.add("bitcast", count, dtype=plain), build.constant(width, plain))
+        shifted = build.add(operation, x, build.add("select", inside, count, limit))
+        past_end = shifted if taken_as == "i" else build.constant(0, kind)
+        return build.add("bitcast", build.add("select", inside, shifted, past_end), dtype=dtype)
+
+    return translate
+
+
+def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The sign; NaN and zeros are their own."""
+    (x,) = operands
+    zero = build.constant(0, dtype)
+    reached = x if dtype.kind == "u" else build.add(
+        "select", build.add("lt", x, zero), build.constant(-1, dtype), x)  # fmt: skip
+    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), reached)
+
+
+def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The middle operand, at least the first and at most the last."""
+    floor, x, limit = operands
+    return build.add("min", build.add("max", x, floor), limit)
+
+
+def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The case that the first operand counts."""
+    index, *cases = operands
+    if index.dtype == BOOL:
+        return build.add("select", index, cases[-1], cases[0])
+    chosen = cases[-1]
+    for number, case in reversed(list(enumerate(cases[:-1]))):
+        reached = build.add("le", index, build.constant(number, index.dtype))
+        chosen = build.add("select", reached, case, chosen)
+    return chosen
+
+
+def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The same number in another type."""
+    (x,) = operands
+    if dtype == BOOL and x.dtype != BOOL:
+        return build.add("ne", x, build.constant(0, x.dtype))
+    return build.add("convert", x, dtype=dtype)
+
+
+def whole_power(build: Builder, x: Value, exponent: int) -> Value:
+    """x to a whole power, by squaring."""
+    if exponent < 0:
+        return build.add("div", build.constant(1, x.dtype), whole_power(build, x, -exponent))
+    result, square = None, x
+    while exponent:
+        if exponent & 1:
+            result = square if result is None else build.add("mul", result, square)
+        exponent >>= 1
+        square = build.add("mul", square, square) if exponent else square
+    return build.constant(1, x.dtype) if result is None else result
+
+
+def finite(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """Whether a number is neither infinite nor NaN."""
+    (x,) = operands
+    return build.add("lt", build.add("abs", x), build.constant(np.inf, x.dtype))
+
+
+def in_total_order(operation: str) -> ElementRule:
+    """A comparison with NaN above all numbers; JAX itself makes the signs of 0 and of NaN alike before."""
+
+    def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+        a, b = operands
+        unequal = build.add("ne", b, b)
+        if operation == "lt":
+            unequal = build.add("and", unequal, build.add("eq", a, a))
+        return build.add("or", build.add(operation, a, b), unequal)
+
+    return translate
+
+
+def complement(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """Every bit inverted."""
+    ones = build.constant(True if dtype == BOOL else -1, dtype)
+    return build.add("xor", operands[0], ones)
+
+
+def same_value(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The operand itself."""
+    return operands[0]
+
+
+def rounded_by(build: Builder, x: Value, method: str) -> Value:
+    """The nearest whole number; halves to even, or away from zero."""
+    if method == "TO_NEAREST_EVEN":
+        return build.add("round", x)
+    half = build.add("trunc", x)
+    distance = build.add("abs", build.add("sub", x, half))
+    unit = sign_of(build, [x], {}, x.dtype)
+    beyond_half = build.add("ge", distance, build.constant(0.5, x.dtype))
+    return build.add("select", beyond_half, build.add("add", half, unit), half)
+
+
+def same_width(equation: JaxprEqn) -> str | None:
+    """Refuse bits that become more or fewer numbers, and truth values, which have no bits."""
+    sizes = {np.dtype(array_type(variable).dtype).itemsize for variable in (*equation.invars, *equation.outvars)}
+    return None if len(sizes) == 1 else "bits of another width"
+
+
+def keeps_precision(equation: JaxprEqn) -> str | None:
+    """Refuse a reduction to fewer bits than the type has."""
+    digits = np.finfo(array_type(equation.outvars[0]).dtype)
+    lengths = equation.params["exponent_bits"], equation.params["mantissa_bits"]
+    return None if lengths == (digits.nexp, digits.nmant) else "fewer bits than the type has"
+
+
+def real_power(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """A whole power."""
+    return whole_power(build, operands[0], params["y"])
+
+
+def square(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The product with itself."""
+    return build.add("mul", operands[0], operands[0])
+
+
+def reciprocal_root(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """1/x^(1/2)."""
+    return build.add("div", build.constant(1, dtype), build.add("sqrt", operands[0]))
+
+
+def same_bits(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The bits of a number as those of another type."""
+    return build.add("bitcast", *operands, dtype=dtype)
+
+
+def rounding(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
+    """The nearest whole number."""
+    return rounded_by(build, operands[0], params["rounding_method"].name)
+
+
+ELEMENT_RULES: dict[str, TranslationRule] = {
+    **{name: rule(same_operation(name), NUMBER_TYPES) for name in ("add", "sub", "neg")},
+    **{name: rule(same_operation(name), SCALARS) for name in ("eq", "ne", "lt", "le", "gt", "ge")},
+    **{name: rule(larger_or_smaller(name), SCALARS) for name in ("max", "min")},
+    **{name: rule(same_operation(name), REAL) for name in ("floor", "ceil")},
+    **{name: rule(same_operation(name), WHOLE | TRUTH) for name in ("and", "or", "xor")},
+    "abs": rule(same_operation("abs"), REAL | SIGNED_INTEGERS),
+    "add_any": rule(same_operation("add"), NUMBER_TYPES),
+    "mul": rule(same_operation("mul"), NUMBER_TYPES, out_dtype=absent),
+    "sqrt": rule(same_operation("sqrt"), REAL, accuracy=absent),
+    "div": rule(division("div"), NUMBER_TYPES),
+    "rem": rule(division("rem"), NUMBER_TYPES),
+    "shift_left": rule(shift("shl"), WHOLE),
+    "shift_right_arithmetic": rule(shift("shr", "i"), WHOLE),
+    "shift_right_logical": rule(shift("shr", "u"), WHOLE),
+    "not": rule(complement, WHOLE | TRUTH),
+    "lt_to": rule(in_total_order("lt"), SCALARS),
+    "le_to": rule(in_total_order("le"), SCALARS),
+    "sign": rule(sign_of, NUMBER_TYPES),
+    "clamp": rule(clamp, NUMBER_TYPES),
+    "select_n": rule(select_n, SCALARS),
+    "convert_element_type": rule(convert, SCALARS, new_dtype=anything, weak_type=anything, sharding=absent),
+    "bitcast_convert_type": TranslationRule(same_bits, Specification(
+        NUMBER_TYPES, {"new_dtype": anything}, same_width)),
+    "integer_pow": rule(real_power, NUMBER_TYPES, y=anything),
+    "square": rule(square, NUMBER_TYPES),
+    "rsqrt": rule(reciprocal_root, REAL, accuracy=absent),
+    "round": rule(rounding, REAL, rounding_method=one_of("TO_NEAREST_EVEN", "AWAY_FROM_ZERO")),
+    "is_finite": rule(finite, REAL | TRUTH),
+    "stop_gradient": rule(same_value, SCALARS),
+    "copy": rule(same_value, SCALARS),
+    "copy_p": rule(same_value, SCALARS),
+    "reduce_precision": TranslationRule(same_value, Specification(
+        REAL, {"exponent_bits": anything, "mantissa_bits": anything}, keeps_precision)),
+}  # fmt: skip
+"""TranslationRule of each primitive by its name; its translation is an :data:`ElementRule`."""

@@ -1,0 +1,150 @@
+"""What a rule translates exactly: types of operands and results, and values of each parameter.
+
+Whatever a specification does not list is refused by name: another type, another value, or a parameter that a newer JAX
+adds. The program then runs as plain XLA. :meth:`Specification.require` is the only place that decides so.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import JaxprEqn, Literal, Var
+
+from dssc_jax.lanes.unsupported import Unsupported
+
+KEY = "random key"
+TRUTH = frozenset({np.dtype(bool)})
+REAL = frozenset({np.dtype(np.float32), np.dtype(np.float64)})
+SIGNED_INTEGERS = frozenset(np.dtype(f"i{size}") for size in (1, 2, 4, 8))
+UNSIGNED_INTEGERS = frozenset(np.dtype(f"u{size}") for size in (1, 2, 4, 8))
+WHOLE = SIGNED_INTEGERS | UNSIGNED_INTEGERS
+NUMBER_TYPES = REAL | WHOLE
+SCALARS = NUMBER_TYPES | TRUTH
+MOVED_TYPES = SCALARS | {KEY}
+"""Types whose elements a rule only moves."""
+
+Variable: TypeAlias = Var | Literal
+ElementType: TypeAlias = np.dtype | str
+"""NumPy's type of elements, :data:`KEY`, or the name of another type."""
+Types: TypeAlias = frozenset[np.dtype] | frozenset[np.dtype | str]
+Parameters: TypeAlias = Mapping[str, Any]
+"""Parameters of an equation, whose types depend on its primitive."""
+Condition = Callable[[object, JaxprEqn], bool]
+"""(value of a parameter, equation) -> whether the rule translates it exactly."""
+
+
+def anything(value: object, equation: JaxprEqn) -> bool:
+    """Any value: the rule reads it, or it has no effect on a lane."""
+    return True
+
+
+def absent(value: object, equation: JaxprEqn) -> bool:
+    """No value, or an empty one."""
+    return value is None or (isinstance(value, tuple | list) and not value)
+
+
+def result_type(value: Any, equation: JaxprEqn) -> bool:
+    """The common type of all operands and results, or none."""
+    types = {element_type(variable.aval) for variable in (*equation.invars, *equation.outvars)}
+    return value is None or types == {np.dtype(value)}
+
+
+def one_of(*values: object) -> Condition:
+    """One of a few values, or of their names in an enumeration."""
+    return lambda value, equation: getattr(value, "name", value) in values
+
+
+@dataclass(frozen=True)
+class Specification:
+    """What of a primitive is translated exactly.
+
+    Args:
+        types: Of every operand and result; None: a call or a loop, whose inner equations are checked.
+        parameters: The condition of each parameter. One that is not listed is refused.
+        exact: A further condition on the whole equation: None, or what is not translated.
+    """
+
+    types: Types | None
+    parameters: Mapping[str, Condition] = field(default_factory=dict)
+    exact: Callable[[JaxprEqn], str | None] = lambda equation: None
+
+    def require(self, equation: JaxprEqn) -> None:
+        """Require that an equation is within the specification.
+
+        Raises:
+            Unsupported: A type, a parameter or the value of one is not.
+        """
+        if self.types is not None:
+            for variable in (*equation.invars, *equation.outvars):
+                require_type(variable.aval, self.types)
+        for name, value in equation.params.items():
+            if name not in self.parameters:
+                raise Unsupported(f"an unknown parameter {name} = {abbreviated(value)}")
+            if not self.parameters[name](value, equation):
+                raise Unsupported(f"the parameter {name} = {abbreviated(value)}")
+        reason = self.exact(equation)
+        if reason is not None:
+            raise Unsupported(reason)
+
+
+@dataclass(frozen=True)
+class TranslationRule:
+    """A translation beside what it is exact for.
+
+    Args:
+        translate: Writes the operations of a primitive.
+        specification: What it translates exactly.
+    """
+
+    translate: Callable[..., Any]
+    specification: Specification
+
+
+def rule(translate: Callable[..., Any], types: Types | None, **parameters: Condition) -> TranslationRule:
+    """A rule for some types, with the conditions of its parameters."""
+    return TranslationRule(translate, Specification(types, parameters))
+
+
+def array_type(variable: Variable) -> jax.ShapeDtypeStruct:
+    """Shape and dtype of an operand or a result.
+
+    Raises:
+        Unsupported: It is no array.
+    """
+    shape = getattr(variable.aval, "shape", None)
+    dtype = getattr(variable.aval, "dtype", None)
+    if shape is None or dtype is None:
+        raise Unsupported(f"elements of type {variable.aval}")
+    return jax.ShapeDtypeStruct(shape, dtype)
+
+
+def element_type(aval: object) -> ElementType:
+    """The type of an array's elements."""
+    dtype = getattr(aval, "dtype", None)
+    if dtype is None:
+        return str(aval)
+    if jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        return KEY if "fry" in str(dtype) else str(dtype)
+    return np.dtype(dtype)
+
+
+def require_type(aval: object, types: Types) -> None:
+    """Require elements of one of some types.
+
+    Raises:
+        Unsupported: They have another type.
+    """
+    actual = element_type(aval)
+    if actual not in types:
+        foreign = isinstance(actual, str) and actual.startswith("key")
+        generator = f"random numbers of another generator, {actual}"
+        raise Unsupported(generator if foreign else f"elements of type {actual}")
+
+
+def abbreviated(value: object) -> str:
+    """A parameter's value for a message."""
+    text = " ".join(str(getattr(value, "name", value)).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,393 @@
+"""Translation of JAX's trace of one lane into a :class:`~dssc_jax.lanes.program.Program`.
+
+This module and those it lists its rules in are the only ones that know JAX's primitives. Calls are inlined. A small
+array within a lane becomes that many scalars; a constant array stays a table. A random key is a pair of words.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
+
+from dssc_jax.lanes.functions.elementary import ELEMENTARY, RareRule
+from dssc_jax.lanes.interface import AXIS
+from dssc_jax.lanes.program import BOOL, Builder, Program, Recording, Subroutine, Value
+from dssc_jax.lanes.tracing import indexing, random_bits
+from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, as_tensor, elementwise
+from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
+from dssc_jax.lanes.tracing.random_bits import Key
+from dssc_jax.lanes.tracing.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
+from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
+from dssc_jax.lanes.unsupported import Unsupported
+
+
+def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> tuple[Program, Any]:
+    """Trace the program of one lane and translate it.
+
+    Args:
+        lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along
+            :data:`~dssc_jax.lanes.interface.AXIS`.
+        arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
+        fast: See :class:`~dssc_jax.lanes.program.Builder`.
+
+    Returns:
+        The program, with one input for each leaf of the arguments; and the tree of results, with shapes and types.
+
+    Raises:
+        Unsupported: An operation has no rule.
+    """
+    return traced_program(Translator(Builder(fast)), lane, *arguments)
+
+
+def traced_program(translator: "Translator", lane: Callable[..., Any], *arguments: Any) -> tuple[Program, Any]:
+    """As :func:`translate`, by a given translator."""
+    traced, shape = jax.make_jaxpr(lane, axis_env=[(AXIS, 1)], return_shape=True)(*arguments)
+    for aval in (*traced.in_avals, *traced.out_avals):
+        require_type(aval, SCALARS)
+    build = translator.build
+    types = [np.dtype(aval.dtype) for aval in traced.in_avals]  # those of the arguments, in JAX's present precision
+    inputs = [build.input(position, dtype) for position, dtype in enumerate(types)]
+    outputs = translator.run(traced, inputs)
+    return Program(types, build.here, [output(value) for value in outputs]), shape
+
+
+def type_of(atom: Any) -> Any:
+    """Shape and type of a variable or literal of a trace."""
+    return atom.aval
+
+
+def output(value: Any) -> Value | Recording:
+    """A result of a lane, which is a scalar or a recorded array."""
+    if not isinstance(value, Value | Recording):
+        raise Unsupported("an array as a result")
+    return value
+
+
+class Translator:
+    """Translates equations, in order, into operations of a builder."""
+
+    def __init__(self, build: Builder) -> None:
+        self.build = build
+        self.varying_results = VaryingResults()
+        self._functions: dict[Any, ClosedJaxpr] = {}
+        self._subroutines: dict[Any, Subroutine] = {}
+
+    def run(self, program: ClosedJaxpr, operands: Sequence[Any]) -> list[Any]:
+        """The results of a traced program for the given operands."""
+        jaxpr = program.jaxpr
+        scope: dict[Var, Any] = dict(zip(jaxpr.constvars, map(self.constant, program.consts), strict=True))
+        scope.update(zip(jaxpr.invars, operands, strict=True))
+
+        def read(atom: Any) -> Any:
+            return self.constant(atom.val, type_of(atom).dtype) if isinstance(atom, Literal) else scope[atom]
+
+        for equation in jaxpr.eqns:
+            try:
+                results = self.equation(equation, [read(atom) for atom in equation.invars])
+            except Unsupported as problem:
+                raise problem.at(equation) from None
+            scope.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def constant(self, number: Any, dtype: Any = None) -> Any:
+        """A number, a table or a random key that is known before the lane begins."""
+        if is_key(jax.typeof(number)):
+            random_bits.require_threefry(number.dtype)
+            words = np.asarray(jax.random.key_data(number))
+            if words.shape != (2,):
+                raise Unsupported(f"a constant array of random keys of shape {words.shape}")
+            return Key(*(self.build.constant(word, words.dtype) for word in words))
+        array = np.asarray(number, dtype or np.asarray(number).dtype)
+        return array if array.shape else self.build.constant(array, array.dtype)
+
+    def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of one equation."""
+        name = equation.primitive.name
+        for rules, translated in self.families:
+            if name in rules:
+                rules[name].specification.require(equation)
+                return translated(rules[name], equation, operands)
+        raise Unsupported("no rule for it")
+
+    @property
+    def families(
+        self,
+    ) -> Sequence[tuple[Mapping[str, TranslationRule], Callable[[Any, JaxprEqn, list[Any]], Sequence[Any]]]]:
+        """All rules, by the name of their primitive, and how each kind of rule is applied."""
+        return (
+            (INLINED, self.program),
+            (LOOPS, self.program),
+            (OVER_LANES, self.program),
+            (random_bits.RANDOM_RULES, self.array),
+            (ELEMENT_RULES, self.element),
+            (ELEMENTARY, self.elementary),
+            (ARRAY_RULES, self.array),
+            (indexing.INDEXING_RULES, self.array),
+        )
+
+    def program(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of an equation with inner programs, or over several lanes."""
+        return chosen.translate(self, equation, operands)
+
+    def element(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The result of an operation on each element."""
+        refuse_recordings(operands)
+        dtype = np.dtype(type_of(equation.outvars[0]).dtype)
+
+        def scalar(*scalars: Value) -> Value:
+            return chosen.translate(self.build, scalars, equation.params, dtype)
+
+        return [elementwise(scalar, self.build, operands)]
+
+    def elementary(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The result of an elementary function of each element."""
+        refuse_recordings(operands)
+        types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
+        function = self.function(chosen.translate, types)
+        if not isinstance(chosen, RareRule):
+            return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
+        condition, subroutine = self.function(chosen.is_rare, types), self.subroutine(chosen.rarely, types)
+
+        def usual_or_rare(*scalars: Value) -> Value:
+            usual, rare = self.run(function, scalars)[0], self.run(condition, scalars)[0]
+            return self.build.add("rarely", rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
+
+        return [elementwise(usual_or_rare, self.build, operands)]
+
+    def array(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+        """The results of an operation that moves or combines elements."""
+        refuse_recordings(operands)
+        results = chosen.translate(self.build, operands, equation.params, equation)
+        return results if equation.primitive.multiple_results else [results]
+
+    def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
+        """The trace of an elementary function, whatever the precision of the program."""
+        key = function, *types
+        if key not in self._functions:
+            scalars = [jax.ShapeDtypeStruct((), dtype) for dtype in types]
+            with jax.enable_x64(True):
+                self._functions[key] = jax.make_jaxpr(function)(*scalars)
+        return self._functions[key]
+
+    def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
+        """A function of scalars as a subroutine of the program."""
+        key = function, *types
+        if key not in self._subroutines:
+            inside = Translator(Builder(self.build.fast))
+            inputs = [inside.build.input(position, dtype) for position, dtype in enumerate(types)]
+            outputs = inside.run(self.function(function, types), inputs)
+            name = "_".join((function.__name__, *(str(8 * dtype.itemsize) for dtype in types)))
+            self._subroutines[key] = Subroutine(name, Program(list(types), inside.build.here, outputs))
+        return self._subroutines[key]
+
+
+def components(value: Any, build: Builder) -> list[Value]:
+    """The scalars of a value, in order."""
+    if isinstance(value, Value):
+        return [value]
+    if isinstance(value, Key):
+        return [value.high, value.low]
+    if isinstance(value, Recording):
+        raise Unsupported("a recorded array within a loop")
+    scalars = list(as_tensor(value, build).ravel())
+    if any(isinstance(scalar, Key) for scalar in scalars):
+        raise Unsupported("an array of random keys as the state of a loop")
+    return scalars
+
+
+def refuse_recordings(operands: Sequence[Any]) -> None:
+    """Require operands that a lane can read.
+
+    Raises:
+        Unsupported: One is an array that a loop has recorded.
+    """
+    if any(isinstance(operand, Recording) for operand in operands):
+        raise Unsupported("an array that a loop records, as an operand")
+
+
+def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
+    """Values of the same kinds from their scalars, the inverse of :func:`components`."""
+    remaining, values = list(scalars), []
+    for like in likes:
+        if isinstance(like, Value):
+            values.append(remaining.pop(0))
+        elif isinstance(like, Key):
+            values.append(Key(remaining.pop(0), remaining.pop(0)))
+        else:
+            tensor = np.empty(like.shape, object)
+            tensor.ravel()[:] = remaining[: tensor.size]
+            del remaining[: tensor.size]
+            values.append(tensor)
+    return values
+
+
+def flat(values: Sequence[Any], build: Builder) -> list[Value]:
+    """All scalars of some values."""
+    return [scalar for value in values for scalar in components(value, build)]
+
+
+def is_varying(value: Any) -> bool:
+    """Whether a part of a value differs between lanes."""
+    if isinstance(value, Value):
+        return value.varying
+    if isinstance(value, Key):
+        return value.high.varying or value.low.varying
+    return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
+
+
+def called_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of a call."""
+    inner: Any = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+    return translator.run(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), operands)
+
+
+def expanded_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The results of an operation that JAX, since 0.12, keeps whole in a trace, such as ``searchsorted``."""
+    shapes = [jax.ShapeDtypeStruct(type_of(atom).shape, type_of(atom).dtype) for atom in equation.invars]
+    return translator.run(jax.make_jaxpr(equation.params["_prim"].expand)(*shapes), operands)
+
+
+def largest_over_lanes(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """The maximum over all lanes of truth values, 0 or 1."""
+    build, results = translator.build, []
+    for operand in operands:
+        if not isinstance(operand, Value):
+            raise Unsupported("a maximum over the lanes of arrays")
+        varying = build.add("any", build.add("ne", operand, build.constant(0, operand.dtype)))
+        results.append(build.add("convert", varying, dtype=operand.dtype))
+    return results
+
+
+def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """A loop that ends when no lane goes on; a lane that ended before keeps its state."""
+    params, build = equation.params, translator.build
+    head, body = params["cond_jaxpr"], params["body_jaxpr"]
+    first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+    head_constants, constants, begin = operands[:first], operands[first:second], operands[second:]
+    flags = [is_varying(value) for value in operands]
+    varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
+    enter = translator.run(head, [*head_constants, *begin])[0]
+    scalars = flat(begin, build)
+    differs = [bool(flag) for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
+    guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
+    loop = build.loop(
+        [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
+    )
+    states = loop.states[: len(scalars)]
+    following = translator.run(body, [*constants, *assembled(begin, states)])
+    after = flat(following, build)
+    proceed = translator.run(head, [*head_constants, *following])[0]
+    if lanes_differ:
+        running = loop.states[-1]
+        after = [build.add("select", running, new, old) for new, old in zip(after, states, strict=True)]
+        proceed = build.add("and", running, proceed)
+        after.append(proceed)
+        proceed = build.add("any", proceed)
+    return assembled(begin, build.close(loop, after, proceed)[: len(scalars)])
+
+
+def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """A loop of known length over the rows of some arrays; what it stacks is recorded."""
+    params, build = equation.params, translator.build
+    length, body = params["length"], params["jaxpr"]
+    first, carried = parts_of_scan(equation)
+    second = first + carried
+    constants, begin, rows = operands[:first], operands[first:second], operands[second:]
+    kept = equation.outvars[carried:]
+    if kept and (length == 0 or params["reverse"]):
+        raise Unsupported("a loop that records nothing, or backwards")
+    if length == 0:
+        return begin
+    recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
+    if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
+        raise Unsupported("a loop that records arrays")
+    flags = translator.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
+    scalars, index = flat(begin, build), np.dtype(np.int32)
+    differs = [bool(flag) for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
+    loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
+    turn, *states = loop.states
+    at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
+    slices = [indexing.row(build, table, at) for table in rows]
+    results = translator.run(body, [*constants, *assembled(begin, states), *slices])
+    for recording, value in zip(recordings, results[carried:], strict=True):
+        build.record(recording, turn, *components(value, build))
+    after = build.add("add", turn, build.constant(1, index))
+    proceed = build.add("lt", after, build.constant(length, index))
+    ended = build.close(loop, [after, *flat(results[:carried], build)], proceed)
+    return [*assembled(begin, ended[1:]), *recordings]
+
+
+def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
+    """One of several programs; a lane's own choice."""
+    index, *remaining = operands
+    build, branches = translator.build, equation.params["branches"]
+    condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
+
+    def chosen(number: int) -> list[Any]:
+        if number == len(branches) - 1:
+            return translator.run(branches[number], remaining)
+        if condition is not None:  # a truth value that JAX has made a number
+            taken = build.add("xor", condition, build.constant(True, BOOL))
+        else:
+            taken = build.add("le", index, build.constant(number, index.dtype))
+        kinds: list[list[Any]] = []
+
+        def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
+            def scalars() -> list[Value]:
+                kinds.append(results())
+                return flat(kinds[-1], build)
+
+            return scalars
+
+        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: chosen(number + 1))
+        joined = build.branch(taken, sides)
+        return assembled(kinds[0], joined)
+
+    return chosen(0)
+
+
+def this_axis(axes: Any, equation: JaxprEqn) -> bool:
+    """The axis over the lanes."""
+    return tuple(axes) == (AXIS,)
+
+
+LOOPS = {
+    "while": rule(
+        while_rule, None, cond_jaxpr=anything, body_jaxpr=anything, cond_nconsts=anything, body_nconsts=anything
+    ),
+    "scan": rule(
+        scan_rule, None, jaxpr=anything, length=anything, reverse=anything, unroll=anything, num_consts=anything,
+        num_carry=anything, ft_in=anything, ft_out=anything,
+    ),
+    "cond": rule(cond, None, branches=anything),
+}  # fmt: skip
+"""Rules of loops and branches; their translation is a function of the translator."""
+
+OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index_groups=absent)}
+"""Reductions over the lanes that run together."""
+
+REMATERIALISED = rule(called_program, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
+                      policy=anything)  # fmt: skip
+INLINED = {
+    "jit": rule(
+        called_program, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,
+        in_layouts=anything, out_layouts=anything, donated_invars=anything, ctx_mesh=anything, keep_unused=anything,
+        inline=anything, compiler_options_kvs=absent,
+    ),
+    "closed_call": rule(called_program, None, call_jaxpr=anything),
+    "core_call": rule(called_program, None, call_jaxpr=anything),
+    "call_hi_primitive": rule(expanded_program, None, _prim=anything),
+    "remat": REMATERIALISED,
+    "remat2": REMATERIALISED,
+    "checkpoint": REMATERIALISED,
+    "custom_jvp_call": rule(
+        called_program, None, call_jaxpr=anything, jvp_jaxpr_fun=anything, num_consts=anything, symbolic_zeros=anything
+    ),
+    "custom_vjp_call": rule(
+        called_program, None, call_jaxpr=anything, fwd_jaxpr_thunk=anything, bwd=anything, num_consts=anything,
+        out_trees=anything, symbolic_zeros=anything,
+    ),
+}  # fmt: skip
+"""Calls, whose program takes their place."""

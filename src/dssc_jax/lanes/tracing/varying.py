@@ -1,0 +1,110 @@
+"""Which values of a traced program may differ between lanes, before it is translated.
+
+A loop needs to know it of its state before its body is built. It spreads from the operands of an equation to its
+results, through loops until nothing changes.
+"""
+
+from collections.abc import Iterable, Sequence
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
+
+
+def is_key(aval: Any) -> bool:
+    """Whether values of this type are random keys."""
+    return jnp.issubdtype(aval.dtype, jax.dtypes.prng_key)
+
+
+def parts_of_scan(equation: JaxprEqn) -> tuple[int, int]:
+    """How many operands of a scan are constants, and how many are its state.
+
+    JAX stores these two numbers up to version 0.10; from 0.11 on, it stores the tree of the operands.
+    """
+    params = equation.params
+    if "ft_in" in params:
+        constants, state, _ = params["ft_in"].update(equation.invars).unpack()
+        return len(list(constants)), len(list(state))
+    return params["num_consts"], params["num_carry"]
+
+
+class VaryingResults:
+    """Which results of a program vary if some of its operands do.
+
+    A *mask* is an integer. Bit 0 says that a value varies whatever the operands are; bit i + 1, that it varies if
+    operand i does. Masks join by "or", and a flag is the mask 0 or 1.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[int, tuple[Jaxpr, list[int]]] = {}
+
+    def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
+        """The mask of each result, from that of each operand."""
+        if id(jaxpr) not in self._known:
+            scope: dict[Var, int] = {variable: 2 << i for i, variable in enumerate(jaxpr.invars)}
+
+            def read(atoms: Iterable[Any]) -> list[int]:
+                return [0 if isinstance(atom, Literal) else scope.get(atom, 0) for atom in atoms]
+
+            for equation in jaxpr.eqns:
+                scope.update(zip(equation.outvars, self._equation(equation, read(equation.invars)), strict=True))
+            self._known[id(jaxpr)] = jaxpr, read(jaxpr.outvars)
+        return [varying_mask(mask, operands) for mask in self._known[id(jaxpr)][1]]
+
+    def of_while(
+        self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
+    ) -> tuple[list[int], int]:
+        """The mask of each part of a while loop's state, and that of its condition."""
+        head_constants, constants, state = operands[:first], operands[first:second], list(operands[second:])
+        while True:
+            condition = self.of(head, [*head_constants, *state])[0]
+            after = [old | new | condition for old, new in zip(state, self.of(body, [*constants, *state]), strict=True)]
+            if after == state:
+                return state, condition
+            state = after
+
+    def of_scan(self, body: Jaxpr, operands: Sequence[int], first: int, second: int) -> list[int]:
+        """The mask of each part of a scan's state."""
+        constants, state, rows = operands[:first], list(operands[first:second]), operands[second:]
+        while True:
+            after = [old | new for old, new in zip(state, self.of(body, [*constants, *state, *rows]), strict=False)]
+            if after == state:
+                return state
+            state = after
+
+    def _equation(self, equation: JaxprEqn, operands: list[int]) -> list[int]:
+        """The masks of one equation's results."""
+        name, params = equation.primitive.name, equation.params
+        count = len(equation.outvars)
+        if name.startswith("pmax"):
+            return [0] * count
+        if name == "while":
+            first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+            return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
+        if name == "scan":
+            constants, carried = parts_of_scan(equation)
+            state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + carried)
+            return [*state, *[1] * (count - len(state))]
+        if name == "cond":
+            index, *arguments = operands
+            sides = [self.of(branch.jaxpr, arguments) for branch in params["branches"]]
+            return [reduce(or_, masks, index) for masks in zip(*sides, strict=True)]
+        inner = params.get("jaxpr", params.get("call_jaxpr"))
+        if isinstance(inner, ClosedJaxpr | Jaxpr):
+            jaxpr = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+            if len(jaxpr.invars) == len(operands) and len(jaxpr.outvars) == count:
+                return self.of(jaxpr, operands)
+        return [reduce(or_, operands, 0)] * count
+
+
+def varying_mask(mask: int, operands: Sequence[int]) -> int:
+    """A result's mask in terms of what the operands come from."""
+    joined = mask & 1
+    while mask := mask & ~1:
+        lowest = mask & -mask
+        joined |= operands[lowest.bit_length() - 2]
+        mask ^= lowest
+    return joined

@@ -1,0 +1,131 @@
+"""Curves over one axis of a sweep: failure probability and the headline metric."""
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.plotting.cells import cell_edges
+from dssc_jax.plotting.draws import metric_bounds
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, RED, fit_probability, is_log, label, named, set_scale
+from dssc_jax.plotting.sweep_marks import CERTIFIED, certified_region, mark_study_value
+from dssc_jax.plotting.thinning import envelope, thinned
+from dssc_jax.results.result import Result
+from dssc_jax.statistics.order import upper_quantiles
+
+MOST_MARKED_POINTS = 200
+PROVED = "proved, with lag and sampling"
+
+
+def typical_curve(ax: Axes, result: Result, measure: Measure, axis: str) -> None:
+    """Draw a metric's quantiles along one axis."""
+    x = result.dataset[axis].values
+    low, middle, high = quantiles(result, measure)
+    name = "simulated"
+    if result.study.config.draws > 1:
+        name = "median"
+        fill_band(ax, x, low, high, BLUE, "5 to 95 % of draws")
+    ax.plot(*thinned(x, middle), point_markers(x), color=BLUE, label=name)
+    if len(x) > 1:
+        ax.set_xlim(x.min(), x.max())
+    if not np.isfinite(middle).any():
+        ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")
+    for limit in metric_bounds(result, measure):
+        ax.axhline(limit, color=RED, linestyle="--", label="required")
+    set_scale(ax, middle[np.isfinite(middle)], "y")
+    if result.study.config.plot.slope and len(x) > 1 and is_power(x) and is_power(middle):
+        add_slope(ax, x, middle)
+    ax.set_ylabel(label(result.dataset[measure.name].attrs))
+    finish_curve(ax, result, axis)
+
+
+def fill_band(ax: Axes, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, text: str) -> None:
+    """Fill a band along one axis."""
+    points, lower, upper = envelope(x, low, high)
+    ax.fill_between(points, lower, upper, color=colour, alpha=0.2, linewidth=0.0, label=text)
+
+
+def probability_curve(ax: Axes, result: Result, axis: str) -> None:
+    """Draw the failure probability with its interval along one axis."""
+    x = result.dataset[axis].values
+    failed = result.failed.values
+    interval = result.method.interval(failed)
+    fill_band(ax, x, interval[:, 0], interval[:, 1], RED, f"95 % {result.method.name}")
+    ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
+    ax.set_ylabel("failure probability")
+    fit_probability(ax, float(interval.max()))
+    finish_curve(ax, result, axis)
+
+
+def point_markers(x: np.ndarray) -> str:
+    """The style of a curve: a dot at each point if they can be distinguished."""
+    return "o-" if len(x) <= MOST_MARKED_POINTS else "-"
+
+
+def finish_curve(ax: Axes, result: Result, axis: str) -> None:
+    """Add what all curves show: certified and proved stretches, the study's own value, scale and labels of the axis."""
+    x = result.dataset[axis].values
+    set_scale(ax, x)
+    certified = certified_region(result)
+    if certified is not None:
+        mark_certified(ax, x, certified.values)
+    if "proved" in result.dataset:
+        mark_proved(ax, x, result.dataset["proved"].values)
+    mark_study_value(ax, result, axis, "x")
+    ax.set_xlabel(named(axis, result.dataset[axis].attrs))
+    ax.legend(frameon=False)
+
+
+def stretches(inside: np.ndarray) -> list[tuple[int, int]]:
+    """First index, and index after the last, of every stretch of true values; shape (n,).
+
+    Example:
+        >>> stretches(np.array([True, True, False, True]))
+        [(0, 2), (3, 4)]
+    """
+    changes = np.flatnonzero(np.diff(inside, prepend=False, append=False))
+    return [(int(begin), int(end)) for begin, end in changes.reshape(-1, 2)]
+
+
+def mark_certified(ax: Axes, x: np.ndarray, certified: np.ndarray) -> None:
+    """Hatch the certified stretches, and show the axis to the edges of its first and last cell."""
+    edges = cell_edges(x, is_log(x))
+    text: str | None = CERTIFIED  # of the first stretch only
+    for begin, end in stretches(certified):
+        low = float(edges[begin])
+        high = float(edges[end])
+        ax.axvspan(low, high, fc="none", ec=GREEN, hatch="//", linewidth=0.0, label=text)
+        text = None
+    ax.set_xlim(edges[0], edges[-1])
+
+
+def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
+    """Mark the proved stretches by a bar along the axis."""
+    edges = cell_edges(x, is_log(x))
+    along_axis = ax.get_xaxis_transform()
+    text: str | None = PROVED  # of the first stretch only
+    for begin, end in stretches(proved):
+        ends = edges[[begin, end]]
+        ax.plot(ends, [0.0, 0.0], transform=along_axis, color=GREEN, linewidth=7.0, label=text, zorder=0)
+        text = None
+
+
+def quantiles(result: Result, measure: Measure) -> np.ndarray:
+    """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
+    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+
+
+def is_power(values: np.ndarray) -> bool:
+    """Whether the values have logarithms."""
+    return bool(np.isfinite(values).all() and (values > 0).all())
+
+
+def fitted_slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Fit slope and intercept of log y against log x by least squares."""
+    slope, intercept = np.polyfit(np.log(x), np.log(y), 1)
+    return float(slope), float(intercept)
+
+
+def add_slope(ax: Axes, x: np.ndarray, y: np.ndarray) -> None:
+    """Draw the fitted power law."""
+    slope, intercept = fitted_slope(x, y)
+    ax.plot(x, np.exp(intercept) * x**slope, color=GREY, linestyle="--", label=f"fitted slope {slope:.2f}")

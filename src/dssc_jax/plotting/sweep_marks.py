@@ -1,0 +1,57 @@
+"""Marks that curves and maps of a sweep share: the certified region, and the study's own value."""
+
+import xarray as xr
+from matplotlib.axes import Axes
+
+from dssc_jax.plotting.cells import OUTLINE
+from dssc_jax.plotting.style import GREY, Direction
+from dssc_jax.results.result import Result
+
+CERTIFIED = "Theorem 1: without lag and sampling"
+STUDY_VALUE = "the study's own value"
+
+
+def free_axes(result: Result) -> list[str]:
+    """The swept parameters that are still dimensions of the dataset."""
+    return [name for name in result.study.axes if name in result.dataset.dims]
+
+
+def certified_region(result: Result) -> xr.DataArray | None:
+    """Where Theorem 1 certifies the loop, over the axes still free; None if it certifies no point."""
+    dataset = result.with_theorem().dataset
+    if "certified" not in dataset or not dataset["certified"].any():
+        return None
+    return dataset["certified"].astype(bool)
+
+
+def study_value(result: Result, name: str) -> float | None:
+    """The study's own value of a swept number; None if it is a law."""
+    value = result.study.leaves().get(name)
+    return value if isinstance(value, float) else None
+
+
+def reaches_study_value(result: Result, name: str) -> bool:
+    """Whether an axis includes the study's own value of its number."""
+    value = study_value(result, name)
+    axis = result.study.axes[name]
+    return value is not None and min(axis) <= value <= max(axis)
+
+
+def mark_study_value(ax: Axes, result: Result, name: str, direction: Direction, on_map: bool = False) -> None:
+    """Draw a dotted line at the study's own value of a swept number, if the axis reaches it.
+
+    Args:
+        ax: Axes to draw into.
+        result: A sweep.
+        name: The swept number.
+        direction: The axis along which the number grows.
+        on_map: Draw it white with a dark rim and without a legend entry, rather than grey with one.
+    """
+    value = study_value(result, name)
+    if value is None or not reaches_study_value(result, name):
+        return
+    draw = ax.axvline if direction == "x" else ax.axhline
+    if on_map:
+        draw(value, color="white", linestyle=":", linewidth=2.0, path_effects=OUTLINE)
+    else:
+        draw(value, color=GREY, linestyle=":", linewidth=2.0, label=STUDY_VALUE)
