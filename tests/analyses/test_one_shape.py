@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 import dssc_jax as dj
 from dssc_jax.analyses.loading import KINDS, class_of
 from dssc_jax.cli.main import guarded
+from dssc_jax.console.answers import show_analysis
 from dssc_jax.flight_logs.reader import Column
 from dssc_jax.results.fields import field_meanings
 from dssc_jax.results.manifest import write_json, write_sealed
@@ -216,3 +217,10 @@ def test_parts_come_back_too(study, tmp_path):
     contest = RUN["margins"](study)
     contest.save(tmp_path / "m")
     assert dj.load(tmp_path / "m").margins == contest.margins
+
+
+def test_it_can_be_printed_without_an_output_of_its_own(analysis, capsys):
+    show_analysis(analysis, [])
+    shown = capsys.readouterr().out
+    assert analysis.title in shown
+    assert analysis.headline[:20] in shown

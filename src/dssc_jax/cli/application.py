@@ -1,4 +1,4 @@
-"""The application: one row for each command, whose options are declared in :mod:`dssc_jax.cli.declarations`.
+"""The application: its commands, whose options are declared in :mod:`dssc_jax.cli.declarations`.
 
 The command NAME is the function ``run`` of ``dssc_jax.cli.commands.NAME``, which is imported when the command runs:
 so help is fast, and a command loads only what it needs.
@@ -6,6 +6,7 @@ so help is fast, and a command loads only what it needs.
 
 import importlib
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import MISSING, Field, fields
 from importlib.metadata import version
@@ -28,34 +29,21 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.console.terminal import errors
 from dssc_jax.core.errors import ConfigError
 
-COMMANDS: dict[str, type] = {
-    "run": simulation.Run,
-    "sweep": simulation.Sweep,
-    "simulate": simulation.Simulate,
-    "replay": simulation.Replay,
-    "explore": simulation.Explore,
-    "margin": robustness.Margin,
-    "theory": robustness.Theory,
-    "compare": robustness.Compare,
-    "loop": robustness.Loop,
-    "region": robustness.Region,
-    "tune": searches.Tune,
-    "falsify": searches.Falsify,
-    "plan": statistics.Plan,
-    "sensitivity": statistics.Sensitivity,
-    "rare": statistics.Rare,
-    "verify": results.Verify,
-    "export": results.Export,
-    "report": results.Report,
-    "check": designs.Check,
-    "design": designs.Design,
-    "prove": designs.Prove,
-    "airframe": flight.Airframe,
-    "code": flight.Code,
-    "compare-log": flight.CompareLog,
-    "studies": overview.Studies,
-    "info": overview.Info,
-}
+DECLARATIONS = (simulation, robustness, searches, statistics, results, designs, flight, overview)
+"""The modules that declare the commands' options, in the order of the help."""
+
+
+def declared_commands() -> dict[str, type]:
+    """The options of each command by its name: ``compare-log`` is declared by the dataclass ``CompareLog``."""
+    commands = {}
+    for module in DECLARATIONS:
+        for name, declared in vars(module).items():
+            if isinstance(declared, type) and declared.__module__ == module.__name__:
+                commands[re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()] = declared
+    return commands
+
+
+COMMANDS = declared_commands()
 """The options of each command, in the order of the help."""
 
 EXTRAS = {"clarabel": "proofs", "flint": "proofs", "panel": "explore", "bokeh": "explore"}
