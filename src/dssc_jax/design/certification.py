@@ -269,7 +269,7 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
             raise NotCovered("the zero dynamics are uncertain, or swept")
         return PlantBounds(low.k_p, high.k_p, ends.largest("a_p"), low.zero_dynamics)
     if model not in (STATE_SPACE, RATIONAL_PLANT):
-        raise NotCovered("the plant is not of the class (5)-(8)")
+        raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     if model is STATE_SPACE and low.disturbance not in (None, low.b):
         raise NotCovered("the disturbance has an input column of its own, and (7) takes it where the command acts")
     if is_certain(low, high):

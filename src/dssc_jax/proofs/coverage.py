@@ -55,7 +55,7 @@ def problem_of(study: Study) -> ProofProblem:
         if not all(abs(end) < float("inf") for end in law.support):
             raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
     if loop.plant is not NORMAL_FORM:
-        raise NotCovered("the plant is not of the class (5)-(8)")
+        raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     low, high = ends
     zero = low.plant.zero_dynamics
     if zero is not None and (any(isinstance(row, Law) for row in zero) or zero != high.plant.zero_dynamics):
