@@ -1,19 +1,31 @@
 """Figure of the region of two numbers in which enough of all plants meet the requirements."""
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+import xarray as xr
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, named, set_log, styled, title
-
-if TYPE_CHECKING:
-    from dssc_jax.analyses.region.safe_region import SafeRegion
+from dssc_jax.study import Study
 
 COLOURS_OF_VERDICTS = {0: ("at least 95 % pass", GREEN), 1: ("undecided", GREY), 2: ("fewer pass", RED)}
 ENCLOSED = "enclosed by pairs that pass, no claim"
+
+
+class PlottedRegion(Protocol):
+    """What the figure takes from :class:`dssc_jax.SafeRegion`."""
+
+    study: Study
+    dataset: xr.Dataset
+    log: tuple[bool, bool]
+
+    def summary(self) -> JsonObject:
+        """The answer in plain numbers."""
+        ...
 
 
 def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
@@ -39,7 +51,7 @@ def enclosed_cells(verdict: np.ndarray) -> np.ndarray:
 
 
 @styled
-def region(safe: "SafeRegion") -> Figure:
+def region(safe: PlottedRegion) -> Figure:
     """Plot the verdict of every simulated pair, what lies between those that pass, and what Theorem 1 certifies.
 
     Args:
@@ -66,12 +78,11 @@ def region(safe: "SafeRegion") -> Figure:
         ax.scatter(x[pairs], y[pairs], s=13, color=colour, label=f"{text}: {np.count_nonzero(pairs)} pairs")
     first, second = summary["names"]
     ax.set(xlabel=named(first, data["first"].attrs), ylabel=named(second, data["second"].attrs))
-    row, column = safe.table
-    log_row, log_column = safe.log
-    if log_row:
-        set_log(ax, data[row].values, "x")
-    if log_column:
-        set_log(ax, data[column].values, "y")
+    log_first, log_second = safe.log
+    if log_first:
+        set_log(ax, data["first"].values, "x")
+    if log_second:
+        set_log(ax, data["second"].values, "y")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     config = safe.study.config
     level = f"{100 * summary['confidence']:g} % confidence for all pairs together, {summary['draws']} draws"
