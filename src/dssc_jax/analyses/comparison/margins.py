@@ -5,7 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Self
 
 from matplotlib.figure import Figure
@@ -81,16 +80,14 @@ class MarginContest(Analysis):
         dataset = join_margins(margins, "controller", "controller")
         return cls(study, dataset, margin_parts(margins), tables, seconds)
 
-    @classmethod
-    def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
-        """See :class:`Analysis`; the stored controllers may name no code that the stored study does not name."""
-        contest = super().load(folder, trust_code)
-        require_named(contest.study, contest.tables)
-        return contest
-
     @cached_property
     def margins(self) -> dict[str, Margins]:
-        """The margins by controller."""
+        """The margins by controller.
+
+        Raises:
+            ConfigError: A stored controller names code that the stored study does not; such a file was altered.
+        """
+        require_named(self.study, self.tables)
         return part_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
