@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Self
 
 from matplotlib.figure import Figure
@@ -19,7 +20,9 @@ from dssc_jax.analyses.margins.result import PARAMETER_UNIT
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.analysis_folder import read_description
 from dssc_jax.statistics import CONFIDENCE, compare_failures
 from dssc_jax.study import Described, Study
 from dssc_jax.study.code import code_names
@@ -78,16 +81,20 @@ class MarginContest(Analysis):
     def of(cls, study: Study, margins: dict[str, Margins], tables: dict[str, ControllerTable], seconds: float) -> Self:
         """Combine the margins of the controllers."""
         dataset = join_margins(margins, "controller", "controller")
-        return cls(study, dataset, margin_parts(margins), tables, seconds)
+        contest = cls(study, dataset, margin_parts(margins), tables, seconds)
+        contest.margins = margins
+        return contest
+
+    @classmethod
+    def load(cls, folder: str | Path, trust_code: bool = False) -> Self:
+        """See :class:`Analysis`; the stored controllers may name no code that the stored study does not name."""
+        description = read_description(Path(folder), cls.kind)
+        require_named(description["source"], description["study"], description["settings"].get("tables"))
+        return super().load(folder, trust_code)
 
     @cached_property
     def margins(self) -> dict[str, Margins]:
-        """The margins by controller.
-
-        Raises:
-            ConfigError: A stored controller names code that the stored study does not; such a file was altered.
-        """
-        require_named(self.study, self.tables)
+        """The margins by controller."""
         return part_margins(self.dataset, "controller", self.parts, self.study_of)
 
     def study_of(self, controller: str) -> Study:
@@ -141,17 +148,15 @@ class MarginContest(Analysis):
         )
 
 
-def require_named(study: Study, tables: dict[str, ControllerTable]) -> None:
-    """Require that stored controllers refer to no code that the stored study does not name.
+def require_named(source: str, study: TomlTable, tables: object) -> None:
+    """Require that stored controllers refer to no code that the stored study does not name, before any is imported.
 
     Raises:
         ConfigError: one does; such a file was altered.
     """
-    foreign = set(code_names(tables)) - set(code_names(study.table))
+    foreign = set(code_names({"tables": tables})) - set(code_names(study))
     if foreign:
-        raise ConfigError(
-            study.source, f"is damaged: its controllers name code that its study does not, {min(foreign)}"
-        )
+        raise ConfigError(source, f"is damaged: its controllers name code that its study does not, {min(foreign)}")
 
 
 def compare_margins(
