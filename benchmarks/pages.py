@@ -31,8 +31,8 @@ may replace a number unless *admissible* excludes it.
 COMMANDS = """# Commands
 
 Every command and option, generated from the command line (`make pages`). `dssc-jax COMMAND --help` prints one of them.
-Exit codes: 0 success; 1 a check, verification, tuning or falsification fails, or a stopping rule rejects;
-2 bad input; 130 interrupted.
+Exit codes: 0 success; 1 a check, proof, verification or replay fails, a tuning misses a limit, `falsify` finds a draw
+that fails, a log does not support a fit, or a stopping rule is not met; 2 bad input; 129, 130 or 143 ended by a signal.
 """
 
 

@@ -293,9 +293,9 @@ def best_lines(controllers: dict[str, list[Trade]]) -> list[str]:
 
 GUIDE = """\
 `dssc-jax tune STUDY` tunes the numbers in `[tune.parameters]`, each within its interval. It minimises an aggregate of
-the draws' costs: their mean, the mean of the worst share (`cvar`), or a soft worst case. Limits bound the mean of a
-metric; `"start"` sets the limit to the value of the initial gains on the same draws. Requirements are limits too. The
-search uses training draws, selects on validation draws, and is judged on the study's own draws, which were not used
+the draws' costs: their mean, the mean of a worst share of the draws (`cvar`), or a smooth approximation of the largest
+cost. Limits bound the mean of a metric; `"start"` sets the limit to the value of the initial gains on the same draws.
+Requirements are limits too. The search uses training draws, selects on validation draws, and is judged on the study's own draws, which were not used
 for tuning. With `certified = true` the free parameters of Table 1 are varied instead, and every point is a certified
 design that passes the strict check.
 

@@ -225,7 +225,8 @@ Millions of lane-steps per second:
 
 ![rates](figures/{RATES})
 
-The rate of dssc_jax divided by those of the other programs, in one run:
+Medians of the ratios of the rounds. They differ from the quotients of the medians above where the machine's speed
+changed between rounds:
 
 {ratios_table(found.contests)}
 

@@ -45,7 +45,7 @@ class Progress(NamedTuple):
         outcome: The outcome so far.
         steps: Samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last, with errors small enough to settle; empty for a loop
-            without :class:`~dssc_jax.closed_loop.sample.Settled`.
+            without :class:`~dssc_jax.closed_loop.loop.Settled`.
     """
 
     k: Scalar

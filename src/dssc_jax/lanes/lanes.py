@@ -80,7 +80,7 @@ class CompiledLanes:
         return lambda: finish()[0]
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
-        """As :meth:`start`; the function also tells when the lanes ended, see :meth:`.machine.LoadedCode.start`."""
+        """As :meth:`start`; the function also tells when the lanes ended, by :func:`time.perf_counter`."""
         width, inputs, outputs, results, _ = self.signature
         lanes = -(-count // width) * width
         padded = [

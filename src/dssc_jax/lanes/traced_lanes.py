@@ -48,7 +48,7 @@ MANY_XORS = 100
 
 
 class TracedLanes:
-    """The program of a lane as text for LLVM; arguments as of :class:`CompiledLanes`.
+    """The program of a lane as text for LLVM; arguments as of :class:`dssc_jax.lanes.lanes.CompiledLanes`.
 
     Raises:
         Unsupported: An operation has no translation.

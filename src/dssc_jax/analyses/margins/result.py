@@ -50,7 +50,7 @@ class MarginAnswer:
     log: Annotated[bool, Quantity("", "whether the walk is even in the logarithm")]
     criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     critical: Annotated[np.ndarray, Quantity(PARAMETER_UNIT, "critical value of each draw; None if censored")]
-    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None before the start")]
+    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None if it lies before the start")]
     lower_tolerance: Annotated[
         float | None, Quantity(PARAMETER_UNIT, "value up to which the share `content` of all draws passes (Wilks)")
     ]

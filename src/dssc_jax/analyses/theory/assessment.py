@@ -47,7 +47,7 @@ class MarginStatistics:
     """Statistics of the critical values by one method."""
 
     criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
-    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None before the start")]
+    median: Annotated[float | None, Quantity(PARAMETER_UNIT, "median critical value; None if it lies before the start")]
     lower_tolerance: Annotated[float | None, Quantity(PARAMETER_UNIT, "value up to which the share `content` passes")]
     content: Annotated[float, Quantity("1", "share of draws of the tolerance limit")]
     confidence: Annotated[float, Quantity("1", "confidence of the tolerance limit")]

@@ -39,7 +39,10 @@ class Run(OutputOptions, RunOptions, DrawsOptions):
     accept: Annotated[
         float | None, typer.Option("--accept", metavar="P0", help="Draw until a probability <= P0 is shown, or ...")
     ] = None
-    reject: Annotated[float | None, typer.Option("--reject", metavar="P1", help="... one >= P1; exit 1 then.")] = None
+    reject: Annotated[
+        float | None,
+        typer.Option("--reject", metavar="P1", help="... or until a probability >= P1 is shown; then exit 1."),
+    ] = None
     max_draws: Annotated[
         int | None, typer.Option("--max-draws", metavar="N", help="Stop undecided at so many draws [100000].")
     ] = None
@@ -54,9 +57,9 @@ class Sweep(OutputOptions, RunOptions, DrawsOptions):
     With --prove, figures tell four things apart: points that are proved, that survive every draw, that fail in some
     draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
-    All points see the same draws. A swept value takes the place of the law of that parameter. The same study into the
-    same folder again: a complete result is shown, --fresh computes it again; an incomplete one starts over, unless
-    --resume is given. Another study's folder is never touched.
+    All points see the same draws. A swept value takes the place of the law of that parameter. If the folder already
+    holds this study's complete result, it is shown; --fresh computes it again. If it is incomplete, the run starts over,
+    unless --resume is given. Another study's folder is never touched.
     """
 
     over: Annotated[
