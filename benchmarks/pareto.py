@@ -295,9 +295,9 @@ GUIDE = """\
 `dssc-jax tune STUDY` tunes the numbers in `[tune.parameters]`, each within its interval. It minimises an aggregate of
 the draws' costs: their mean, the mean of a worst share of the draws (`cvar`), or a smooth approximation of the largest
 cost. Limits bound the mean of a metric; `"start"` sets the limit to the value of the initial gains on the same draws.
-Requirements are limits too. The search uses training draws, selects on validation draws, and is judged on the study's own draws, which were not used
-for tuning. With `certified = true` the free parameters of Table 1 are varied instead, and every point is a certified
-design that passes the strict check.
+Requirements are limits too. The search uses training draws, selects on validation draws, and is judged on the study's
+own draws, which were not used for tuning. With `certified = true` the free parameters of Table 1 are varied instead,
+and every point is a certified design that passes the strict check.
 
 `optimiser` selects the search. The descents of optax (default: `adam`) run under an augmented Lagrangian, with
 mini-batches of `batch` draws and an optional learning-rate schedule. `sqp` needs far fewer steps, but each step uses

@@ -58,8 +58,8 @@ class Sweep(OutputOptions, RunOptions, DrawsOptions):
     draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
 
     All points see the same draws. A swept value takes the place of the law of that parameter. If the folder already
-    holds this study's complete result, it is shown; --fresh computes it again. If it is incomplete, the run starts over,
-    unless --resume is given. Another study's folder is never touched.
+    holds this study's complete result, it is shown; --fresh computes it again. If it is incomplete, the run starts
+    over, unless --resume is given. Another study's folder is never touched.
     """
 
     over: Annotated[
