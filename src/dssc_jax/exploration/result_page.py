@@ -118,7 +118,7 @@ class ResultPage(Page):
         """Simulate the draw in a row of the table of draws again, and show its flight."""
         if isinstance(self.result.study, Described):
             self.say(
-                "the study's own code is not loaded; trust the code when the result is opened to simulate its draws"
+                "the study's own code is not loaded; trust the code to simulate its draws"
             )
             return
         self.say(f"simulating draw {self.table.draw[row]} ...")
