@@ -58,7 +58,7 @@ def test_a_result_from_others_is_brushed_but_not_run(tmp_path, monkeypatch):
     page = ResultPage(dj.load(tmp_path / "result"))
     assert page.brushing.statement().startswith("all 144 draws")
     page.replay(0)
-    assert "--trust-code" in page.status.object
+    assert "trust the code" in page.status.object
     assert page.flight is None
 
 

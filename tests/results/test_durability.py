@@ -95,7 +95,7 @@ def test_a_full_disk_is_told_and_gone_on_from(study, whole, tmp_path):
     assert process.returncode == 0
     assert done[-1] == "72"
     assert said.endswith(
-        "full: cannot be written: File too large; finished blocks are kept, --resume continues from them"
+        "full: cannot be written: File too large; finished blocks are kept, `resume` continues from them"
     )
     told = []
     same(dj.run(study, tmp_path / "full", resume=True, progress=lambda done, _: told.append(done)), whole)
@@ -118,7 +118,7 @@ def test_more_draws_keep_what_exists(study, tmp_path, block):
         assert block != 1000
     with pytest.raises(ConfigError, match="out: is needed to resume"):
         dj.run(more, resume=True)
-    with pytest.raises(ConfigError, match="holds 24 draws of this study; add 35 with --resume"):
+    with pytest.raises(ConfigError, match="holds 24 draws of this study; add 35 with `resume`"):
         dj.run(more, folder)
     told = []
     grown = dj.run(more, folder, resume=True, progress=lambda done, _: told.append(done))
@@ -192,7 +192,7 @@ def test_resume_mends_a_chunk(study, whole, copied, name, harm):
     else:
         content[len(content) // 2] ^= 1
         chunk.write_bytes(content if harm == "flipped" else content[:-3])
-    with pytest.raises(ConfigError, match=r"--resume"):
+    with pytest.raises(ConfigError, match=r"`resume`"):
         dj.load(copied)
     same(dj.run(study, copied, resume=True), whole)
 
@@ -200,7 +200,7 @@ def test_resume_mends_a_chunk(study, whole, copied, name, harm):
 def test_metadata_that_is_lost_is_not_guessed(study, copied):
     (copied / "data.zarr" / "error_rms" / "zarr.json").write_text("{")
     before = sorted(file.stat().st_mtime_ns for file in copied.rglob("c/*"))
-    with pytest.raises(ConfigError, match=r"is damaged: .*; start over without --resume"):
+    with pytest.raises(ConfigError, match=r"is damaged: .*; start over without `resume`"):
         dj.run(study, copied, resume=True)
     assert sorted(file.stat().st_mtime_ns for file in copied.rglob("c/*")) == before
 

@@ -96,7 +96,7 @@ def test_what_is_missing_is_told(result, tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match="needed for a result that has no folder"):
         dj.export(dj.Result(result.study, result.dataset), "csv")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ConfigError, match=r"--to parquet: needs pyarrow: pip install 'dssc_jax\[export\]'"):
+    with pytest.raises(ConfigError, match=r"to: parquet needs pyarrow: pip install 'dssc_jax\[export\]'"):
         dj.export(result, "parquet", tmp_path / "a.parquet")
     assert list(tmp_path.iterdir()) == []
 

@@ -92,7 +92,7 @@ def test_resume_after_interruption_is_identical(study, stored, tmp_path):
     folder = tmp_path / "interrupted"
     with pytest.raises(KeyboardInterrupt):
         dj.run(study, folder, block=24, progress=stop)
-    with pytest.raises(ConfigError, match=r"is not complete: .* finish with --resume"):
+    with pytest.raises(ConfigError, match=r"is not complete: .* finish with `resume`"):
         dj.load(folder)
     told = []
     resumed = dj.run(study, folder, resume=True, progress=lambda done, total: told.append(done))
@@ -288,7 +288,7 @@ def test_a_folder_of_another_schema_is_refused_and_left_alone(study, stored, ver
     resealed(stored.path, schema=version)
     before = {file: file.read_bytes() for file in stored.path.rglob("*") if file.is_file()}
     rule = f"has schema version {version}, this program reads 3" if version else "it has no schema version"
-    message = rf"manifest\.json: .*{rule}; use the dssc_jax that wrote it, or run its study again into another --out"
+    message = rf"manifest\.json: .*{rule}; use the dssc_jax that wrote it, or run its study again into another `out`"
     for attempt in (
         lambda: dj.load(stored.path),
         lambda: dj.run(study, stored.path),

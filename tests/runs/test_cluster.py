@@ -46,7 +46,7 @@ def test_a_worker_is_killed(study, tmp_path):
 
 @pytest.mark.parametrize("address", ["local:0", "local:x", "local:-1", "localhost", "local:"])
 def test_addresses(study, tmp_path, address):
-    with pytest.raises(ConfigError, match=r"--cluster: must be tcp://HOST:PORT or local:N"):
+    with pytest.raises(ConfigError, match=r"cluster: must be tcp://HOST:PORT or local:N"):
         dj.run(study, tmp_path / "r", cluster=address)
     assert not (tmp_path / "r").exists()
 

@@ -10,8 +10,8 @@ import zarr
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.compiled_lanes import LaneBatch
 from dssc_jax.engine.reference import TOLERANCE, deviations
-from dssc_jax.lanes.lanes import LaneBatch
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested
 from tests.results.test_durability import SMALL

@@ -134,7 +134,7 @@ BAD = {
     "metrics after the end": ({"metrics.after": 90.0}, "metrics.after: must be <= the time of the last sample"),
     "number of a part that has none": (
         {"unmodelled": {"kind": "none"}, "sweep.unmodelled.mu": [0.1]},
-        "the study's unmodelled is of the kind 'none', which has no numbers; for 'lag' add --set unmodelled.kind=lag",
+        "the study's unmodelled is of the kind 'none', which has no numbers; for 'lag' set unmodelled.kind = 'lag'",
     ),
     "one requirement as a table": (
         {"requirement": {"metric": "error_rms", "max": 1.0}},

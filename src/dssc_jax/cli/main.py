@@ -3,6 +3,7 @@
 import atexit
 import gc
 import os
+import re
 import shlex
 import signal
 import sys
@@ -85,6 +86,18 @@ def continuation(arguments: list[str]) -> str:
     return f"; finished blocks are kept, continue with: {shlex.join(['dssc-jax', *resumed])}"
 
 
+def with_options(text: str, arguments: list[str]) -> str:
+    """A message in which each `argument` that is an option of the command has the option's form, --argument."""
+    options = COMMANDS.get(arguments[0] if arguments else "")
+    names = {field.name for field in fields(options)} if options else set()
+
+    def option(match: re.Match[str]) -> str:
+        name = match[1]
+        return f"--{name.replace('_', '-')}" if name in names else match[0]
+
+    return re.sub(r"`(\w+)`", option, text)
+
+
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn an exception that ends it into an exit code."""
     try:
@@ -92,7 +105,7 @@ def guarded(arguments: list[str]) -> int:
     except SystemExit as ending:
         code = ending.code
     except ConfigError as error:
-        say(f"error: {error}")
+        say(f"error: {with_options(str(error), arguments)}")
         return BAD_INPUT
     except MemoryError:
         say("error: not enough memory for so many draws, points or samples")

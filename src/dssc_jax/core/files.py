@@ -321,7 +321,7 @@ class HeldFolder:
         if location:
             return (
                 f"was moved to '{location}' while it was written; it is not complete: "
-                "finished blocks are there, continue with --out and --resume"
+                "finished blocks are there, continue with `out` and `resume`"
             )
         return "was moved or deleted while it was written; it is not complete: run again"
 

@@ -117,7 +117,7 @@ class ResultPage(Page):
     def replay(self, row: int) -> None:
         """Simulate the draw in a row of the table of draws again, and show its flight."""
         if isinstance(self.result.study, Described):
-            self.say("the study's own code is not loaded; open the result with --trust-code to simulate its draws")
+            self.say("the study's own code is not loaded; trust the code to simulate its draws")
             return
         self.say(f"simulating draw {self.table.draw[row]} ...")
         self.work(partial(self._simulate, row))

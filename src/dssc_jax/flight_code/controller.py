@@ -102,11 +102,15 @@ class FlightCode:
 def sampled_controllers(study: Study) -> list[SampledController]:
     """The controllers of a study, one for each channel; refused if an operation has no exact form in C."""
     with arithmetic(study.config.loop.precision):
-        return [sampled_controller(study, index) for index in range(len(study.loop.channels))]
+        return [trace_controller(study, index) for index in range(len(study.loop.channels))]
 
 
-def sampled_controller(study: Study, index: int) -> SampledController:
-    """The controller of a channel by its position."""
+def trace_controller(study: Study, index: int) -> SampledController:
+    """Trace the start, the step and, if it has one, the transfer of a channel's controller.
+
+    Raises:
+        ConfigError: A part has no exact form in C.
+    """
     loop = study.loop
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]

@@ -156,7 +156,7 @@ class LogComparison(Analysis):
 
     @property
     def answer(self) -> LogAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         statistics = self.dataset["statistic"].values
         of_draws = statistics[:-1]
         draws = len(of_draws)

@@ -38,8 +38,8 @@ def compile(function: Callable[..., Any], *example: Any, strict: bool = False) -
         ...     return jax.lax.fori_loop(0, 100, lambda year, x: rate * x * (1.0 - x), start)
         >>> import jax
         >>> batch = lanes.compile(population, 1.0, 1.0)
-        >>> batch(np.array([0.5, 2.0]), np.array([0.3, 0.3])).round(3)
-        array([0. , 0.5], dtype=float32)
+        >>> batch(np.array([0.5, 2.0]), np.array([0.3, 0.3])).round(3).tolist()
+        [0.0, 0.5]
     """
     types = tuple(jax.tree.map(scalar_type, argument) for argument in example)
     structure = jax.tree.structure(types)

@@ -238,7 +238,7 @@ class Builder:
         return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
 
     def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
-        """Enter a loop; :meth:`close` leaves it."""
+        """Enter a loop; :meth:`end_loop` leaves it."""
         loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(begin))
         for position, (value, varies) in enumerate(zip(begin, varying, strict=True)):
             state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
@@ -246,8 +246,14 @@ class Builder:
         self.here = loop.body
         return loop
 
-    def close(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
-        """Leave a loop and return its results."""
+    def end_loop(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
+        """End a loop and return its state after it.
+
+        Args:
+            loop: The loop that was entered.
+            following: Its state after a turn.
+            proceed: The condition for another turn.
+        """
         loop.following, loop.proceed = list(following), proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)

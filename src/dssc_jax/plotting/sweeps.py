@@ -136,7 +136,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     result = held_to_two(result)
     axes = free_axes(result)
     if len(axes) != 2 or "proved" not in result.dataset:
-        raise ValueError("needs a sweep over two axes with proofs: dssc-jax sweep --prove")
+        raise ValueError("needs a sweep over two axes with proofs: prove it first")
     figure, ax = panel(ax, MAP_PANEL)
     down, across = axes
     share = result.failed.transpose(down, across, "draw").values.mean(-1)

@@ -52,7 +52,7 @@ def require_free(folder: Path, kind: str, study: Study) -> None:
     if not path.exists():
         raise ConfigError(str(folder), f"holds something other than a {kind} analysis; nothing was written")
     if read_description(folder, kind)["hash"] != study.hash:
-        rule = f"holds the {kind} analysis of another study; choose another --out, nothing was written"
+        rule = f"holds the {kind} analysis of another study; choose another `out`, nothing was written"
         raise ConfigError(str(folder), rule)
 
 

@@ -26,7 +26,7 @@ from dssc_jax.results.schema import (
 )
 from dssc_jax.study import Study
 
-MEND = "--resume recomputes corrupted blocks"
+MEND = "`resume` recomputes corrupted blocks"
 EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
@@ -200,7 +200,7 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
         checked_arrays(folder, study, layout, growing=True)
     except ConfigError as error:
         if any((folder / DATA / "outcome" / "c").rglob("*")):
-            raise ConfigError(error.where, f"{error.rule}; start over without --resume") from None
+            raise ConfigError(error.where, f"{error.rule}; start over without `resume`") from None
         return False
     return True
 

@@ -41,7 +41,7 @@ def writing(folder: Path, held: HeldFolder | None = None) -> Iterator[None]:
             held.require_in_place()
         reason = error.strerror or one_line(error)
         raise ConfigError(
-            str(folder), f"cannot be written: {reason}; finished blocks are kept, --resume continues from them"
+            str(folder), f"cannot be written: {reason}; finished blocks are kept, `resume` continues from them"
         ) from error
 
 
@@ -205,4 +205,4 @@ def uncovered(block: Block, pieces: list[Piece]) -> Block:
 
 def incomplete(folder: Path, missing: int, total: int) -> ConfigError:
     """The error for a run that did not finish."""
-    return ConfigError(str(folder), f"is not complete: {missing} of {total} lanes are missing; finish with --resume")
+    return ConfigError(str(folder), f"is not complete: {missing} of {total} lanes are missing; finish with `resume`")

@@ -106,7 +106,7 @@ def require(package: str, form: Format) -> None:
     try:
         importlib.import_module(package)
     except ImportError:
-        raise ConfigError(f"--to {form}", f"needs {package}: pip install 'dssc_jax[export]'") from None
+        raise ConfigError("to", f"{form} needs {package}: pip install 'dssc_jax[export]'") from None
 
 
 def into_place(path: Path, write: Callable[[IO[bytes]], object]) -> Path:

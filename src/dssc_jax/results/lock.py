@@ -31,7 +31,7 @@ def take(folder: Path) -> FileLock:
         lock.acquire(timeout=0)
     except Timeout:
         raise ConfigError(
-            str(folder), f"is being written by {holder(folder)}; wait for it, or choose another --out"
+            str(folder), f"is being written by {holder(folder)}; wait for it, or choose another `out`"
         ) from None
     process = {
         "process": os.getpid(),

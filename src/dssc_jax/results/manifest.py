@@ -23,7 +23,7 @@ Manifest: TypeAlias = JsonObject
 SCHEMA = 3
 """Version of a folder of a run or an analysis. No other is read."""
 
-REMEDY = "use the dssc_jax that wrote it, or run its study again into another --out"
+REMEDY = "use the dssc_jax that wrote it, or run its study again into another `out`"
 SEAL = "digest"
 DATA = "data.zarr"
 MANIFEST = "manifest.json"
@@ -225,17 +225,17 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
             raise ConfigError(
                 str(folder),
                 f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
-                f"{requested} of them are another set; choose another --out, nothing was written",
+                f"{requested} of them are another set; choose another `out`, nothing was written",
             )
         if resume:
             return True
         raise ConfigError(
             str(folder),
-            f"holds {draws} draws of this study; add {requested - draws} with --resume, or choose another --out, "
+            f"holds {draws} draws of this study; add {requested - draws} with `resume`, or choose another `out`, "
             "nothing was written",
         )
     raise ConfigError(
-        str(folder), f"holds results of another study ({listed(lines)}); choose another --out, nothing was written"
+        str(folder), f"holds results of another study ({listed(lines)}); choose another `out`, nothing was written"
     )
 
 
@@ -277,5 +277,5 @@ def require_same_machinery(folder: Path, old: Manifest, new: Manifest) -> None:
         raise ConfigError(
             str(folder),
             f"was begun otherwise ({listed(lines)}), and its rest would not be bit-identical; go on as it was begun, "
-            "or start over without --resume, nothing was written",
+            "or start over without `resume`, nothing was written",
         )

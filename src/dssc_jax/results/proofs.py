@@ -71,5 +71,5 @@ def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ConfigError(str(path), f"is damaged: {error!r}; delete it, and run sweep --prove again") from None
+        raise ConfigError(str(path), f"is damaged: {error!r}; delete it, and prove the sweep again") from None
     return proofs if proofs.study_hash == study.hash and axes == study.axes else None

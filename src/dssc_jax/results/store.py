@@ -165,7 +165,7 @@ class Store:
         if pending:
             lost = sum(map(lanes_in, pending))
             total = sum(map(lanes_in, self.layout.blocks()))
-            rule = f"is not complete: {lost} of {total} lanes are no longer as they were written; finish with --resume"
+            rule = f"is not complete: {lost} of {total} lanes are no longer as they were written; finish with `resume`"
             raise ConfigError(str(self.folder), rule)
 
     def read(self) -> tuple[xr.Dataset, Manifest]:
@@ -187,7 +187,7 @@ class Store:
             files.write_text(self.folder / SUMMARY, lines)
         self.held.require_in_place()
         if hash_of(read_manifest(self.folder)) != hash_of(self.manifest):
-            raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with --resume")
+            raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with `resume`")
 
 
 def read_run(folder: Path, trust_code: bool = False) -> tuple[Study, xr.Dataset, Manifest]:

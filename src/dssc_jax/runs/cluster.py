@@ -28,9 +28,9 @@ from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.importing import allow_imports
 
-GO_ON = "finished blocks are kept, --resume continues from them"
+GO_ON = "finished blocks are kept, `resume` continues from them"
 LOCAL_SCHEME = "local:"
-OPTION = "--cluster"
+OPTION = "cluster"
 CONNECT = 30.0  # s for the scheduler to answer
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
 PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time

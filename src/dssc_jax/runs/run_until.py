@@ -126,5 +126,5 @@ def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None
     if not same_rule or manifest["study"] | {"draws": most} != study.table:
         raise ConfigError(
             str(folder),
-            "is no result of this study under this stopping rule; choose another --out",
+            "is no result of this study under this stopping rule; choose another `out`",
         )

@@ -103,8 +103,8 @@ class TimeScale(NamedTuple):
     gap: float
     span: float
 
-    def constant(self, score: float) -> float:
-        """The time constant at a standard normal score [s]: log-normal between the gap and the span."""
+    def time_constant_at(self, score: float) -> float:
+        """The time constant [s] at a standard normal score: log-normal, limited to 0.1 gap .. 3 span."""
         middle = 0.5 * math.log(self.gap * self.span)
         width = math.log(self.span / self.gap) / TIME_WIDTHS
         shortest = math.log(0.1 * self.gap)
@@ -114,13 +114,13 @@ class TimeScale(NamedTuple):
 
 def first_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
     """The noise at coordinates."""
-    return FirstOrder(sigmoid(SHARE_WIDTH * point[1]), scale.constant(point[0]))
+    return FirstOrder(sigmoid(SHARE_WIDTH * point[1]), scale.time_constant_at(point[0]))
 
 
 def second_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
     """The noise at coordinates."""
     damping = min(max(sigmoid(DAMPING_MIDDLE + DAMPING_WIDTH * point[2]), LEAST_DAMPING), MOST_DAMPING)
-    time = min(scale.constant(point[0]), LONGEST * scale.gap)
+    time = min(scale.time_constant_at(point[0]), LONGEST * scale.gap)
     return SecondOrder(sigmoid(SHARE_WIDTH * point[1]), time, damping)
 
 

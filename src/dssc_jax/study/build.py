@@ -349,11 +349,11 @@ def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
     for name, values in config.sweep.items():
         with errors_under(f"sweep.{name}"):
             if name.startswith("loop."):
-                raise ConfigError("", "the clock is fixed before tracing; run once per value with --set")
+                raise ConfigError("", "the clock is fixed before tracing; run once per value")
             if name not in numbers:
                 raise ConfigError("", f"unknown parameter; {nearest_number(name, config, numbers)}")
             if not numbers[name].quantity.law:
-                raise ConfigError("", "is fixed before tracing; run once per value with --set")
+                raise ConfigError("", "is fixed before tracing; run once per value")
             for value in (min(values), max(values)):
                 try:
                     parse_number(value, numbers[name].quantity)
@@ -368,7 +368,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
         field = name.rpartition(".")[2]
         kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
-        remedy = f"; for '{kinds[0]}' add --set {slot}.kind={kinds[0]} --set {name}=.." if kinds else ""
+        remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
         return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
     return nearest(name, numbers)
 

@@ -25,7 +25,7 @@ from dssc_jax.study.laws import Law, parse_law
 from dssc_jax.study.measuring import KNOWN, kinds_of, measured
 from dssc_jax.study.study import Study
 
-FLAG = "--trust-code (in Python: dj.load(folder, trust_code=True))"
+REMEDY = "`trust_code` (in Python: dj.load(folder, trust_code=True))"
 NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
@@ -119,7 +119,7 @@ class Described(Study):
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
-        rule = f"runs code that was not loaded: {describe_code(table, code)}; {FLAG} loads it"
+        rule = f"runs code that was not loaded: {describe_code(table, code)}; {REMEDY} loads it"
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
         channels = description.channels
         angles = description.angles
@@ -229,5 +229,5 @@ def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Stu
     code = manifest.get("code")
     content = manifest.get("described")
     if not isinstance(code, dict) or content is None:
-        raise ConfigError(source, f"names code, {describe_code(table)}, and does not describe it; {FLAG} loads it")
+        raise ConfigError(source, f"names code, {describe_code(table)}, and does not describe it; {REMEDY} loads it")
     return Described.of(table, source, code, content)

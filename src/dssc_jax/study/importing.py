@@ -10,7 +10,7 @@ from typing import Any
 from dssc_jax.core.errors import ConfigError, nearest
 
 WHERE_MODULES_ARE = (
-    "if it lies in the study's folder, --allow-local finds it (in Python: sys.path.append(FOLDER)), otherwise "
+    "if it lies in the study's folder, `allow_local` finds it (in Python: sys.path.append(FOLDER)), otherwise "
     "install it or set PYTHONPATH"
 )
 

@@ -163,7 +163,7 @@ def test_noise_is_a_factor_of_its_own():
 
 def test_what_is_refused():
     study = dj.Study.from_table(TABLE)
-    with pytest.raises(dj.ConfigError, match="make them independent with --set correlation"):
+    with pytest.raises(dj.ConfigError, match="make them independent: correlation"):
         dj.sensitivity(study.override({"draws": 512, "correlation.plant.k_p, plant.a_p": 0.5}))
     with pytest.raises(dj.ConfigError, match="nothing is uncertain"):
         dj.sensitivity(study.override({"draws": 512, "plant.k_p": 1.0, "plant.a_p": 1.0}))

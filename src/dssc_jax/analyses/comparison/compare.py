@@ -245,7 +245,7 @@ class Comparison(Analysis):
 
     @property
     def answer(self) -> ComparisonAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         tuned = None
         if self.tuned is not None and self.budget is not None:
             tuned = TunedContestAnswer(self.budget.text, self.tuned.answer(self.study))

@@ -130,7 +130,7 @@ class MarginContest(Analysis):
 
     @property
     def answer(self) -> MarginContestAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         first = next(iter(self.margins.values())).answer
         controllers = {}
         for name, margins in self.margins.items():

@@ -202,7 +202,7 @@ class Falsified(Analysis):
 
     @property
     def answer(self) -> FalsifiedAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         nearest = self.nearest_failure
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),

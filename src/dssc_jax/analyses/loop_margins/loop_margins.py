@@ -60,7 +60,7 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     if not any(parts.values()):
         raise ConfigError(
             study.source,
-            "no break point has an effect: the loop is open at its operating points; see --at, or the limits",
+            "no break point has an effect: the loop is open at its operating points; see `times`, or the limits",
         )
     poles = []
     for by_loop in parts.values():

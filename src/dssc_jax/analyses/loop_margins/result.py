@@ -193,7 +193,7 @@ class LoopMargins(Analysis):
 
     @property
     def answer(self) -> LoopMarginsAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         operating_points = {}
         for point in self.points:
             operating_points[point] = {loop: self.statistics(point, loop) for loop in self.loops}

@@ -216,7 +216,7 @@ class Margins(Analysis):
 
     @property
     def answer(self) -> MarginAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         data = self.dataset
         curve = self.degradation()
         censoring = data["censoring"].values

@@ -166,7 +166,7 @@ class RareEvent(Analysis):
 
     @property
     def answer(self) -> RareAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         estimate = self.estimate
         plain = estimate.plain
         ranges = {}

@@ -157,7 +157,7 @@ class SafeRegion(Analysis):
 
     @property
     def answer(self) -> RegionAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         draws = self.study.config.draws
         low, high = thresholds(draws, self.dataset["verdict"].size)
         requirements = tuple(requirement.text for requirement in self.study.requirements)
@@ -258,7 +258,7 @@ def region(
             "draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}"
         )
     lattice = Lattice(study, over, count, progress)
-    lattice.follow(2**halvings)
+    lattice.follow_boundary(2**halvings)
     certified, text = certified_points(study, over, lattice)
     dataset = lattice.dataset(certified)
     simulations = int(np.count_nonzero(lattice.failures >= 0)) * study.config.draws
@@ -310,7 +310,7 @@ class Lattice:
         if self.progress:
             self.progress(int(np.count_nonzero(self.failures >= 0)) * draws, None)
 
-    def follow(self, stride: int) -> None:
+    def follow_boundary(self, stride: int) -> None:
         """Simulate the coarse lattice, then the boundary at every finer stride down to 1."""
         count = len(self.failures)
         places = range(0, count, stride)
@@ -320,7 +320,7 @@ class Lattice:
                 half = stride // 2
                 self.simulate((i + a, j + b) for a in (0, half, stride) for b in (0, half, stride))
             stride //= 2
-            self.close(stride)
+            self.close_boundary(stride)
 
     def mixed_cells(self, stride: int) -> list[tuple[int, int]]:
         """Lower corners of the cells whose corners have been simulated and differ."""
@@ -334,7 +334,7 @@ class Lattice:
                     cells.append((i, j))
         return cells
 
-    def close(self, stride: int) -> None:
+    def close_boundary(self, stride: int) -> None:
         """Simulate the cells beside every side whose ends differ, until the boundary closes or leaves the lattice."""
         end = len(self.failures) - 1
         while True:

@@ -167,7 +167,7 @@ class Sensitivity(Analysis):
 
     @property
     def answer(self) -> SensitivityAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         outputs = {}
         for name, quantities in self.outputs.items():
             outputs[name] = None if quantities is None else self._factor_answers(quantities)

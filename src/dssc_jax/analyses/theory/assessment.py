@@ -180,7 +180,7 @@ class Assessment(Analysis):
 
     @property
     def answer(self) -> TheoryAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         simulated = self.performance.answer
         oscillations = {}
         for name, oscillation in self.oscillations.items():

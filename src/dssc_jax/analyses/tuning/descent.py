@@ -143,7 +143,7 @@ def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
         if width is not None:
             problem.width = width * FINEST ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
         iteration.go(steps if width is None else stage * steps // STAGES)
-        short = iteration.widen()
+        short = iteration.update_gaps()
         if iteration.done >= steps or (width is None and not short):
             break
     return iteration.search
@@ -240,9 +240,16 @@ class Iteration:
         else:
             self.search.stopped = "all steps done" if self.done >= table.steps else "converged"
 
-    def widen(self) -> bool:
-        """Increase the headroom of limits that only the validation draws exceed; return whether there are any."""
-        validation, excesses = self.problem.seen(self.iterate.z).merit, self.iterate.merit.excess
+    def update_gaps(self) -> bool:
+        """Set each limit's gap to how much larger its excess is on the validation draws than on the training draws.
+
+        Nothing changes if a validation draw ended early.
+
+        Returns:
+            Whether the validation draws exceed a limit.
+        """
+        validation = self.problem.seen(self.iterate.z).merit
+        excesses = self.iterate.merit.excess
         if not validation.ended:
             self.gaps = {name: max(0.0, excess - excesses[name]) for name, excess in validation.excess.items()}
         return not validation.ended and validation.violation > 0.0

@@ -204,7 +204,7 @@ class Tuned(Analysis):
 
     @property
     def answer(self) -> TunedAnswer:
-        """The answer in numbers."""
+        """The numbers that summary.json holds."""
         table = tuned_table(self.study)
         gradients = None if self.gradients is None else GradientAnswer(self.gradients, self.gradients.text)
         return TunedAnswer(

@@ -45,7 +45,7 @@ def name_of(*things: Any) -> str | None:
         return None
     digest = hashlib.sha256()
     try:
-        for part in described((sources, versions(), sorted(jax.config.values.items()), things), ()):
+        for part in description_parts((sources, versions(), sorted(jax.config.values.items()), things), ()):
             digest.update(f"{len(part)}:".encode() + part)
     except Undescribed:
         return None
@@ -82,18 +82,18 @@ def versions() -> tuple[str, ...]:
     return platform.python_version(), *map(version, VERSIONED)
 
 
-def described(thing: Any, within: tuple[int, ...]) -> Iterator[bytes]:
+def description_parts(thing: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
     """Bytes that describe a thing, in parts.
 
     Args:
         thing: What to describe.
-        within: The identities of what contains it.
+        ancestors: id() of every object that contains the thing, from the outermost.
 
     Raises:
         Undescribed: It has no complete description.
     """
-    if id(thing) in within:  # a function that closes over itself
-        yield f"above {len(within) - within.index(id(thing))}".encode()
+    if id(thing) in ancestors:  # a function that closes over itself: how many levels above
+        yield f"above {len(ancestors) - ancestors.index(id(thing))}".encode()
         return
     yield place(type(thing))
     match thing:
@@ -109,7 +109,7 @@ def described(thing: Any, within: tuple[int, ...]) -> Iterator[bytes]:
             inside = consists_of(thing)
             yield str(len(inside)).encode()
             for part in inside:
-                yield from described(part, (*within, id(thing)))
+                yield from description_parts(part, (*ancestors, id(thing)))
 
 
 @cache

@@ -247,7 +247,7 @@ class Notation:
         raise Unsupported(f"'{operation}' of floating-point numbers in C")
 
     def integer(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation of integers."""
+        """An operation of integers as C's text, with the precedence of its outermost operator."""
         operation, dtype = value.operation, value.dtype
         texts = [text for text, _ in operands]
         unsigned = f"uint{8 * dtype.itemsize}_t"

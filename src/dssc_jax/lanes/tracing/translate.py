@@ -285,7 +285,7 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
         proceed = build.add("and", running, proceed)
         after.append(proceed)
         proceed = build.add("any", proceed)
-    return assembled(begin, build.close(loop, after, proceed)[: len(scalars)])
+    return assembled(begin, build.end_loop(loop, after, proceed)[: len(scalars)])
 
 
 def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -315,7 +315,7 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
         build.record(recording, turn, *components(value, build))
     after = build.add("add", turn, build.constant(1, index))
     proceed = build.add("lt", after, build.constant(length, index))
-    ended = build.close(loop, [after, *flat(results[:carried], build)], proceed)
+    ended = build.end_loop(loop, [after, *flat(results[:carried], build)], proceed)
     return [*assembled(begin, ended[1:]), *recordings]
 
 

@@ -148,7 +148,7 @@ def length(path: CubicSpline, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     return half * (path_speed(path, start[:, None] + np.outer(half, 1.0 + GAUSS[0])) @ GAUSS[1])
 
 
-def check_speed(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
+def check_flyable(params: WaypointParams, path: CubicSpline, u: np.ndarray, total: float) -> None:
     """Check that the path can be flown at the speed: it must be long and smooth enough; raises ConfigError."""
     slope = path(u, 1)[:, :3]
     bend = path(u, 2)[:, :3]
@@ -227,7 +227,7 @@ def curve(params: WaypointParams) -> Curve:
     cruise = float(params.speed)
     u = np.interp(np.arange(LEG_PARTS * (len(path.x) - 1) + 1) / LEG_PARTS, np.arange(len(path.x)), path.x)
     s = np.concatenate([[0.0], np.cumsum(length(path, u[:-1], u[1:]))])
-    check_speed(params, path, u, s[-1])
+    check_flyable(params, path, u, s[-1])
     ramp = RAMP * cruise / float(params.acceleration)
     flight = s[-1] / cruise
     count = int(np.clip(math.ceil((flight + ramp) / SEGMENT_TIME), FEWEST_SEGMENTS, MOST_SEGMENTS))

@@ -29,7 +29,7 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, moved:
         return gains["slide_p"]
     sigma_change = float(change.upper())
     if kind == "vgsta":
-        ratio = table_ratio(problem, stage["sigma"], stage["e"], sigma_change, float(moved.upper()))
+        ratio = ratio_by_sigma_and_e(problem, stage["sigma"], stage["e"], sigma_change, float(moved.upper()))
     else:
         ratio = ratio_by_sigma(problem, stage["sigma"], sigma_change)
     ratios = (1 / ratio).union(ratio)
@@ -50,8 +50,18 @@ def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
     return largest
 
 
-def table_ratio(problem: Problem, sigma: float, e: float, change: float, moved: float) -> arb:
-    """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float, moved: float) -> arb:
+    """The largest ratio of the slopes d phi_1/d sigma at two points within one sample, for Table 1's functions.
+
+    These depend on sigma and e. The computation is in float64, rounded outwards.
+
+    Args:
+        problem: The certificate's problem.
+        sigma: Bound of |sigma|.
+        e: Bound of |e|.
+        change: How far sigma moves within a sample, at most.
+        moved: How far e moves within a sample, at most.
+    """
     size = sigma * (np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
     errors = e * np.arange(ERROR_CELLS + 1) / ERROR_CELLS
     size[-1] = sigma
@@ -68,5 +78,5 @@ def table_ratio(problem: Problem, sigma: float, e: float, change: float, moved: 
     )
     slope = gains_of(problem, cells)["k_p"]
     require_premise(bool(np.all(slope.low > 0.0)), "P2: the functions are not positive in the region")
-    ratio = slope / slope
+    ratio = slope / slope  # of intervals: the largest slope over the smallest
     return arb(float(np.max(ratio.high)))
