@@ -64,8 +64,13 @@ def test_mini_batches(study):
 def test_the_sign_is_smoothed_less_and_less(study, optimiser, monkeypatch):
     """The program with derivatives ends with the exact loop, which alone validates and judges."""
     widths = []
-    steep = Problem.steep
-    monkeypatch.setattr(Problem, "steep", lambda self, *given: widths.append(self.width) or steep(self, *given))
+    with_derivatives = Problem.with_derivatives
+
+    def watched(self, *arguments):
+        widths.append(self.width)
+        return with_derivatives(self, *arguments)
+
+    monkeypatch.setattr(Problem, "with_derivatives", watched)
     found = dj.tune(study.override({"tune.smoothing": 0.1, "tune.optimiser": optimiser, "tune.steps": 10}))
     assert widths[0] == 0.1
     assert widths[-1] == 0.0

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
 from dssc_jax.analyses.tuning.plan import PROVED_ERROR, Plan
-from dssc_jax.analyses.tuning.problem import PENALTY, REACH, UNFIT, UPDATE, Point, Problem, Search
+from dssc_jax.analyses.tuning.problem import BOX_HALF_WIDTH, PENALTY, UNFIT, UPDATE, Point, Problem, Search
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
@@ -25,13 +25,16 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     Reference:
         R. Storn, K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359.
     """
-    plan, table = problem.plan, problem.plan.table
+    plan = problem.plan
+    table = plan.table
     size = len(plan.mirror.names)
-    goal, scale = problem.goal_on(problem.train), abs(first[0].merit.objective) or 1.0
+    goal = problem.goal_on(problem.train)
+    scale = abs(first[0].merit.objective) or 1.0
     lanes = len(problem.train) + len(problem.extra)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, min(BLOCK, POPULATION * size * lanes))
-    search, done = Search(first[1]), 0
-    search.look(problem, 0, *first)
+    search = Search(first[1])
+    done = 0
+    search.record(problem, 0, *first)
 
     def cost(columns: np.ndarray) -> np.ndarray:
         z = np.atleast_2d(columns.T)
@@ -44,30 +47,32 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
             values[i] = merit.objective / scale + PENALTY * merit.violation if fit else UNFIT
         return values
 
-    def look(z: np.ndarray) -> None:
-        search.look(problem, done, problem.seen(z, problem.train), problem.seen(z))
+    def record(z: np.ndarray) -> None:
+        search.record(problem, done, problem.evaluate(z, problem.train), problem.evaluate(z))
 
     def after_generation(z: np.ndarray, convergence: float) -> bool:
         nonlocal done
         done += 1
         if done % UPDATE == 0:
-            look(z)
+            record(z)
         if progress:
             progress(min(done, table.steps), table.steps)
         return False
 
-    box = [(-REACH, REACH)] * size
+    box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * size
+    start = np.clip(first[0].z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
     ended = differential_evolution(
-        cost, box, x0=np.clip(first[0].z, -REACH, REACH), rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
+        cost, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=after_generation,
     )  # fmt: skip
     if done % UPDATE:
-        look(ended.x)
+        record(ended.x)
     return search
 
 
 EDGE = 0.5  # length of the first simplex's edges, in the mirror's coordinates
-FINE_EDGE, FINE_SCORE = 0.02, 1e-3  # the search ends where the simplex, and its scores, are so close together
+FINE_EDGE = 0.02  # the search ends with a simplex of at most this size, in the same coordinates
+FINE_SCORE = 1e-3  # whose scores differ by at most this
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,7 @@ def score_at(problem: Problem, z: np.ndarray) -> float:
     return math.log(value) if problem.plan.table.aim == PROVED_ERROR else -math.log(value)
 
 
-def prove_better(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
+def optimise_proof(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
     """Optimise the proved number by the Nelder-Mead simplex, in the scaled logarithms of the tuned numbers.
 
     A point that is not proved is never accepted. Limits and requirements count on the draws, as in other searches: the
@@ -104,17 +109,20 @@ def prove_better(problem: Problem, first: tuple[Point, Point], progress: Progres
     Reference:
         J. A. Nelder, R. Mead, "A simplex method for function minimization", The Computer Journal 7 (1965) 308-313.
     """
-    origin, steps = first[0].z, problem.plan.table.steps
-    search, done, lowest = Search(first[1]), 0, math.inf
+    origin = first[0].z
+    steps = problem.plan.table.steps
+    search = Search(first[1])
+    done = 0
+    lowest = math.inf
 
     def cost(z: np.ndarray) -> float:
         nonlocal done, lowest
-        train = first[0] if np.array_equal(z, origin) else problem.seen(z, problem.train)
+        train = first[0] if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
         score = score_at(problem, z) if not train.merit.ended and problem.allowed(z) else math.inf
         total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
         if total < lowest:
             lowest = total
-            search.look(problem, done, train, first[1] if done == 0 else problem.seen(z), score)
+            search.record(problem, done, train, first[1] if done == 0 else problem.evaluate(z), score)
         done += 1
         if progress:
             progress(min(done, steps), steps)
@@ -122,7 +130,8 @@ def prove_better(problem: Problem, first: tuple[Point, Point], progress: Progres
 
     simplex = origin + EDGE * np.vstack([np.zeros(len(origin)), np.eye(len(origin))])
     options = {"initial_simplex": simplex, "maxfev": steps, "xatol": FINE_EDGE, "fatol": FINE_SCORE}
-    ended = minimize(cost, origin, method="Nelder-Mead", bounds=[(-REACH, REACH)] * len(origin), options=options)
+    box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * len(origin)
+    ended = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
     if ended.success:
         search.stopped = "the simplex has shrunk to a point"
     return search
@@ -134,8 +143,8 @@ def compare_proved(plan: Plan, start: dict[str, float], best: dict[str, float]) 
     Raises:
         AssertionError: a point without a proof was accepted.
     """
-    first = plan.aim_at(start).value
-    after = plan.aim_at(best).value
-    assert first is not None
-    assert after is not None
-    return Aimed(plan.table.aim, first, after, next(iter(plan.table.over), None))
+    start_value = plan.aim_at(start).value
+    result_value = plan.aim_at(best).value
+    assert start_value is not None
+    assert result_value is not None
+    return Aimed(plan.table.aim, start_value, result_value, next(iter(plan.table.over), None))

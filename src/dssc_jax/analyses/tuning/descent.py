@@ -1,22 +1,31 @@
 """Searches with derivatives: gradient descent by optax, and sequential quadratic programming by SciPy."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import numpy as np
 import optax
 from scipy.optimize import minimize
 
-from dssc_jax.analyses.tuning.problem import FINEST, PENALTY, REACH, UNFIT, UPDATE, Point, Problem, Search, headroom
+from dssc_jax.analyses.tuning.problem import (
+    BOX_HALF_WIDTH,
+    FINAL_WIDTH,
+    PENALTY,
+    UNFIT,
+    UPDATE,
+    Point,
+    Problem,
+    Search,
+    headroom,
+)
 from dssc_jax.core.signals import ProgressCallback
 
-LAST = 0.01  # final share of the learning rate in the cosine schedule
+FINAL_RATE = 0.01  # final share of the learning rate in the cosine schedule
 HALVINGS = 8
-CLIFF = 0.5  # a step may not worsen the objective by more, relative to the start's: beyond lies a loop that chatters
+OBJECTIVE_STEP = 0.5  # a step may not worsen the objective by more, relative to the start's: the loop would chatter
 STEEPEST = 1e6  # slope of the objective, relative to the start's: where a loop chatters, it grows with every sample
-SWERVE = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
-EXACT = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
+VIOLATION_STEP = 0.05  # a step may not exceed a limit by more, relative to it, unless the point before did
+EXACT_SHARE = 0.2  # share of the steps, the last ones, in which the sign is not smoothed
 
 
 class Multipliers:
@@ -36,14 +45,16 @@ class Multipliers:
 
     def pushes(self, point: Point) -> dict[str, float]:
         """max(0, lambda + c g) of each limit: its weight in the gradient, and its next multiplier."""
-        return {
-            name: max(0.0, self.values.get(name, 0.0) + PENALTY * (excess + headroom(name) + self.gaps.get(name, 0.0)))
-            for name, excess in point.merit.excess.items()
-        }
+        pushes = {}
+        for name, excess in point.merit.excess.items():
+            shifted = excess + headroom(name) + self.gaps.get(name, 0.0)
+            pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * shifted)
+        return pushes
 
     def gradient(self, point: Point) -> np.ndarray:
         """Gradient of the augmented Lagrangian; the limits' part alone where the objective has the slope of chatter."""
-        total, pushes = point.gradient / self.scale, self.pushes(point)
+        total = point.gradient / self.scale
+        pushes = self.pushes(point)
         chatters = not np.all(np.abs(total) <= STEEPEST)  # an overflow, too
         if chatters and any(pushes.values()):
             total = np.zeros_like(total)
@@ -51,12 +62,12 @@ class Multipliers:
             total = total + push * point.slopes[name]
         return total
 
-    def move(self, train: Point, validation: Point) -> None:
+    def update(self, train: Point, validation: Point) -> None:
         """Update the multipliers in the usual way, and compute the gaps anew."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
-            seen = train.merit.excess
-            self.gaps = {name: max(0.0, excess - seen[name]) for name, excess in validation.merit.excess.items()}
+            trained = train.merit.excess
+            self.gaps = {name: max(0.0, excess - trained[name]) for name, excess in validation.merit.excess.items()}
 
 
 def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
@@ -71,52 +82,63 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
         progress: Called after each step.
     """
     table = problem.plan.table
-    rate: Any = table.learning_rate
+    rate: float | optax.Schedule = table.learning_rate
     if table.schedule == "cosine":
-        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, LAST)
+        rate = optax.cosine_decay_schedule(table.learning_rate, table.steps, FINAL_RATE)
     optimiser = optax.chain(optax.clip_by_global_norm(1.0), getattr(optax, table.optimiser)(rate))
     multipliers = Multipliers(abs(first[0].merit.objective) or 1.0)
     rng = np.random.default_rng(problem.plan.seed)
-    search, iterate, waited = Search(first[1]), first[0], 0
-    search.look(problem, 0, *first)
+    search = Search(first[1])
+    iterate = first[0]
+    stale = 0
+    search.record(problem, 0, *first)
     with jax.enable_x64(True):
         state = optimiser.init(iterate.z)
     for step in range(1, table.steps + 1):
         if table.smoothing is not None:
-            problem.width = falling(table.smoothing, (step - 1) / table.steps)
+            problem.width = smoothing_width(table.smoothing, (step - 1) / table.steps)
         with jax.enable_x64(True):
             change, state = optimiser.update(multipliers.gradient(iterate), state, iterate.z)
         batch = rng.choice(problem.train, table.batch, replace=False) if table.batch else problem.train
-        iterate, halvings = reached_box(problem, iterate, np.asarray(change), batch, CLIFF * multipliers.scale)
+        worsening = OBJECTIVE_STEP * multipliers.scale
+        iterate, halvings = shortened_step(problem, iterate, np.asarray(change), batch, worsening)
         search.shortened += halvings
         if step % UPDATE == 0 or step == table.steps:
-            validation = problem.seen(iterate.z)
-            multipliers.move(iterate, validation)
-            better = search.look(problem, step, iterate, validation)
-            waited = 0 if better else waited + 1
+            validation = problem.evaluate(iterate.z)
+            multipliers.update(iterate, validation)
+            better = search.record(problem, step, iterate, validation)
+            stale = 0 if better else stale + 1
         if progress:
             progress(step, table.steps)
-        if waited >= table.patience:
-            search.stopped = f"no better on the validation draws for {waited} looks"
+        if stale >= table.patience:
+            search.stopped = f"no better on the validation draws for {stale} looks"
             break
     return search
 
 
-def falling(first: float, done: float) -> float:
-    """Width of the smoothed sign after a share of the steps: it decreases geometrically, and is 0 in the last ones."""
-    return first * FINEST ** (done / (1.0 - EXACT)) if done < 1.0 - EXACT else 0.0
+def smoothing_width(first: float, done: float) -> float:
+    """Width of the smoothed sign after the share ``done`` of the steps.
+
+    It decreases geometrically from ``first``, and is 0 in the final steps.
+    """
+    smoothed = 1.0 - EXACT_SHARE
+    return first * FINAL_WIDTH ** (done / smoothed) if done < smoothed else 0.0
 
 
-def reached_box(
-    problem: Problem, iterate: Point, change: np.ndarray, batch: np.ndarray, leap: float
+def shortened_step(
+    problem: Problem, iterate: Point, change: np.ndarray, batch: np.ndarray, worsening: float
 ) -> tuple[Point, int]:
-    """The point after a step, halved until the point is allowed; if none is, the same point again."""
-    highest, farthest = iterate.merit.objective + leap, max(iterate.merit.violation, SWERVE)
+    """The point after a step, halved until it is allowed, and the number of halvings.
+
+    If no halved step is allowed, the point is the iterate, evaluated anew.
+    """
+    highest_objective = iterate.merit.objective + worsening
+    highest_violation = max(iterate.merit.violation, VIOLATION_STEP)
     for halvings in range(HALVINGS):
-        after = iterate.z + change * 0.5**halvings
-        if problem.allowed(after):
-            point = problem.at(after, batch)
-            if point.merit.objective <= highest and point.merit.violation <= farthest:
+        z = iterate.z + change * 0.5**halvings
+        if problem.allowed(z):
+            point = problem.at(z, batch)
+            if point.merit.objective <= highest_objective and point.merit.violation <= highest_violation:
                 return point, halvings
     return problem.at(iterate.z, batch), HALVINGS
 
@@ -125,7 +147,7 @@ STAGES = 4  # between two of them the width of the sign and the limits' headroom
 CONVERGED = 1e-5  # change of the relative objective at which a stage ends
 
 
-def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
+def quadratic_programming(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
     """Run SLSQP on the training draws; the validation draws choose among its iterates.
 
     The largest excess is an additional coordinate, so that linearised limits never contradict each other. If a limit is
@@ -137,19 +159,20 @@ def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
         from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
     """
     iteration = Iteration(problem, Search(first[1]), first[0], progress)
-    iteration.search.look(problem, 0, *first)
-    width, steps = problem.plan.table.smoothing, problem.plan.table.steps
+    iteration.search.record(problem, 0, *first)
+    width = problem.plan.table.smoothing
+    steps = problem.plan.table.steps
     for stage in range(1, STAGES + 1):
         if width is not None:
-            problem.width = width * FINEST ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
-        iteration.go(steps if width is None else stage * steps // STAGES)
+            problem.width = width * FINAL_WIDTH ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
+        iteration.run_stage(steps if width is None else stage * steps // STAGES)
         short = iteration.update_gaps()
         if iteration.done >= steps or (width is None and not short):
             break
     return iteration.search
 
 
-class Waited(Exception):
+class OutOfPatience(Exception):
     """Raised if there was no improvement for as many evaluations on the validation draws as the patience allows."""
 
 
@@ -173,7 +196,7 @@ class Iteration:
     done: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
     _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
-    _waited: int = 0
+    _stale: int = 0
 
     def __post_init__(self) -> None:
         self.names = list(self.iterate.merit.excess)
@@ -197,24 +220,25 @@ class Iteration:
         """Gradient of the cost. It is called at iterates only, each of which is evaluated on the validation draws.
 
         Raises:
-            Waited: there was no improvement for too long.
+            OutOfPatience: there was no improvement for too long.
         """
         point = self.at(x)[0]
         if not np.array_equal(point.z, self.iterate.z):
-            self.done, self.iterate, table = self.done + 1, point, self.problem.plan.table
-            better = self.search.look(self.problem, self.done, point, self.problem.seen(point.z))
-            self._waited = 0 if better else self._waited + 1
+            self.done += 1
+            self.iterate = point
+            better = self.search.record(self.problem, self.done, point, self.problem.evaluate(point.z))
+            self._stale = 0 if better else self._stale + 1
             if self.progress:
-                self.progress(self.done, table.steps)
-            if self._waited >= table.patience:
-                raise Waited
+                self.progress(self.done, self.problem.plan.table.steps)
+            if self._stale >= self.problem.plan.table.patience:
+                raise OutOfPatience
         return np.append(point.gradient / self.scale, PENALTY)
 
     def room(self, x: np.ndarray) -> np.ndarray:
         """The distance to every limit, less its headroom, plus the largest excess."""
         excess = self.at(x)[0].merit.excess
-        excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
-        return x[-1] - np.array(excesses)
+        shifted = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(shifted)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the room, shape (limits, n + 1)."""
@@ -222,23 +246,23 @@ class Iteration:
         slopes = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
         return np.hstack([-slopes, np.ones((len(slopes), 1))])
 
-    def go(self, steps: int) -> None:
+    def run_stage(self, steps: int) -> None:
         """Run one stage, until the given total number of steps."""
         self._points.clear()
-        self._waited, table = 0, self.problem.plan.table
-        begin = np.append(np.clip(self.iterate.z, -REACH, REACH), 0.0)
+        self._stale = 0
+        begin = np.append(np.clip(self.iterate.z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH), 0.0)
         begin[-1] = max([0.0, *-self.room(begin)])
         limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
         try:
             minimize(
                 self.cost, begin, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
-                bounds=[(-REACH, REACH)] * (len(begin) - 1) + [(0.0, None)],
+                bounds=[(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(begin) - 1) + [(0.0, None)],
                 options={"maxiter": max(1, steps - self.done), "ftol": CONVERGED},
             )  # fmt: skip
-        except Waited:
-            self.search.stopped = f"no better on the validation draws for {self._waited} looks"
+        except OutOfPatience:
+            self.search.stopped = f"no better on the validation draws for {self._stale} looks"
         else:
-            self.search.stopped = "all steps done" if self.done >= table.steps else "converged"
+            self.search.stopped = "all steps done" if self.done >= self.problem.plan.table.steps else "converged"
 
     def update_gaps(self) -> bool:
         """Set each limit's gap to how much larger its excess is on the validation draws than on the training draws.
@@ -248,7 +272,7 @@ class Iteration:
         Returns:
             Whether the validation draws exceed a limit.
         """
-        validation = self.problem.seen(self.iterate.z).merit
+        validation = self.problem.evaluate(self.iterate.z).merit
         excesses = self.iterate.merit.excess
         if not validation.ended:
             self.gaps = {name: max(0.0, excess - excesses[name]) for name, excess in validation.excess.items()}

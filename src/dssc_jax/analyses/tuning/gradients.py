@@ -1,7 +1,8 @@
 """Check whether derivatives predict small changes: against central differences, in the mirror's coordinates."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple, TypedDict
 
 import numpy as np
 from scipy.special import logit
@@ -12,7 +13,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
 
 DIFFERENCE_STEP = 1e-5  # of the differences
-STRIDE, HALF = 0.03, 0.5  # a typical step of a search, and the relative error allowed in predicting its effect
+STRIDE = 0.03  # a typical step of a search
+PREDICTION_ERROR = 0.5  # relative error allowed in predicting its effect
 AGREEMENT = 1e-4  # relative
 DIFFERENCE_NOISE = 1e-8  # relative to the value: rounding of a difference, with three powers of ten of room
 KINK = 1e-3  # relative jump of the slope between both sides; curvature alone changes it by about the step
@@ -58,6 +60,15 @@ class GradientAgreement:
         )
 
 
+class Shares(TypedDict):
+    """Shares of the derivatives compared, and whether all are finite: see :class:`GradientAgreement`."""
+
+    kinks: float
+    agreeing: float
+    useful: float
+    finite: bool
+
+
 class DerivativePair(NamedTuple):
     """Derivatives and differences, all arrays of one shape.
 
@@ -74,9 +85,10 @@ class DerivativePair(NamedTuple):
     agree: np.ndarray
 
     @property
-    def shares(self) -> dict[str, Any]:
+    def shares(self) -> Shares:
         """Share of kinks, of agreement away from them and among all, and whether every derivative is finite."""
-        total, smooth = max(self.exact.size, 1), max(int(np.count_nonzero(~self.kink)), 1)
+        total = max(self.exact.size, 1)
+        smooth = max(int(np.count_nonzero(~self.kink)), 1)
         return {
             "kinks": float(np.count_nonzero(self.kink) / total),
             "agreeing": float(np.count_nonzero(self.agree & ~self.kink) / smooth),
@@ -93,11 +105,21 @@ class DerivativePair(NamedTuple):
         return [tuple(place) for place in ranked[:SHOWN]]
 
 
-def compare_derivatives(exact: np.ndarray, value: np.ndarray, ahead: np.ndarray, behind: np.ndarray) -> DerivativePair:
-    """Compare derivatives with the differences on both sides and the rounded values; any shape, the same for all."""
+def compare_derivatives(
+    exact: np.ndarray, value: np.ndarray, forward: np.ndarray, backward: np.ndarray
+) -> DerivativePair:
+    """Compare derivatives with the differences on both sides.
+
+    Args:
+        exact: Derivatives, of any shape; the other arrays have the same.
+        value: Values, whose rounding limits the differences.
+        forward: Forward differences.
+        backward: Backward differences.
+    """
     noise = DIFFERENCE_NOISE * np.abs(value)
-    central, larger = 0.5 * (ahead + behind), np.maximum(np.abs(ahead), np.abs(behind))
-    kink = np.abs(ahead - behind) > KINK * larger + noise
+    central = 0.5 * (forward + backward)
+    larger = np.maximum(np.abs(forward), np.abs(backward))
+    kink = np.abs(forward - backward) > KINK * larger + noise
     agree = np.abs(exact - central) <= AGREEMENT * np.maximum(np.abs(exact), np.abs(central)) + noise
     return DerivativePair(exact, central, kink, agree)
 
@@ -113,7 +135,8 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
         seed: Seed of the points.
     """
     rng = np.random.default_rng(seed)
-    mirror, size = problem.plan.mirror, len(problem.plan.mirror.names)
+    mirror = problem.plan.mirror
+    size = len(mirror.names)
     centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, size)))
     draws = rng.choice(problem.train, points)
     axes = np.eye(size)
@@ -123,45 +146,66 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     z = (centre + shifts[:, None, :]).reshape(-1, size)
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
     lanes |= mirror.numbers(z)
-    results = problem.flat(np.tile(draws, len(shifts)), lanes)
-    steep = problem.steep(draws, {name: column[:points] for name, column in lanes.items()})
+    results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
+    derivatives = problem.with_derivatives(draws, {name: column[:points] for name, column in lanes.items()})
     chain = mirror.slopes(centre)
-    exact, value, ahead, behind, long = [], [], [], [], []
-    for name in problem.plan.measures:
-        table = results[name].reshape(len(shifts), points)
-        rows = [steep[Derivative(name, of)][:, None] * chain[of] for of in problem.names]
-        exact.append(np.sum(rows, axis=0))
-        value.append(np.repeat(table[0][:, None], size, axis=1))
-        higher, lower, forward, backward = table[1:].reshape(4, size, points)
-        ahead.append((higher - table[0]).T / DIFFERENCE_STEP)
-        behind.append((table[0] - lower).T / DIFFERENCE_STEP)
-        long.append((forward - backward).T / (2.0 * STRIDE))
-    lasted = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
-    exact, value, ahead, behind, long = (np.stack(parts)[:, lasted] for parts in (exact, value, ahead, behind, long))
-    comparison = compare_derivatives(exact, value, ahead, behind)
-    room = HALF * np.maximum(np.abs(exact), np.abs(long)) + DIFFERENCE_NOISE * np.abs(value)
-    predictive = np.abs(exact - long) <= room
+    completed = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     metrics = list(problem.plan.measures)
-    finished = int(np.count_nonzero(lasted))
-    share = np.mean(comparison.kink, axis=1) if finished else np.zeros((len(metrics), size))
-    at = {name: column[lasted] for name, column in mirror.tuned(centre).items()}
+    count = int(np.count_nonzero(completed))
+    exact = []
+    value = []
+    forward = []
+    backward = []
+    strides = []
+    for name in metrics:
+        table = results[name].reshape(len(shifts), points)[:, completed]
+        rows = [derivatives[Derivative(name, number)][:, None] * chain[number] for number in problem.names]
+        exact.append(np.sum(rows, axis=0)[completed])
+        value.append(np.repeat(table[0][:, None], size, axis=1))
+        higher, lower, stride_higher, stride_lower = table[1:].reshape(4, size, count)
+        forward.append((higher - table[0]).T / DIFFERENCE_STEP)
+        backward.append((table[0] - lower).T / DIFFERENCE_STEP)
+        strides.append((stride_higher - stride_lower).T / (2.0 * STRIDE))
+    comparison = compare_derivatives(np.stack(exact), np.stack(value), np.stack(forward), np.stack(backward))
+    predictive = predicts(comparison.exact, np.stack(value), np.stack(strides))
+    share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), size))
+    kinked = {}
+    for metric, row in zip(metrics, share.tolist(), strict=True):
+        kinked[metric] = dict(zip(mirror.names, row, strict=True))
+    tuned = {name: column[completed] for name, column in mirror.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
-        ended=points - finished,
-        kinked={
-            m: dict(zip(mirror.names, map(float, row), strict=True)) for m, row in zip(metrics, share, strict=True)
-        },
-        disagreeing=[
-            {
-                "metric": metrics[place[0]],
-                "number": mirror.names[place[2]],
-                "at": {name: float(column[place[1]]) for name, column in at.items()},
-                "derivative": float(comparison.exact[place]),
-                "difference": float(comparison.central[place]),
-            }
-            for place in comparison.worst()
-        ],
+        ended=points - count,
+        kinked=kinked,
+        disagreeing=[disagreement(comparison, place, metrics, tuned) for place in comparison.worst()],
         **comparison.shares,
     )
+
+
+def predicts(exact: np.ndarray, value: np.ndarray, stride: np.ndarray) -> np.ndarray:
+    """Whether derivatives predict the difference over a typical step, by element; any shape, the same for all."""
+    allowed = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
+    return np.abs(exact - stride) <= allowed
+
+
+def disagreement(
+    comparison: DerivativePair, place: tuple[int, ...], metrics: Sequence[str], tuned: Mapping[str, np.ndarray]
+) -> JsonObject:
+    """A derivative and a difference that disagree.
+
+    Args:
+        comparison: All derivatives, of shape (metrics, points, tuned numbers).
+        place: Its place in them.
+        metrics: Names of the metrics.
+        tuned: The tuned numbers at the points, by name, each of shape (points,).
+    """
+    metric, point, number = place
+    return {
+        "metric": metrics[metric],
+        "number": list(tuned)[number],
+        "at": {name: float(column[point]) for name, column in tuned.items()},
+        "derivative": float(comparison.exact[place]),
+        "difference": float(comparison.central[place]),
+    }

@@ -17,7 +17,8 @@ from dssc_jax.engine.evaluation import Derivative, Evaluator
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics, quantile_interval
 
 SHARPNESS = 0.1  # temperature of the soft worst case, in standard deviations of the draws' costs
-REQUIREMENTS, COUNTEREXAMPLES = "requirements", "counterexamples"
+REQUIREMENTS = "requirements"
+COUNTEREXAMPLES = "counterexamples"
 
 
 class Merit(NamedTuple):
@@ -120,23 +121,24 @@ class Goal:
         drawn = {name: array[:count] for name, array in results.items()}
         costs = self.cost(drawn)
         share = weights(costs, self.aggregate, self.level)
-        excess, slopes = {}, {}
+        excess = {}
+        slopes = {}
         for name, bound in self.limits.items():
             scale = bound or 1.0
             excess[name] = float((np.mean(drawn[name]) - bound) / scale)
-            slopes[name] = {of: float(np.mean(drawn[Derivative(name, of)]) / scale) for of in numbers}
+            slopes[name] = {number: float(np.mean(drawn[Derivative(name, number)]) / scale) for number in numbers}
         if self.requirements:
             excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(drawn, numbers)
             if added:
                 counterexamples = {name: array[count:] for name, array in results.items()}
                 excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(counterexamples, numbers)
-        gradient = {of: float(share @ self._slope(drawn, of)) for of in numbers}
+        gradient = {number: float(share @ self._slope(drawn, number)) for number in numbers}
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 
-    def _slope(self, results: Arrays, of: str) -> np.ndarray:
+    def _slope(self, results: Arrays, number: str) -> np.ndarray:
         total = np.zeros(len(results["outcome"]))
         for name, weight in self.costs.items():
-            total = total + weight * results[Derivative(name, of)]
+            total = total + weight * results[Derivative(name, number)]
         return total
 
     def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
@@ -145,9 +147,10 @@ class Goal:
         worst = np.argmax(missed, axis=0)
         counts = np.max(missed, axis=0) > 0.0
         slopes = {}
-        for of in numbers:
-            rows = np.array([-results[Derivative(r.name, of)] / r.scale for r in self.requirements])
-            slopes[of] = float(np.mean(np.where(counts, np.take_along_axis(rows, worst[None], 0)[0], 0.0)))
+        for number in numbers:
+            rows = np.array([-results[Derivative(r.name, number)] / r.scale for r in self.requirements])
+            slope = np.take_along_axis(rows, worst[None], 0)[0]
+            slopes[number] = float(np.mean(np.where(counts, slope, 0.0)))
         return float(np.mean(self.excess(results))), slopes
 
 
@@ -222,30 +225,40 @@ def judge_tuning(
 
 def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
     """Create the verdict from the results at the start and at the end."""
-    costs = goal.cost(start_results), goal.cost(results)
-    objective = goal.value(costs[0]), goal.value(costs[1])
+    start_costs = goal.cost(start_results)
+    costs = goal.cost(results)
+    start_objective = goal.value(start_costs)
+    objective = goal.value(costs)
     level = goal.level if goal.aggregate == "cvar" else 0.5
-    paired = compare_metrics(costs[1], costs[0])
-    failed = [np.asarray(results["outcome"] != Outcome.OK) for results in (start_results, results)]
-    failures = compare_failures(failed[1], failed[0])
+    paired = compare_metrics(costs, start_costs)
+    start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
+    failed = np.asarray(results["outcome"] != Outcome.OK)
+    failures = compare_failures(failed, start_failed)
     limits = {}
     for name, bound in plan.table.limits.items():
-        means = float(np.mean(start_results[name])), float(np.mean(results[name]))
-        limits[name] = (means[0] if bound == "start" else float(bound), *means)
-    counts = tuple(int(np.count_nonzero(part)) for part in failed)
-    ends = [tuple(clopper_pearson(count, failures.draws).tolist()) for count in counts]
+        start_mean = float(np.mean(start_results[name]))
+        limit = start_mean if bound == "start" else float(bound)
+        limits[name] = (limit, start_mean, float(np.mean(results[name])))
+    start_count = int(np.count_nonzero(start_failed))
+    count = int(np.count_nonzero(failed))
     return Verdict(
         draws=failures.draws,
-        objective=objective,
-        reduction=1.0 - objective[1] / objective[0],
-        reduction_interval=reduction_interval(goal, *costs),
-        quantile=(quantile_interval(costs[0], level), quantile_interval(costs[1], level)),
+        objective=(start_objective, objective),
+        reduction=1.0 - objective / start_objective,
+        reduction_interval=reduction_interval(goal, start_costs, costs),
+        quantile=(quantile_interval(start_costs, level), quantile_interval(costs, level)),
         difference=(paired.difference, *paired.interval),
         limits=limits,
-        failures=(counts[0], counts[1]),
-        intervals=(ends[0], ends[1]),
+        failures=(start_count, count),
+        intervals=(failure_interval(start_count, failures.draws), failure_interval(count, failures.draws)),
         failure_difference=(*failures.interval, failures.p_value),
     )
+
+
+def failure_interval(failures: int, draws: int) -> Pair:
+    """Exact interval of a failure probability (Clopper-Pearson)."""
+    low, high = clopper_pearson(failures, draws).tolist()
+    return low, high
 
 
 def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tuple[float, float]:
@@ -253,9 +266,11 @@ def reduction_interval(goal: Goal, start: np.ndarray, tuned: np.ndarray) -> tupl
     if not (np.isfinite(start).all() and np.isfinite(tuned).all()):
         return float("nan"), float("nan")
 
+    def mean_cost(costs: np.ndarray) -> float:
+        return float(weights(costs, goal.aggregate, goal.level) @ costs)
+
     def reduction(first: np.ndarray, second: np.ndarray) -> float:
-        a, b = (float(weights(costs, goal.aggregate, goal.level) @ costs) for costs in (first, second))
-        return 1.0 - b / a
+        return 1.0 - mean_cost(second) / mean_cost(first)
 
     interval = bootstrap(
         (start, tuned), reduction, paired=True, vectorized=False, n_resamples=RESAMPLES,

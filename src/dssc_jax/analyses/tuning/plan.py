@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dssc_jax.analyses.tuning.search_variables import NUMBERS, Mirror, Theorem, as_they_are, split_parameters
+from dssc_jax.analyses.tuning.search_variables import NUMBERS, Mirror, Theorem, split_parameters, unchanged
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.certification import NotCovered
@@ -23,7 +23,8 @@ DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  
 EVOLUTION = "differential_evolution"  # in scipy.optimize
 PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
-OBJECTIVE, PROVED_ERROR = "objective", "proved_error"  # aims
+OBJECTIVE = "objective"  # an aim
+PROVED_ERROR = "proved_error"  # an aim
 REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value without a proof is known early
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
@@ -40,6 +41,10 @@ def example(study: Study) -> str:
     ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
     metric = next((measure.name for measure in study.measures), "error_rms")
     return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+
+
+NumbersKey: TypeAlias = tuple[tuple[str, float], ...]
+"""The loop's numbers, as the key of a proof."""
 
 
 class ProvedAim(NamedTuple):
@@ -73,7 +78,8 @@ class Plan:
     mirror: Mirror
     theorem: Theorem | None
     seed: int
-    _known: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)  # proofs, by what they are of
+    _proofs: "dict[NumbersKey, Proved]" = field(default_factory=dict, repr=False, compare=False)
+    _aims: dict[NumbersKey, ProvedAim] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of(cls, study: Study) -> "Plan":
@@ -109,7 +115,8 @@ class Plan:
         require_room(study, table)
         for name in table.parameters:
             require_number(study, name, table)
-        theorem, varied = None, dict(table.parameters)
+        theorem = None
+        varied = dict(table.parameters)
         starts = {name: inside_range(study, name, table.parameters[name]) for name in table.parameters}
         if table.certified:
             free, fixed = split_parameters(table.free)
@@ -128,7 +135,7 @@ class Plan:
             require_provable(study)
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
-        mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else as_they_are)
+        mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else unchanged)
         return cls(study, table, mirror, theorem, seed)
 
     @property
@@ -142,9 +149,9 @@ class Plan:
         from dssc_jax.proofs.prove import prove
 
         key = tuple(numbers.items())
-        if key not in self._known:
-            self._known[key] = prove(self.study.override(dict(numbers)), boxes=SWEEP_BOXES)
-        return self._known[key]
+        if key not in self._proofs:
+            self._proofs[key] = prove(self.study.override(numbers), boxes=SWEEP_BOXES)
+        return self._proofs[key]
 
     @property
     def optimises_proof(self) -> bool:
@@ -160,14 +167,15 @@ class Plan:
             return ProvedAim(None, None, proof.summary()["failures"][0]["text"])
         from dssc_jax.proofs.reach import proved_up_to
 
-        (name, bounds), key = next(iter(self.table.over.items())), (self.table.aim, *numbers.items())
-        if key not in self._known:
-            reach = proved_up_to(self.study.override(dict(numbers)), name, bounds, log=True, boxes=REACH_BOXES)
-            self._known[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
-        return self._known[key]
+        ((name, bounds),) = self.table.over.items()
+        key = tuple(numbers.items())
+        if key not in self._aims:
+            reach = proved_up_to(self.study.override(numbers), name, bounds, log=True, boxes=REACH_BOXES)
+            self._aims[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
+        return self._aims[key]
 
     def proof_of_result(self, numbers: Mapping[str, float]) -> "Proved | None":
-        """The proof that is told and stored: of the proved number if one is optimised; None if none is required."""
+        """The proof to store: that of the proved number if it is optimised; None if no proof is required."""
         if self.optimises_proof:
             return self.aim_at(numbers).proof
         return self.proof_at(numbers) if self.table.proved else None
@@ -183,8 +191,8 @@ class Plan:
         kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - required}
         kept = self.study.config.metrics.window.entries()
         draws = self.table.draws + self.table.validation
-        changes: dict[str, Any] = {"seed": self.seed, "draws": draws, "plot": {}}
-        return self.study.override(changes | {"metrics": kept | {"names": sorted(kinds)}})
+        metrics = kept | {"names": sorted(kinds)}
+        return self.study.override({"seed": self.seed, "draws": draws, "plot": {}, "metrics": metrics})
 
     def smoothed(self) -> Study:
         """The study used for derivatives: with the first width of the sign, if it is to be smoothed."""
@@ -323,7 +331,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
 
 def unfit(study: Study, name: str) -> str:
     """The reason why a name is not a number of the loop."""
-    table: Any = study.table
+    table: object = study.table
     for part in name.split("."):
         table = table.get(part) if isinstance(table, Mapping) else None
     if table is not None:

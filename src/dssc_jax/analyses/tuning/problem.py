@@ -1,7 +1,7 @@
 """The tuning problem as a function of the search variables, and the record of a search for its solution."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,20 +27,23 @@ class Slacks:
     """Excesses of Theorem 1's inequalities at a point, and their derivatives, if a slack is required."""
 
     def __init__(self, plan: Plan) -> None:
-        theorem, slack = plan.theorem, plan.table.slack
+        theorem = plan.theorem
+        slack = plan.table.slack
         assert theorem is not None
         assert slack is not None
 
         def excess(z: jax.Array) -> dict[str, jax.Array]:
             return theorem.excess(plan.mirror.traced(z), slack)
 
-        self._both = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
+        self._excess_and_slopes = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
 
     def at(self, z: np.ndarray) -> tuple[dict[str, float], dict[str, np.ndarray]]:
         """Excesses, and their derivatives with respect to the coordinates."""
         with jax.enable_x64(True):
-            values, slopes = self._both(jnp.asarray(z))
-        return {k: float(v) for k, v in values.items()}, {k: np.nan_to_num(np.asarray(v)) for k, v in slopes.items()}
+            traced_excess, traced_slopes = self._excess_and_slopes(jnp.asarray(z))
+        excess = {name: float(value) for name, value in traced_excess.items()}
+        slopes = {name: np.nan_to_num(np.asarray(slope)) for name, slope in traced_slopes.items()}
+        return excess, slopes
 
 
 @dataclass
@@ -63,8 +66,9 @@ class Problem:
     proved: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        trial, mirror, table = self.plan.trial(), self.plan.mirror, self.plan.table
-        start = {name: float(value[0]) for name, value in mirror.numbers(mirror.origin[None]).items()}
+        trial = self.plan.trial()
+        table = self.plan.table
+        start = self.plan.numbers_at(self.plan.mirror.origin)
         self.names = list(start)
         lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
         ends = {name: (value, value) for name, value in start.items()}
@@ -86,16 +90,19 @@ class Problem:
 
     def begin(self) -> tuple[Point, Point]:
         """Evaluate the start on the training and the validation draws; limits may refer to its values."""
-        origin, everything = self.plan.mirror.origin, np.concatenate([self.train, self.validation])
-        results = self.results(origin[None], everything, self.plain)
-        self.before = {name: results[name][: len(everything)] for name in self.plan.table.limits}
-        train = self.seen(origin, self.train) if self.plan.optimises_proof else self.at(origin, self.train)
-        return train, self.seen(origin)
+        origin = self.plan.mirror.origin
+        draws = np.concatenate([self.train, self.validation])
+        results = self.results(origin[None], draws, self.plain)
+        self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
+        train = self.evaluate(origin, self.train) if self.plan.optimises_proof else self.at(origin, self.train)
+        return train, self.evaluate(origin)
 
     def goal_on(self, draws: np.ndarray) -> Goal:
         """The goal on some of the draws: a limit relative to the start uses the start's value on the same draws."""
-        bounds = self.plan.table.limits.items()
-        limits = {n: float(np.mean(self.before[n][draws])) if bound == "start" else float(bound) for n, bound in bounds}
+        limits = {}
+        for name, bound in self.plan.table.limits.items():
+            value = np.mean(self.start_metrics[name][draws]) if bound == "start" else bound
+            limits[name] = float(value)
         return replace(self.goal, limits=limits)
 
     def results(self, z: np.ndarray, draws: np.ndarray, evaluator: Evaluator | None = None) -> Arrays:
@@ -110,20 +117,20 @@ class Problem:
             Arrays of shape (m (d + added),), point by point.
         """
         indices = np.concatenate([draws, self.extra])
-        lanes = {
-            name: np.tile(np.concatenate([column[draws], self.added.get(name, [])]), len(z))
-            for name, column in self.laws.items()
-        }
-        numbers = self.plan.mirror.numbers(z)
-        lanes |= {name: np.repeat(column, len(indices)) for name, column in numbers.items()}
-        return (evaluator or self.steep)(np.tile(indices, len(z)), lanes)
+        lanes = {}
+        for name, column in self.laws.items():
+            drawn = np.concatenate([column[draws], self.added.get(name, [])])
+            lanes[name] = np.tile(drawn, len(z))
+        for name, column in self.plan.mirror.numbers(z).items():
+            lanes[name] = np.repeat(column, len(indices))
+        return (evaluator or self.with_derivatives)(np.tile(indices, len(z)), lanes)
 
-    def steep(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """Run the program with derivatives, at the present width."""
+    def with_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """Results of the lanes with derivatives, at the present width of the sign."""
         return self.evaluator(indices, lanes | self._width(indices))
 
-    def flat(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
-        """Compute the same as the program with derivatives, without them."""
+    def without_derivatives(self, indices: np.ndarray, lanes: Arrays) -> Arrays:
+        """The same results, without the derivatives."""
         if self.width is None:
             return self.plain(indices, lanes)
         evaluator = Evaluator(self.plan.smoothed(), self.evaluator.extents, self.evaluator.lanes)
@@ -132,8 +139,8 @@ class Problem:
     def _width(self, indices: np.ndarray) -> Arrays:
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
-    def seen(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
-        """Evaluate one point on the validation draws, or others: exact and without derivatives."""
+    def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
+        """Evaluate a point with the exact sign and without derivatives, on the validation draws if none are named."""
         draws = self.validation if draws is None else draws
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:
@@ -141,7 +148,7 @@ class Problem:
         return Point(z, merit, np.full(len(z), np.nan), {})
 
     def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
-        """Evaluate one point on some of the draws."""
+        """Evaluate a point with derivatives on some of the draws."""
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
             return Point(z, merit, np.full(len(z), np.nan), {})
@@ -152,8 +159,9 @@ class Problem:
 
         slopes = {name: along(row) for name, row in merit.slopes.items()}
         if self.slacks is not None:
-            excess, steep = self.slacks.at(z)
-            merit, slopes = merit._replace(excess=merit.excess | excess), slopes | steep
+            excess, excess_slopes = self.slacks.at(z)
+            merit = merit._replace(excess=merit.excess | excess)
+            slopes |= excess_slopes
         return Point(z, merit, along(merit.gradient), slopes)
 
     def allowed(self, z: np.ndarray) -> bool:
@@ -172,8 +180,8 @@ class Problem:
 
 HEADROOM = 0.01  # relative margin that a search keeps within limits
 UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
-REACH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
-FINEST = 1e-3  # width of the sign before it is 0, relative to the first
+BOX_HALF_WIDTH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
+FINAL_WIDTH = 1e-3  # width of the sign before it is 0, relative to the first
 PENALTY = 20.0  # of an excess, for objective and excess relative to their scales; more than the multipliers' sum
 UPDATE = 5  # steps or generations between two looks at the validation draws
 
@@ -192,12 +200,12 @@ class Search:
     """
 
     best: Point
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[dict[str, float | None]] = field(default_factory=list)
     stopped: str = "all steps done"
     shortened: int = 0
     lowest: tuple[float, float] = (float("inf"), float("inf"))
 
-    def look(self, problem: Problem, step: int, train: Point, validation: Point, score: float | None = None) -> bool:
+    def record(self, problem: Problem, step: int, train: Point, validation: Point, score: float | None = None) -> bool:
         """Record a point; return whether it is the best so far.
 
         Args:
@@ -207,16 +215,23 @@ class Search:
             validation: The point on the validation draws.
             score: What is minimised in place of the objective on the validation draws; None: that objective.
         """
-        row = {"step": step, "objective": train.merit.objective, "violation": train.merit.violation}
-        row |= {"validation": validation.merit.objective, "validation_violation": validation.merit.violation}
+        row: dict[str, float | None] = {
+            "step": step,
+            "objective": train.merit.objective,
+            "violation": train.merit.violation,
+            "validation": validation.merit.objective,
+            "validation_violation": validation.merit.violation,
+        }
         if score is not None:
             row[problem.plan.table.aim] = problem.plan.aim_at(problem.plan.numbers_at(train.z)).value
-        tuned = problem.plan.mirror.tuned(train.z)
-        self.history.append(row | {name: float(value) for name, value in tuned.items()})
-        placed = rank(validation, score)
-        better = placed < self.lowest
+        for name, value in problem.plan.mirror.tuned(train.z).items():
+            row[name] = float(value)
+        self.history.append(row)
+        key = rank(validation, score)
+        better = key < self.lowest
         if better or step == 0:
-            self.best, self.lowest = validation, placed
+            self.best = validation
+            self.lowest = key
         return better
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +11,18 @@ import numpy as np
 from scipy.special import expit, logit
 
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import Scalar
 from dssc_jax.design import Bounds, Certificate, Free, Parameters, certification, check, design
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import inequalities
 from dssc_jax.study import Study
 
-Numbers = dict[str, Any]
+Numbers: TypeAlias = Mapping[str, Scalar]
+"""Tuned numbers or the loop's numbers by name, traced or not."""
 
 
-def as_they_are(tuned: Mapping[str, Any]) -> Numbers:
-    """Use the tuned numbers themselves as the loop's numbers."""
+def unchanged(tuned: Numbers) -> Numbers:
+    """The tuned numbers, as the loop's numbers."""
     return dict(tuned)
 
 
@@ -36,7 +38,7 @@ class Mirror:
 
     extents: dict[str, tuple[float, float]]
     start: dict[str, float]
-    expand: Callable[[Mapping[str, Any]], Numbers] = as_they_are
+    expand: Callable[[Numbers], Numbers] = unchanged
 
     @property
     def names(self) -> list[str]:
@@ -64,14 +66,14 @@ class Mirror:
     def numbers(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """The loop's numbers at points of shape (m, n), each of shape (m,)."""
         with jax.enable_x64(True):
-            return {name: np.asarray(value) for name, value in _numbers(self.traced, jnp.asarray(z)).items()}
+            return to_numpy(_numbers(self.traced, jnp.asarray(z)))
 
     def slopes(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of the loop's numbers with respect to the coordinates at points (m, n), each (m, n)."""
         with jax.enable_x64(True):
-            return {name: np.asarray(value) for name, value in _slopes(self.traced, jnp.asarray(z)).items()}
+            return to_numpy(_slopes(self.traced, jnp.asarray(z)))
 
-    def traced(self, z: jax.Array) -> Numbers:
+    def traced(self, z: jax.Array) -> dict[str, jax.Array]:
         """The loop's numbers at one traced point of shape (n,)."""
         low, high = self.ends
         values = jnp.exp(low + (high - low) * jax.nn.sigmoid(z))
@@ -79,14 +81,19 @@ class Mirror:
         return {name: jnp.asarray(value) for name, value in numbers.items()}
 
 
-@partial(jax.jit, static_argnums=0)
-def _numbers(of: Callable[[jax.Array], Numbers], z: jax.Array) -> Numbers:
-    return jax.vmap(of)(z)
+def to_numpy(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:
+    """The arrays by name, on the host."""
+    return {name: np.asarray(array) for name, array in arrays.items()}
 
 
 @partial(jax.jit, static_argnums=0)
-def _slopes(of: Callable[[jax.Array], Numbers], z: jax.Array) -> Numbers:
-    return jax.vmap(jax.jacfwd(of))(z)
+def _numbers(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+    return jax.vmap(function)(z)
+
+
+@partial(jax.jit, static_argnums=0)
+def _slopes(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array) -> dict[str, jax.Array]:
+    return jax.vmap(jax.jacfwd(function))(z)
 
 
 PREFIX = "free."
@@ -100,7 +107,8 @@ def dotted_name(name: str) -> str:
     return f"controller.functions.{'epsilon' if name == 'eps' else name}"
 
 
-SMALL_GAIN, SLACK = "small gain", "slack of "
+SMALL_GAIN = "small gain"
+SLACK = "slack of "
 NUMBERS = {dotted_name(name): name for name in Parameters._fields}
 """The loop's numbers that the free parameters determine."""
 
@@ -139,12 +147,12 @@ class Theorem:
             raise ConfigError(self.option, f"the loop's bounds are no bounds: {error}") from None
         self.ends = certification.ends_of(self.study)
 
-    def free(self, tuned: Mapping[str, Any]) -> Free:
+    def free(self, tuned: Numbers) -> Free:
         """The free parameters, varied and fixed."""
         varied = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
         return Free(**{**self.fixed, **varied})
 
-    def expand(self, tuned: Mapping[str, Any]) -> dict[str, Any]:
+    def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the certified design, and the other tuned numbers."""
         free = self.free(tuned)
         _, bounds = self.at({dotted_name("l0"): free.l0})  # of which those of the nominal control depend on l0
@@ -152,9 +160,9 @@ class Theorem:
         numbers = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
         return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
-    def at(self, numbers: Mapping[str, Any]) -> tuple[Parameters, Bounds]:
+    def at(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
         """Parameters and bounds at the loop's numbers as simulated; numbers not given are the study's."""
-        changed = {name: numbers[long] for long, name in NUMBERS.items() if long in numbers}
+        changed = {name: numbers[dotted] for dotted, name in NUMBERS.items() if dotted in numbers}
         parameters = self.parameters._replace(**changed)
         return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
 
@@ -162,7 +170,7 @@ class Theorem:
         """Check a design strictly."""
         return check(*self.at({name: float(value) for name, value in numbers.items()}))
 
-    def excess(self, numbers: Mapping[str, Any], slack: float) -> dict[str, Any]:
+    def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
         """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
 
         Args:

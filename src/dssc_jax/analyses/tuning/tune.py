@@ -7,8 +7,8 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.analyses.falsification.falsify import falsify, require_hunt
-from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, prove_better
-from dssc_jax.analyses.tuning.descent import descend, program
+from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, optimise_proof
+from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
 from dssc_jax.analyses.tuning.objective import judge_tuning
 from dssc_jax.analyses.tuning.plan import EVOLUTION, PROGRAMMING, SIMPLEX, Plan
@@ -22,7 +22,7 @@ from dssc_jax.study import Study
 
 CHECKED = 16  # points of the gradient check before a descent
 USEFUL = 0.5  # share of derivatives that must agree; below it evolution takes over
-METHODS = {PROGRAMMING: program, EVOLUTION: evolve, SIMPLEX: prove_better}
+METHODS = {PROGRAMMING: quadratic_programming, EVOLUTION: evolve, SIMPLEX: optimise_proof}
 """Searches other than those of optax."""
 
 
@@ -73,7 +73,7 @@ def tune(
         hunts.append(Counterexample(worst.point_answer(worst.worst), worst.simulations))
         if worst.slack >= 0.0 or len(hunts) == rounds:
             break
-        added = joined(added, worst.witness)
+        added = with_witness(added, worst.witness)
         problem = Problem(plan, added)
         outcome, gradients = solve(problem, progress)
         certified += problem.certified
@@ -121,21 +121,23 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
     return search(problem, first, gradients is None or useful(gradients), progress), gradients
 
 
-def search(problem: Problem, first: tuple[Point, Point], useful: bool, progress: ProgressCallback | None) -> Search:
+def search(
+    problem: Problem, first: tuple[Point, Point], differentiable: bool, progress: ProgressCallback | None
+) -> Search:
     """Run the search that the study names, or evolution if derivatives are not useful."""
-    return METHODS.get(method_of(problem.plan, useful), descend)(problem, first, progress)
+    return METHODS.get(method_of(problem.plan, differentiable), descend)(problem, first, progress)
 
 
-def method_of(plan: Plan, useful: bool) -> str:
+def method_of(plan: Plan, differentiable: bool) -> str:
     """The name of the search.
 
     Args:
         plan: The plan.
-        useful: Whether derivatives can be used for descent.
+        differentiable: Whether derivatives can be used for descent.
     """
     if plan.optimises_proof:
         return SIMPLEX
-    return plan.table.optimiser if useful else EVOLUTION
+    return plan.table.optimiser if differentiable else EVOLUTION
 
 
 def useful(gradients: GradientAgreement) -> bool:
@@ -158,7 +160,7 @@ def verified(certificate: JsonObject) -> JsonObject:
     return content
 
 
-def joined(added: Arrays, witness: dict[str, float]) -> Arrays:
+def with_witness(added: Arrays, witness: dict[str, float]) -> Arrays:
     """Add one counterexample to the others."""
     return {name: np.append(added.get(name, []), value) for name, value in witness.items()}
 
