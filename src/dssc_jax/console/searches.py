@@ -5,8 +5,8 @@ from pathlib import Path
 from rich.markup import escape
 
 from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
+from dssc_jax.analyses.tuning.objective import Verdict
 from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned
-from dssc_jax.analyses.tuning.verdict import Verdict
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
 
 ENDED = "ended early"

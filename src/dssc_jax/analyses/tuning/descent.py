@@ -1,13 +1,14 @@
-"""Gradient descent by optax with an augmented Lagrangian."""
+"""Searches with derivatives: gradient descent by optax, and sequential quadratic programming by SciPy."""
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import numpy as np
 import optax
+from scipy.optimize import minimize
 
-from dssc_jax.analyses.tuning.problem import Point, Problem
-from dssc_jax.analyses.tuning.progress import FINEST, PENALTY, UPDATE, Search, headroom
+from dssc_jax.analyses.tuning.problem import FINEST, PENALTY, REACH, UNFIT, UPDATE, Point, Problem, Search, headroom
 from dssc_jax.core.signals import ProgressCallback
 
 LAST = 0.01  # final share of the learning rate in the cosine schedule
@@ -118,3 +119,137 @@ def reached_box(
             if point.merit.objective <= highest and point.merit.violation <= farthest:
                 return point, halvings
     return problem.at(iterate.z, batch), HALVINGS
+
+
+STAGES = 4  # between two of them the width of the sign and the limits' headroom move
+CONVERGED = 1e-5  # change of the relative objective at which a stage ends
+
+
+def program(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
+    """Run SLSQP on the training draws; the validation draws choose among its iterates.
+
+    The largest excess is an additional coordinate, so that linearised limits never contradict each other. If a limit is
+    exceeded by more on the validation draws than on the training draws, the difference is added to its headroom, and
+    the search continues from there.
+
+    Reference:
+        D. Kraft, "A software package for sequential quadratic programming", DFVLR-FB 88-28 (1988); the elastic mode is
+        from J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), section 18.5.
+    """
+    iteration = Iteration(problem, Search(first[1]), first[0], progress)
+    iteration.search.look(problem, 0, *first)
+    width, steps = problem.plan.table.smoothing, problem.plan.table.steps
+    for stage in range(1, STAGES + 1):
+        if width is not None:
+            problem.width = width * FINEST ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
+        iteration.go(steps if width is None else stage * steps // STAGES)
+        short = iteration.update_gaps()
+        if iteration.done >= steps or (width is None and not short):
+            break
+    return iteration.search
+
+
+class Waited(Exception):
+    """Raised if there was no improvement for as many evaluations on the validation draws as the patience allows."""
+
+
+@dataclass
+class Iteration:
+    """A search in progress; its coordinates are the mirror's, then the largest excess.
+
+    Args:
+        problem: The problem, initialised.
+        search: The results so far.
+        iterate: The present iterate.
+        progress: Called after each step.
+        done: Number of steps done.
+        gaps: Increase of each limit's headroom.
+    """
+
+    problem: Problem
+    search: Search
+    iterate: Point
+    progress: ProgressCallback | None
+    done: int = 0
+    gaps: dict[str, float] = field(default_factory=dict)
+    _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
+    _waited: int = 0
+
+    def __post_init__(self) -> None:
+        self.names = list(self.iterate.merit.excess)
+        self.scale = abs(self.iterate.merit.objective) or 1.0
+
+    def at(self, x: np.ndarray) -> tuple[Point, bool]:
+        """A point, and whether it is allowed."""
+        z = x[:-1]
+        key = z.tobytes()
+        if key not in self._points:
+            point = self.problem.at(z, self.problem.train)
+            self._points[key] = point, not point.merit.ended and self.problem.allowed(z)
+        return self._points[key]
+
+    def cost(self, x: np.ndarray) -> float:
+        """The relative objective plus the penalty."""
+        point, fit = self.at(x)
+        return point.merit.objective / self.scale + PENALTY * float(x[-1]) if fit else UNFIT
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """Gradient of the cost. It is called at iterates only, each of which is evaluated on the validation draws.
+
+        Raises:
+            Waited: there was no improvement for too long.
+        """
+        point = self.at(x)[0]
+        if not np.array_equal(point.z, self.iterate.z):
+            self.done, self.iterate, table = self.done + 1, point, self.problem.plan.table
+            better = self.search.look(self.problem, self.done, point, self.problem.seen(point.z))
+            self._waited = 0 if better else self._waited + 1
+            if self.progress:
+                self.progress(self.done, table.steps)
+            if self._waited >= table.patience:
+                raise Waited
+        return np.append(point.gradient / self.scale, PENALTY)
+
+    def room(self, x: np.ndarray) -> np.ndarray:
+        """The distance to every limit, less its headroom, plus the largest excess."""
+        excess = self.at(x)[0].merit.excess
+        excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(excesses)
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of the room, shape (limits, n + 1)."""
+        rows = self.at(x)[0].slopes
+        slopes = np.array([rows.get(name, np.zeros(len(x) - 1)) for name in self.names])
+        return np.hstack([-slopes, np.ones((len(slopes), 1))])
+
+    def go(self, steps: int) -> None:
+        """Run one stage, until the given total number of steps."""
+        self._points.clear()
+        self._waited, table = 0, self.problem.plan.table
+        begin = np.append(np.clip(self.iterate.z, -REACH, REACH), 0.0)
+        begin[-1] = max([0.0, *-self.room(begin)])
+        limits = {"type": "ineq", "fun": self.room, "jac": self.slopes}
+        try:
+            minimize(
+                self.cost, begin, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
+                bounds=[(-REACH, REACH)] * (len(begin) - 1) + [(0.0, None)],
+                options={"maxiter": max(1, steps - self.done), "ftol": CONVERGED},
+            )  # fmt: skip
+        except Waited:
+            self.search.stopped = f"no better on the validation draws for {self._waited} looks"
+        else:
+            self.search.stopped = "all steps done" if self.done >= table.steps else "converged"
+
+    def update_gaps(self) -> bool:
+        """Set each limit's gap to how much larger its excess is on the validation draws than on the training draws.
+
+        Nothing changes if a validation draw ended early.
+
+        Returns:
+            Whether the validation draws exceed a limit.
+        """
+        validation = self.problem.seen(self.iterate.z).merit
+        excesses = self.iterate.merit.excess
+        if not validation.ended:
+            self.gaps = {name: max(0.0, excess - excesses[name]) for name, excess in validation.excess.items()}
+        return not validation.ended and validation.violation > 0.0

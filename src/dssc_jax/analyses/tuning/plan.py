@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.tuning.certified import NUMBERS, Theorem, split_parameters
-from dssc_jax.analyses.tuning.mirror import Mirror, as_they_are
+from dssc_jax.analyses.tuning.search_variables import NUMBERS, Mirror, Theorem, as_they_are, split_parameters
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.certification import NotCovered
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
-PROGRAMMING = "sqp"  # in programming.py
+PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
 OBJECTIVE, PROVED_ERROR = "objective", "proved_error"  # aims
 REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value without a proof is known early

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.falsification.falsify import PointAnswer
-from dssc_jax.analyses.tuning.certified import PREFIX
+from dssc_jax.analyses.tuning.derivative_free import Aimed
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
+from dssc_jax.analyses.tuning.objective import Verdict
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
-from dssc_jax.analyses.tuning.proving import Aimed
-from dssc_jax.analyses.tuning.verdict import Verdict
+from dssc_jax.analyses.tuning.search_variables import PREFIX
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject

@@ -1,4 +1,4 @@
-"""Tune a study: descent on training draws, choice on validation draws, verdict on fresh ones."""
+"""Tune a study: search on training draws, choice on validation draws, verdict on fresh ones."""
 
 import json
 import time
@@ -7,14 +7,13 @@ import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
 from dssc_jax.analyses.falsification.falsify import falsify, require_hunt
+from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, prove_better
+from dssc_jax.analyses.tuning.descent import descend, program
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
-from dssc_jax.analyses.tuning.plan import EVOLUTION, Plan
-from dssc_jax.analyses.tuning.problem import Problem
-from dssc_jax.analyses.tuning.progress import Search
-from dssc_jax.analyses.tuning.proving import compare_proved, require_proved
+from dssc_jax.analyses.tuning.objective import judge_tuning
+from dssc_jax.analyses.tuning.plan import EVOLUTION, PROGRAMMING, SIMPLEX, Plan
+from dssc_jax.analyses.tuning.problem import Point, Problem, Search
 from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, dataset_of
-from dssc_jax.analyses.tuning.search import method_of, search
-from dssc_jax.analyses.tuning.verdict import judge_tuning
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
@@ -23,6 +22,8 @@ from dssc_jax.study import Study
 
 CHECKED = 16  # points of the gradient check before a descent
 USEFUL = 0.5  # share of derivatives that must agree; below it evolution takes over
+METHODS = {PROGRAMMING: program, EVOLUTION: evolve, SIMPLEX: prove_better}
+"""Searches other than those of optax."""
 
 
 def tune(
@@ -120,6 +121,23 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
     return search(problem, first, gradients is None or useful(gradients), progress), gradients
 
 
+def search(problem: Problem, first: tuple[Point, Point], useful: bool, progress: ProgressCallback | None) -> Search:
+    """Run the search that the study names, or evolution if derivatives are not useful."""
+    return METHODS.get(method_of(problem.plan, useful), descend)(problem, first, progress)
+
+
+def method_of(plan: Plan, useful: bool) -> str:
+    """The name of the search.
+
+    Args:
+        plan: The plan.
+        useful: Whether derivatives can be used for descent.
+    """
+    if plan.optimises_proof:
+        return SIMPLEX
+    return plan.table.optimiser if useful else EVOLUTION
+
+
 def useful(gradients: GradientAgreement) -> bool:
     """Whether derivatives can be used for descent: they are correct, and not only for the smallest of steps."""
     return min(gradients.useful, gradients.predictive) >= USEFUL
@@ -162,6 +180,29 @@ def require_certified(plan: Plan) -> None:
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"
         raise ConfigError(plan.study.source, f"{place}: the start is infeasible: its design is not certified")
+
+
+def require_proved(plan: Plan) -> None:
+    """Require that the start is proved, as far as the settings need it.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    numbers = plan.numbers_at(plan.mirror.origin)
+    if plan.table.proved:
+        proof = plan.proof_at(numbers)
+        if not proof.complete:
+            raise infeasible_start(plan, "tune.proved", "it is not proved", proof.summary()["failures"][0]["text"])
+    if plan.optimises_proof:
+        outcome = plan.aim_at(numbers)
+        if outcome.value is None:
+            place = "".join(f" at the safe end {name} = {low:g}" for name, (low, _) in plan.table.over.items())
+            raise infeasible_start(plan, "tune.aim", f"it is not proved{place}", outcome.reason)
+
+
+def infeasible_start(plan: Plan, place: str, missing: str, reason: str) -> ConfigError:
+    """The error of a start that is not proved."""
+    return ConfigError(plan.study.source, f"{place}: the start is infeasible: {missing}: {reason}")
 
 
 def require_falsifiable(study: Study, rounds: int, budget: int) -> None:

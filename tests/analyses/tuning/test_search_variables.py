@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.tuning.mirror import Mirror
 from dssc_jax.analyses.tuning.plan import Plan
+from dssc_jax.analyses.tuning.search_variables import Mirror
 from tests.analyses.tuning.cases import CERTIFIED, SMALL
 
 STEP = 1e-6
