@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.closed_loop.metrics import Scope
+from dssc_jax.study.measuring import KNOWN
 
 RULE = {"error": 0.02, "hold": 0.5, "after": 1.0}
 LOOP = {
@@ -94,3 +96,18 @@ def test_a_rule_that_nothing_meets_changes_nothing():
 def test_bad_rules_are_told(rule, error):
     with pytest.raises(dj.ConfigError, match=error):
         dj.Study.from_table(LOOP).override({"loop.settled": rule})
+
+
+def test_every_metric_of_a_settled_draw_is_that_of_a_run_that_ends_there(study):
+    """Also those that count the samples of their window."""
+    names = sorted(name for name, metric in KNOWN.items() if metric.scope is Scope.CHANNEL)
+    several = study.override({"metrics": {"names": names}, "requirement": [], "draws": 1, "plant.k_p": 1.0})
+    several = several.override({"plant.initial": [1.0, 0.0]})
+    settled = dj.run(several).dataset
+    duration = float(settled["settled_at"][0])
+    shorter = several.override({"loop.settled": {**RULE, "error": 1e-12}, "loop.duration": round(duration, 2)})
+    expected = dj.run(shorter).dataset
+    found = [name for name in names if name in settled]
+    assert {"growth_rate", "error_rms", "command_tv"} <= set(found)
+    for name in found:
+        np.testing.assert_allclose(settled[name], expected[name], rtol=1e-9, atol=1e-12, err_msg=name)

@@ -11,7 +11,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.plotting import save_figure
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.analysis_folder import require_free
-from dssc_jax.study import Study
+from dssc_jax.study import Study, hash_of
 
 AnalysisKind = TypeVar("AnalysisKind", bound=Analysis)
 
@@ -49,10 +49,13 @@ def free_folder(study: Study, kind: str, name: str, out: Path | None, *options: 
 
 
 def usual_folder(study: Study, command: str, *options: object) -> Path:
-    """results/NAME-COMMAND, followed by the study's hash if an option or an edit has changed the question."""
+    """results/NAME-COMMAND, followed by a digest of the question if an option or an edit has changed it."""
     folder = Path("results") / f"{study.name}-{command}"
-    altered = any(option not in (None, []) for option in options)
-    return folder.with_name(f"{folder.name}-{study.hash[:8]}") if altered or is_foreign(folder, study) else folder
+    chosen = [str(option) for option in options if option not in (None, [])]
+    if not chosen and not is_foreign(folder, study):
+        return folder
+    digest = hash_of({"study": study.hash, "options": chosen}) if chosen else study.hash
+    return folder.with_name(f"{folder.name}-{digest[:8]}")
 
 
 def is_foreign(folder: Path, study: Study) -> bool:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.metrics import SAMPLING, Metric, Sample, Scope, Span, Window, itself, peak, total
-from dssc_jax.core.numerics import root_abs, sign
+from dssc_jax.core.numerics import at_least, root_abs, sign
 from dssc_jax.core.signals import Scalar
 
 CUTOFF = 2.0 * math.pi  # rad/s: the command above 1 Hz counts as chattering (assumed)
@@ -132,10 +132,10 @@ def trend(acc: Trend, sample: Sample, window: Window) -> Trend:
 
 def slope(acc: Trend, window: Window, span: Span) -> Scalar:
     """Least-squares slope of ln |sigma| over time."""
-    n = span.inside
-    centre = span.steps - n + 0.5 * (n - 1)
-    spread = n * (n**2 - 1) / 12.0
-    return (acc.moment - centre * acc.total) / (max(spread, 1.0) * span.sample_time)
+    n = 1.0 * span.inside  # a count of samples that the draw decides may be traced
+    centre = span.steps - n + 0.5 * (n - 1.0)
+    spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)
+    return (acc.moment - centre * acc.total) / (spread * span.sample_time)
 
 
 PERFORMANCE: dict[str, Metric] = {

@@ -52,9 +52,7 @@ MEAN_GAIN = (
 )
 """What a rounding to a resolution counts as."""
 
-SWITCHES = (
-    "switches at the origin and has no linearisation there; describing functions (dssc-jax theory) cover such laws"
-)
+SWITCHES = "switches at the origin and has no linearisation there; a describing function covers it where declared"
 """Why a switching law is smooth nowhere that helps."""
 
 SMOOTH = Smoothness(SmoothExtent.EVERYWHERE)

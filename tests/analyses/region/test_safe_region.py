@@ -41,7 +41,7 @@ class Disc(Lattice):
 def test_the_boundary_followed_is_that_of_the_full_lattice(halvings):
     count = COARSE * 2**halvings + 1
     followed, full = Disc(count), Disc(count)
-    followed.follow(2**halvings)
+    followed.follow_boundary(2**halvings)
     full.simulate(np.ndindex(count, count))
     own, every = followed.verdicts(), full.verdicts()
     simulated = own != PairVerdict.NOT_SIMULATED
