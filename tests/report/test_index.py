@@ -96,7 +96,7 @@ def test_damage_is_listed_and_nothing_else_changes(results):
     assert found.pop("good") == ""
     assert len(found) == 7
     assert all(found.values())
-    assert "--resume" in found["cut"]
+    assert "`resume`" in found["cut"]
     text = (results / "index.html").read_text()
     assert all(f"<code>{name}</code>" in text for name in found)
     assert not (results / "hollow" / REPORT).exists()
