@@ -121,7 +121,7 @@ def test_one_s_own_result_is_simulated_again_from_elsewhere(beside, tmp_path, mo
         ("import no_such_library", "own_spring:X", "needs 'no_such_library', which is not installed"),
         ("x = (", "own_spring:X", "SyntaxError: '(' was never closed in line 1 of "),
         ("y = 1\nx = 1 / 0", "own_spring:X", "ZeroDivisionError: division by zero in line 2 of "),
-        ("", "own_sprin:X", "there is no module 'own_sprin'; if it lies in the study's folder, --allow-local"),
+        ("", "own_sprin:X", "there is no module 'own_sprin'; if it lies in the study's folder, `allow_local`"),
     ],
 )
 def test_a_failed_import_says_what_to_do(beside, text, name, said):
