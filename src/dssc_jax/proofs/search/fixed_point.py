@@ -207,21 +207,21 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
 
 def bounds_stage(problem: ProofProblem, region: tuple[float, float], by: Map, bounds: np.ndarray) -> BoundsStage:
     """The stage of these bounds."""
-    falls, p = decay_of(by.step)
+    falls, p = decay_of(by.step.a)
     rate = falls / problem.sample_time
     sizes = float(region[0]), float(region[1]), problem.level, problem.slope
     return BoundsStage(*sizes, rate, middle_gains(by.spread), (INFLATION * bounds).tolist(), p.tolist())
 
 
-def decay_of(step: Step) -> tuple[float, np.ndarray]:
-    """A share, and P with which z'Pz falls by it in a sample; half as fast as the slowest mode."""
-    n = step.a.shape[0]
-    radius = np.max(np.abs(np.linalg.eigvals(step.a)))
+def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
+    """A share, and P with which z'Pz falls by it in a sample of z+ = a z; half as fast as the slowest mode."""
+    n = a.shape[0]
+    radius = np.max(np.abs(np.linalg.eigvals(a)))
     keep = 0.5 * (1.0 + radius)
-    gramian = solve_discrete_lyapunov(step.a / keep, np.eye(n))
+    gramian = solve_discrete_lyapunov(a / keep, np.eye(n))
     scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
     inverse = np.linalg.inv(scale)
-    scaled = solve_discrete_lyapunov((inverse @ step.a @ scale / keep).T, np.eye(n))
+    scaled = solve_discrete_lyapunov((inverse @ a @ scale / keep).T, np.eye(n))
     p = inverse.T @ scaled @ inverse
     return float(1.0 - keep**2), 0.5 * (p + p.T)
 

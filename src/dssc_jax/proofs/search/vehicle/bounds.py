@@ -1,0 +1,351 @@
+"""Bounds of all signals of a vehicle that imply themselves, searched in floating point as fixed points."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.problem import ProofProblem
+from dssc_jax.proofs.search.fixed_point import decay_of
+from dssc_jax.proofs.search.gains import GainPoints, gain_points
+from dssc_jax.proofs.search.vehicle.channels import (
+    ONE_AXIS,
+    ChannelResponse,
+    Linear,
+    channel_response,
+    planar_channel,
+    sampled,
+    vertical_channel,
+    yaw_channel,
+)
+from dssc_jax.proofs.search.vehicle.remainders import (
+    GRAVITY,
+    OutOfRange,
+    Rotors,
+    Signals,
+    remainders_of,
+    slopes_of,
+)
+from dssc_jax.proofs.vehicle_problem import CHANNELS, ChannelProblem, VehicleProblem
+
+INFLATION = 1.0 + 2e-3
+"""How much larger than F(Y) each bound in Y is, for what the verifier's balls and tails add."""
+SMALLEST_BOUND = 1e-12
+DISTANCE_ROOM = 1.01
+"""Widening of a distance, for the verifier's enclosure."""
+SMALLEST_REGION = 1e-9
+ROUNDS = 12
+"""Times that the slopes are chosen anew."""
+ITERATIONS = 400
+"""Times that a map is applied."""
+SETTLED = 1e-5
+"""Relative growth of a bound at which it counts as a fixed point."""
+REGION_KEPT = 0.01
+"""Relative change of |sigma| in a region for which the slopes are kept."""
+LARGEST_GROWTH = 50.0
+"""Growth of a region in a round."""
+DAMPING_SHARE = 1.7
+"""The first damping of drag, over k W/M."""
+DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
+WORTH = 0.995
+"""Improvement of the bound of |e| for which the search goes on."""
+
+
+@dataclass(frozen=True)
+class ChannelDeviations:
+    """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
+
+    Args:
+        slopes: k_1, k_2 and k_n.
+        distance: Of phi_1, phi_2 and phi_1 + n.
+        ratio: The same over |sigma|.
+        steepest: Largest K_P, K_I and tau_av.
+    """
+
+    slopes: tuple[float, float, float]
+    distance: tuple[float, float, float]
+    ratio: tuple[float, float, float]
+    steepest: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class VehicleBounds:
+    """Bounds that imply themselves.
+
+    Args:
+        slopes: k_1, k_2, k_n of each channel.
+        damping: Damping of drag in the plane and along z [1/s].
+        bounds: Bounds of the signals.
+        rotors: Bounds of the rotors.
+    """
+
+    slopes: dict[str, tuple[float, float, float]]
+    damping: tuple[float, float]
+    bounds: Signals
+    rotors: Rotors
+
+
+def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
+    """One channel's controller in the form in which its functions are evaluated."""
+    return ProofProblem(
+        sample_time=problem.sample_time, l0=channel.l0, form="conservative", functions=channel.functions,
+        rho=channel.rho, nominal=channel.nominal, k_p=(1.0, 1.0), a_p=(0.0, 0.0), zero_a=(), zero_c=(), numerator=(),
+        denominator=(), mu=(0.0, 0.0), delay=0.0, sensor_lag=0.0, level=0.0, slope=0.0, reference=(0.0, 0.0, 0.0),
+        initial=((0.0, 0.0), (0.0, 0.0)), start=channel.start,
+    )  # fmt: skip
+
+
+def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
+    """The functions of a channel at points of a region."""
+    return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
+
+
+def best_slopes(points: GainPoints) -> tuple[float, float, float]:
+    """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2."""
+    size = np.abs(points.sigma)
+    columns = points.columns
+    both = nearest_slope(size, columns["mean"] + columns["k_n"])
+    pole = float(np.mean(columns["k_n"]))
+    return both - pole, nearest_slope(size, columns["k_i"]), pole
+
+
+def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
+    """The slope whose line through 0 is nearest to ratio sigma: the distance is convex in it."""
+    low, high = float(ratio.min()), float(ratio.max())
+    if not low < high:
+        return low
+    found = minimize_scalar(lambda slope: distance_of(size, ratio, slope), bounds=(low, high))
+    return float(found.x)
+
+
+def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
+    """The largest |ratio - slope| |sigma|."""
+    return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
+
+
+def deviations_of(points: GainPoints, slopes: tuple[float, float, float]) -> ChannelDeviations:
+    """What the functions deviate by from straight lines with these slopes."""
+    size = np.abs(points.sigma)
+    columns = points.columns
+    ratios = columns["mean"], columns["k_i"], columns["mean"] + columns["k_n"]
+    straight = slopes[0], slopes[1], slopes[0] + slopes[2]
+    pairs = list(zip(ratios, straight, strict=True))
+    distance = tuple(distance_of(size, ratio, slope) for ratio, slope in pairs)
+    share = tuple(1.001 * float(np.max(np.abs(ratio - slope))) for ratio, slope in pairs)
+    steepest = float(np.max(columns["k_p"]))
+    reach = float(np.max(columns["slide_p"])) / steepest  # 1 + tau_av/T_s
+    return ChannelDeviations(slopes, distance, share, (steepest, float(np.max(columns["k_i"])), reach))  # type: ignore[arg-type]
+
+
+def all_deviations(
+    problem: VehicleProblem, y: Signals, slopes: dict[str, tuple[float, float, float]]
+) -> dict[str, ChannelDeviations]:
+    """The deviations of every channel under the bounds of its sigma."""
+    return {
+        name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name])
+        for name in CHANNELS
+    }
+
+
+def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, Linear]:
+    """The linear channels."""
+    return {
+        "x": planar_channel(problem, damping[0]),
+        "z": vertical_channel(problem, damping[1]),
+        "psi": yaw_channel(problem),
+    }
+
+
+def bounds_by(
+    problem: VehicleProblem,
+    name: str,
+    response: ChannelResponse,
+    deviations: ChannelDeviations,
+    remainders: dict[str, float],
+    slopes: dict[str, float],
+    sigma: float,
+    *,
+    started: bool,
+) -> dict[str, float]:
+    """F of one channel's signals."""
+    channel = problem.channels[name]
+    by_u = min(deviations.distance[2], deviations.ratio[2] * sigma)
+    by_q = min(deviations.distance[1], deviations.ratio[1] * sigma)
+    in_plane = np.array([name == "x" and key not in ONE_AXIS for key in response.names])
+    axes = np.where(in_plane, math.sqrt(2.0), 1.0)  # the deviations of both axes as one vector
+    by_functions = response.gains[..., :2] @ np.array([by_u, by_q])
+    bound = axes * by_functions + response.gains[..., 2:] @ np.array([remainders[key] for key in response.remainders])
+    if name == "z":
+        constant = response.constant if started else response.settled_constant
+        bound = bound + problem.thrust_deviation * GRAVITY * constant
+    if started:
+        e, speed = channel.initial
+        first = speed + channel.l0 * e
+        late = min(deviations.distance[0], deviations.ratio[0] * first)
+        if channel.start == "midpoint":
+            late += 0.5 * problem.sample_time * min(deviations.distance[1], deviations.ratio[1] * first)
+        late = 0.0 if channel.start == "zero" else late
+        bound = bound + response.starts[..., :2] @ np.array([e, speed]) + axes * late * response.starts[..., 2]
+    largest = bound.max(axis=0)
+    eighth = problem.sample_time / 8.0
+    return {key: float(largest[i]) + eighth * slopes[key] for i, key in enumerate(response.names)}
+
+
+def applied(
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    deviations: dict[str, ChannelDeviations],
+    y: Signals,
+    damping: tuple[float, float],
+    *,
+    started: bool = True,
+) -> tuple[Signals, Signals, Rotors]:
+    """F(Y), the remainders, and the rotors.
+
+    Raises:
+        OutOfRange: the vehicle may leave the range of the theorem.
+    """
+    remainders, rotors = remainders_of(problem, y, damping)
+    slopes = slopes_of(problem, y, remainders, damping)
+    reached = {
+        name: bounds_by(
+            problem, name, responses[name], deviations[name], remainders[name], slopes[name], y[name]["sigma"],
+            started=started,
+        )
+        for name in CHANNELS
+    }  # fmt: skip
+    return reached, remainders, rotors
+
+
+def slides(
+    problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y: Signals, remainders: Signals
+) -> bool:
+    """Whether the equivalent control of every channel stays within rho."""
+    t = problem.sample_time
+    for name, channel in problem.channels.items():
+        steepest, integral, reach = deviations[name].steepest
+        pushed = remainders[name].get("force", remainders[name].get("torque", 0.0))
+        if name == "z":
+            pushed += problem.thrust_deviation * GRAVITY
+        second = integral * y[name]["sigma"]
+        before = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
+        if before + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
+            return False
+        first = channel.initial[1] + channel.l0 * channel.initial[0]
+        if channel.start == "zero" and reach * (steepest + t * integral) * first > channel.rho:
+            return False
+    return True
+
+
+def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> VehicleBounds | str:
+    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``."""
+    linear = linear_channels(problem, damping)
+    y: Signals = {
+        name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()
+    }
+    regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
+    regions = {name: max(region, 1e-3) for name, region in regions.items()}
+    slopes: dict[str, tuple[float, float, float]] = {}
+    responses: dict[str, ChannelResponse] = {}
+    chosen: dict[str, float] = {}
+    for _ in range(ROUNDS):
+        for name, region in regions.items():
+            if name in chosen and abs(region - chosen[name]) <= REGION_KEPT * chosen[name]:
+                continue
+            chosen[name] = region
+            slopes[name] = best_slopes(points_of(problem, name, region))
+            response = channel_response(problem, problem.channels[name], linear[name], slopes[name])
+            if response is None:
+                return "gain"
+            responses[name] = response
+        found = grown(problem, responses, slopes, y, damping, chosen)
+        if found is None:
+            return "gain"
+        reached, closed = found
+        regions = {name: reached[name]["sigma"] for name in CHANNELS}
+        kept = all(abs(regions[name] - chosen[name]) <= REGION_KEPT * chosen[name] for name in CHANNELS)
+        if closed and kept:
+            return accepted(problem, responses, slopes, reached, damping)
+    return "gain"
+
+
+def grown(
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    slopes: dict[str, tuple[float, float, float]],
+    start: Signals,
+    damping: tuple[float, float],
+    regions: dict[str, float],
+) -> tuple[Signals, bool] | None:
+    """The bounds after F is applied from small ones on, and whether they have become a fixed point.
+
+    They are left where they outgrow the regions for which the slopes were chosen; None if they leave the range of the
+    theorem.
+    """
+    y = start
+    for _ in range(ITERATIONS):
+        deviations = all_deviations(problem, y, slopes)
+        try:
+            reached, _, _ = applied(problem, responses, deviations, y, damping)
+        except OutOfRange:
+            return None
+        growth = max(INFLATION * reached[name][key] / y[name][key] for name in CHANNELS for key in reached[name])
+        y = {
+            name: {key: max(INFLATION * value, y[name][key], SMALLEST_BOUND) for key, value in reached[name].items()}
+            for name in CHANNELS
+        }
+        if growth <= 1.0 + SETTLED:
+            return y, True
+        if any(y[name]["sigma"] > 2.0 * regions[name] for name in CHANNELS):
+            return y, False
+    return None
+
+
+def accepted(
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    slopes: dict[str, tuple[float, float, float]],
+    y: Signals,
+    damping: tuple[float, float],
+) -> VehicleBounds | str:
+    """The fixed point as a result, if the loop slides under it."""
+    deviations = all_deviations(problem, y, slopes)
+    _, remainders, rotors = applied(problem, responses, deviations, y, damping)
+    if not slides(problem, deviations, y, remainders):
+        return "sliding"
+    return VehicleBounds(dict(slopes), damping, y, rotors)
+
+
+def best_bounds(problem: VehicleProblem) -> VehicleBounds | str:
+    """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none."""
+    wind_h, wind_z = problem.wind
+    k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
+    speed = math.hypot(wind_h, wind_z)
+    damping = (DAMPING_SHARE * k_h * speed, DAMPING_SHARE * k_z * speed)
+    best = vehicle_bounds(problem, damping)
+    for step in DAMPING_STEPS:
+        trial = vehicle_bounds(problem, (step * damping[0], damping[1]))
+        if isinstance(trial, str):
+            continue
+        if isinstance(best, str) or trial.bounds["x"]["e"] < best.bounds["x"]["e"]:
+            best = trial
+    return best
+
+
+def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
+    """The proof as a certificate holds it."""
+    linear = linear_channels(problem, found.damping)
+    channels = {}
+    for name, damping in zip(CHANNELS, (*found.damping, 0.0), strict=True):
+        step = sampled(problem, problem.channels[name], linear[name], found.slopes[name])
+        falls, p = decay_of(step.a)
+        channels[name] = {
+            "slopes": list(found.slopes[name]),
+            "drag_damping": damping,
+            "rate": falls / problem.sample_time,
+            "p": p.tolist(),
+            "bounds": found.bounds[name],
+        }
+    return {"channels": channels}

@@ -1,0 +1,316 @@
+"""The linear channel of each controller, sampled, and what its signals are at most, in floating point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from dssc_jax.proofs.search.fixed_point import responses
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+
+GRAVITY = 9.81
+POINTS = (0.125, 0.375, 0.625, 0.875)
+"""Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
+ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
+"""Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
+MOST_CONSTANT_SAMPLES = 40_000
+CONSTANT_SETTLED = 1e-4
+"""Share of a response to a constant at which it counts as settled."""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
+
+    Args:
+        f: F, (m, m).
+        g: G, (m,).
+        b: Columns of the remainders by name, (m,) each.
+        signals: Rows C and numbers d by name.
+    """
+
+    f: np.ndarray
+    g: np.ndarray
+    b: dict[str, np.ndarray]
+    signals: dict[str, tuple[np.ndarray, float]]
+
+
+@dataclass(frozen=True)
+class ChannelResponse:
+    """Bounds of a channel's signals for remainders of size 1.
+
+    Args:
+        names: The signals, in order.
+        remainders: Names of the remainders.
+        gains: Sums for each point of a sample, signal and input, (points, signals, inputs); the first two inputs are
+            omega_u and omega_q, the others the remainders.
+        constant: Largest response to a constant force 1, (points, signals), and its final value.
+        settled_constant: Its final value, likewise.
+        starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
+    """
+
+    names: tuple[str, ...]
+    remainders: tuple[str, ...]
+    gains: np.ndarray
+    constant: np.ndarray
+    settled_constant: np.ndarray
+    starts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One sample of a channel: z+ = A z, z = (chi, earlier commands, q).
+
+    Args:
+        a: A, (n, n).
+        acting: Row of the command that acts, (n,).
+        direct: Share of this sample's command in it.
+        u: Column of omega_u, (n,).
+        q: Column of omega_q, (n,).
+        u_av: Row of q_k + k_1 sigma_k.
+    """
+
+    a: np.ndarray
+    acting: np.ndarray
+    direct: float
+    u: np.ndarray
+    q: np.ndarray
+    u_av: np.ndarray
+
+
+def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
+    """The channel of x and y, whose drag is damped by ``damping``: chi = (e, e', alpha, alpha', and gamma with a lag)."""
+    k_v, a_0, a_1 = problem.velocity_gain, problem.stiffness, problem.damping
+    lagged = problem.rotor_lag > 0.0
+    m = 5 if lagged else 4
+    unit = np.eye(m)
+    wanted = (-k_v * unit[1], k_v)
+    turn = (a_0 * (wanted[0] - unit[2]) - a_1 * unit[3], a_0 * k_v)
+    f = np.zeros((m, m))
+    g = np.zeros(m)
+    f[0] = unit[1]
+    f[1] = unit[2] - damping * unit[1]
+    f[2] = unit[3]
+    b = {"force": unit[1], "torque": unit[3]}
+    signals = {"alpha": (unit[2], 0.0), "alpha_dot": (unit[3], 0.0), "wanted": wanted, "turn": turn}
+    if lagged:
+        f[3] = unit[4]
+        behind = (turn[0] - unit[4], turn[1])
+        f[4] = behind[0] / problem.rotor_lag
+        g[4] = behind[1] / problem.rotor_lag
+        b["lag"] = unit[4]
+        signals |= {"gamma": (unit[4], 0.0), "behind": behind}
+    else:
+        f[3] = turn[0]
+        g[3] = turn[1]
+    acceleration = (f[1], 0.0)
+    signals["speed"] = (unit[1], 0.0)
+    return with_errors(problem.channels["x"], Linear(f, g, b, signals | {"acceleration": acceleration}), acceleration)
+
+
+def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
+    """The channel of z: chi = (e, e', and q with a lag)."""
+    k_v = problem.velocity_gain
+    lagged = problem.rotor_lag > 0.0
+    m = 3 if lagged else 2
+    unit = np.eye(m)
+    wanted = (-k_v * unit[1], k_v)
+    f = np.zeros((m, m))
+    g = np.zeros(m)
+    f[0] = unit[1]
+    b = {"force": unit[1]}
+    signals = {"wanted": wanted}
+    if lagged:
+        f[1] = unit[2] - damping * unit[1]
+        behind = (wanted[0] - unit[2], wanted[1])
+        f[2] = behind[0] / problem.rotor_lag
+        g[2] = behind[1] / problem.rotor_lag
+        b["lag"] = unit[2]
+        signals |= {"lift": (unit[2], 0.0), "behind": behind}
+    else:
+        f[1] = wanted[0] - damping * unit[1]
+        g[1] = wanted[1]
+    acceleration = (f[1], g[1])
+    return with_errors(problem.channels["z"], Linear(f, g, b, signals | {"acceleration": acceleration}), acceleration)
+
+
+def yaw_channel(problem: VehicleProblem) -> Linear:
+    """The channel of psi: chi = (e, psi', I, and gamma_psi with a lag)."""
+    k_y, i_y = problem.yaw_gain, problem.yaw_integral_gain
+    lagged = problem.rotor_lag > 0.0
+    m = 4 if lagged else 3
+    unit = np.eye(m)
+    wanted = (-k_y * unit[1] + i_y * unit[2], k_y)
+    f = np.zeros((m, m))
+    g = np.zeros(m)
+    f[0] = unit[1]
+    f[2] = -unit[1]
+    g[2] = 1.0
+    b = {"torque": unit[1]}
+    signals = {"wanted": wanted, "follow": (-unit[1], 1.0)}
+    if lagged:
+        f[1] = unit[3]
+        behind = (wanted[0] - unit[3], wanted[1])
+        f[3] = behind[0] / problem.rotor_lag
+        g[3] = behind[1] / problem.rotor_lag
+        b["lag"] = unit[3]
+        signals |= {"gamma": (unit[3], 0.0), "behind": behind}
+    else:
+        f[1] = wanted[0]
+        g[1] = wanted[1]
+    return with_errors(problem.channels["psi"], Linear(f, g, b, signals), (f[1], g[1]))
+
+
+def with_errors(channel: ChannelProblem, linear: Linear, acceleration: tuple[np.ndarray, float]) -> Linear:
+    """The channel with the signals e, e', sigma and the slope of sigma."""
+    unit = np.eye(linear.f.shape[0])
+    signals = {
+        "e": (unit[0], 0.0),
+        "e_dot": (unit[1], 0.0),
+        "sigma": (unit[1] + channel.l0 * unit[0], 0.0),
+        "bend": (acceleration[0] + channel.l0 * unit[1], acceleration[1]),
+    }
+    return Linear(linear.f, linear.g, linear.b, signals | linear.signals)
+
+
+def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(F t), and what a command 1 held for this time adds to chi."""
+    m = linear.g.size
+    generator = np.zeros((m + 1, m + 1))
+    generator[:m, :m] = linear.f
+    generator[:m, m] = linear.g
+    held = expm(generator * time)
+    return held[:m, :m], held[:m, m]
+
+
+def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
+    """One sample with slopes k_1, k_2, k_n of the functions."""
+    k_1, k_2, k_n = slopes
+    t = problem.sample_time
+    weights = problem.delay_weights
+    m = linear.g.size
+    memory = len(weights) - 1
+    n = m + memory + 1
+    unit = np.eye(n)
+    sigma = unit[1] + channel.l0 * unit[0]
+    q = unit[n - 1] + t * k_2 * sigma
+    command = -(k_1 + k_n) * sigma - q
+    if channel.nominal:
+        a_n, gain, _ = channel.nominal
+        command = command - ((a_n - channel.l0) * channel.l0 * unit[0] + (channel.l0 - a_n) * sigma) / gain
+    acting = weights[0] * command
+    for i, weight in enumerate(weights[1:]):
+        acting = acting + weight * unit[m + i]
+    phi, gamma = flow(linear, t)
+    a = np.zeros((n, n))
+    a[:m, :m] = phi
+    a[:m] += np.outer(gamma, acting)
+    u = np.zeros(n)
+    u[:m] = -gamma * weights[0]
+    if memory:
+        a[m] = command
+        u[m] = -1.0
+        for i in range(1, memory):
+            a[m + i] = unit[m + i - 1]
+    a[n - 1] = q
+    return Sampled(a, acting, weights[0], u, t * (u + unit[n - 1]), q + k_1 * sigma)
+
+
+def channel_response(
+    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]
+) -> ChannelResponse | None:
+    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow."""
+    step = sampled(problem, channel, linear, slopes)
+    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
+        return None
+    t = problem.sample_time
+    m, n = linear.g.size, step.a.shape[0]
+    names = (*linear.signals, "u_av")
+    rows = np.zeros((len(POINTS), len(names), n))
+    direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
+    within = np.zeros((len(POINTS), len(names)))
+    forces = np.stack(list(linear.b.values()), axis=1)
+    held_force = integral(linear, linear.b.get("force", np.zeros(m)), t)
+    for place, share in enumerate(POINTS):
+        phi, gamma = flow(linear, share * t)
+        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, 5)]
+        pushed = integral(linear, linear.b.get("force", np.zeros(m)), share * t)
+        for row, (c, d) in enumerate(linear.signals.values()):
+            by_command = c @ gamma + d
+            rows[place, row, :m] = c @ phi
+            rows[place, row] += by_command * step.acting
+            direct[place, row, :2] = abs(by_command * step.direct) * np.array([1.0, t])
+            direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
+            within[place, row] = c @ pushed
+        rows[place, -1] = step.u_av
+        direct[place, -1, 1] = t
+    flat = rows.reshape(-1, n)
+    columns = [step.u, step.q]
+    for part in range(5):
+        moved = np.zeros((n, forces.shape[1]))
+        moved[:m] = flow(linear, 0.25 * t * part)[0] @ forces
+        columns += list(moved.T)
+    result = responses(step.a, flat, np.stack(columns, axis=1), np.zeros((n, 0)))
+    if result is None:
+        return None
+    inputs = forces.shape[1]
+    kernels = result.sums[:, 2:].reshape(-1, 5, inputs)
+    sums = np.concatenate([result.sums[:, :2], t * trapezoid([kernels[:, i] for i in range(5)])], axis=1)
+    gains = sums.reshape(len(POINTS), len(names), -1) + direct
+    shape = (len(POINTS), len(names))
+    constant, final = np.zeros((2, flat.shape[0]))
+    if problem.thrust_deviation and channel is problem.channels["z"]:
+        constant, final = constant_response(step.a, flat, np.append(held_force, np.zeros(n - m)), within.ravel())
+    peaks = np.zeros((flat.shape[0], 3))
+    if any(channel.initial):
+        starts = start_columns(problem, channel, n, slopes)
+        peaks = np.stack([constant_peaks(step.a, flat, start, np.zeros(flat.shape[0])) for start in starts], axis=-1)
+    return ChannelResponse(
+        names,
+        tuple(linear.b),
+        gains,
+        constant.reshape(shape),
+        final.reshape(shape),
+        peaks.reshape(*shape, 3),
+    )
+
+
+def trapezoid(values: list[np.ndarray]) -> np.ndarray:
+    """The mean of equally spaced values by the trapezoidal rule."""
+    return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
+
+
+def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
+    """What an input 1 through a column adds to chi within a time."""
+    return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
+
+
+def start_columns(
+    problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
+) -> list[np.ndarray]:
+    """z_0 for e = 1, for e' = 1 and for q_(-1) = 1."""
+    k_1, k_2, _ = slopes
+    share = {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
+    unit = np.eye(n)
+    return [unit[0] - share * channel.l0 * unit[n - 1], unit[1] - share * unit[n - 1], unit[n - 1]]
+
+
+def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The largest |offset + row A^k z| of each row."""
+    peaks = np.abs(offset + rows @ z)
+    first = np.max(np.abs(z), initial=1e-300)
+    for _ in range(MOST_CONSTANT_SAMPLES):
+        z = a @ z
+        peaks = np.maximum(peaks, np.abs(offset + rows @ z))
+        if np.max(np.abs(z)) < CONSTANT_SETTLED * first:
+            break
+    return peaks
+
+
+def constant_response(
+    a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The largest response to a constant 1 from t = 0 on, and its final value."""
+    rest = np.linalg.solve(np.eye(a.shape[0]) - a, held)
+    final = rows @ rest + within
+    return constant_peaks(a, rows, -rest, final), np.abs(final)

@@ -1,0 +1,364 @@
+"""What the vehicle deviates by from its linear channels, under bounds of its signals, in floating point.
+
+The formulas are those of docs/vehicle_proofs.md, in their order.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dssc_jax.proofs.problem import Interval
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
+
+DRAG_POINTS = 65
+"""Points of |v| and of |r| at which drag is compared."""
+DRAG_ROOM = 1.004
+"""Widening of drag's largest value, for what lies between the points and for the verifier's enclosure."""
+Signals = dict[str, dict[str, float]]
+"""Bounds of the signals, by channel and name."""
+
+
+class OutOfRange(Exception):
+    """The bounds are so large that the vehicle may leave the range of the theorem."""
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Bounds of attitude and lift: tilt, its tangent and 1/cosine, and rates.
+
+    Args:
+        tilt: beta [rad].
+        tangent: tan beta.
+        secant: 1/cos beta.
+        tilt_rate: beta_1 [rad/s].
+        yaw_rate: psi_1 [rad/s].
+        lift: A, of the wanted vertical acceleration [m/s^2].
+        carried: Q, of what the rotors achieve of it [m/s^2].
+        desired: r_2, how far the desired tilt is from a_h/g [rad].
+        euler_rate: T, of |(phi', theta')| [rad/s].
+        wanted_tilt: H, of |(eta_phi, eta_theta)| [rad/s^2].
+        wanted_yaw: N, of |eta_psi| [rad/s^2].
+        frame_h: w_h, of the part of W' times the rates [rad/s^2].
+        frame_z: w_z, likewise.
+        rate_h: Omega_h [rad/s].
+        rate_z: Omega_z [rad/s].
+    """
+
+    tilt: float
+    tangent: float
+    secant: float
+    tilt_rate: float
+    yaw_rate: float
+    lift: float
+    carried: float
+    desired: float
+    euler_rate: float
+    wanted_tilt: float
+    wanted_yaw: float
+    frame_h: float
+    frame_z: float
+    rate_h: float
+    rate_z: float
+
+    @property
+    def rate(self) -> float:
+        """Omega_n, of the whole body rate [rad/s]."""
+        return math.hypot(self.rate_h, self.rate_z)
+
+
+@dataclass(frozen=True)
+class Rotors:
+    """Bounds of the rotors: thrusts [N], the spread of the speeds and their sum [rad/s], rho [N/s], spin-up [rad/s^2]."""
+
+    smallest: float
+    largest: float
+    spread: float
+    sum: float
+    defect: float
+    spin_up: float
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Bounds of the wanted angular accelerations' own remainders r_mh and r_mz [rad/s^2, times g for the first]."""
+
+    plane: float
+    yaw: float
+
+
+def attitude_of(problem: VehicleProblem, y: Signals) -> Attitude:
+    """Bounds of attitude and lift.
+
+    Raises:
+        OutOfRange: the tilt or the lift may leave the range of the theorem.
+    """
+    x, z, psi = y["x"], y["z"], y["psi"]
+    tilt = x["alpha"] / GRAVITY
+    lift = z["wanted"]
+    if not (tilt < 1.0 and lift < 0.9 * GRAVITY and psi["e"] < math.pi):
+        raise OutOfRange
+    tilt_rate = x["alpha_dot"] / GRAVITY
+    yaw_rate = psi["e_dot"]
+    tangent = x["wanted"] / (GRAVITY - lift)
+    desired = tangent**3 / 2.0 + lift * tangent / GRAVITY
+    rate = tilt_rate + yaw_rate * tilt
+    return Attitude(
+        tilt=tilt,
+        tangent=math.tan(tilt),
+        secant=1.0 / math.cos(tilt),
+        tilt_rate=tilt_rate,
+        yaw_rate=yaw_rate,
+        lift=lift,
+        carried=z.get("lift", lift),
+        desired=desired,
+        euler_rate=rate,
+        wanted_tilt=x["turn"] / GRAVITY + problem.stiffness * desired + problem.damping * yaw_rate * tilt,
+        wanted_yaw=psi["wanted"],
+        frame_h=(1.0 + tilt**2) * rate * yaw_rate + tilt * rate**2 / 2.0,
+        frame_z=rate**2 / 2.0 + tilt * rate * yaw_rate,
+        rate_h=rate + tilt * yaw_rate,
+        rate_z=yaw_rate + tilt * rate,
+    )
+
+
+def couplings(inertia: tuple[Interval, ...]) -> tuple[float, float]:
+    """j_h and j_z, the largest |J_z - J_y|/J_x, |J_z - J_x|/J_y and |J_x - J_y|/J_z over intervals of the inertia."""
+    x, y, z = inertia
+
+    def ratio(a: Interval, b: Interval, over: Interval) -> float:
+        return max(a[1] - b[0], b[1] - a[0]) / over[0]
+
+    return max(ratio(z, y, x), ratio(z, x, y)), ratio(x, y, z)
+
+
+def believed_couplings(problem: VehicleProblem) -> tuple[float, float]:
+    """The same of the believed inertia."""
+    return couplings(tuple((value, value) for value in problem.believed_inertia))
+
+
+def moments_of(problem: VehicleProblem, at: Attitude) -> Moments:
+    """r_mh and r_mz: by how much the wanted angular acceleration differs from m and eta_psi."""
+    j_h, j_z = believed_couplings(problem)
+    s = at.tilt
+    coupled_h = at.frame_h + j_h * at.rate_h * at.rate_z
+    coupled_z = at.frame_z + j_z * at.rate_h**2 / 2.0
+    turned = problem.damping * at.yaw_rate * s + s * at.wanted_yaw + s**2 * at.wanted_tilt / 2.0 + coupled_h
+    plane = GRAVITY * (problem.stiffness * at.desired + turned)
+    return Moments(plane, s * at.wanted_tilt + s**2 * at.wanted_yaw / 2.0 + coupled_z)
+
+
+def share_of_moments(problem: VehicleProblem, plane: float, yaw: float) -> float:
+    """What moments J_n times these angular accelerations add to the thrust of a rotor, at most [N]."""
+    j_x, j_y, j_z = problem.believed_inertia
+    n = problem.rotors
+    return 2.0 * max(j_x, j_y) * plane / (n * problem.arm) + j_z * yaw / (n * problem.torque_coefficient)
+
+
+def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moments) -> Rotors:
+    """Bounds of the rotors.
+
+    Raises:
+        OutOfRange: a rotor may reach a limit.
+    """
+    j_h, j_z = believed_couplings(problem)
+    n, k = problem.rotors, problem.thrust_coefficient
+    mass = problem.believed_mass
+    plane = at.wanted_tilt + at.tilt * at.wanted_yaw + at.frame_h + j_h * at.rate_h * at.rate_z
+    yaw = at.wanted_yaw + at.tilt * at.wanted_tilt + at.frame_z + j_z * at.rate_h**2 / 2.0
+    added = share_of_moments(problem, plane, yaw)
+    smallest = mass * (GRAVITY - at.lift) / n - added
+    largest = mass * (GRAVITY + at.lift) * at.secant / n + added
+    if not (smallest > 0.0 and largest < problem.rotor_limit):
+        raise OutOfRange
+    spread = (math.sqrt(largest) - math.sqrt(smallest)) / math.sqrt(k)
+    total = math.sqrt(n * mass * (GRAVITY + max(at.lift, at.carried)) * at.secant / k)
+    if not problem.rotor_lag:
+        return Rotors(smallest, largest, spread, total, 0.0, 0.0)
+    behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
+    behind = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
+    behind += mass * y["z"]["behind"] * at.secant / n
+    defect = behind**2 / (4.0 * problem.rotor_lag * smallest)
+    spin_up = n * behind / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
+    return Rotors(smallest, largest, spread, total, defect, spin_up)
+
+
+def drag_in_plane(own: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+    """The largest |-x r + c v| over |v| <= own, |v - r| <= wind in the plane.
+
+    Args:
+        own: Bound of |v| [m/s].
+        wind: Bound of the wind [m/s].
+        drag: Coefficient over mass [1/m]; a linear one [1/s] besides.
+        across: Bound of the other part of the relative speed [m/s].
+        c: Damping [1/s].
+    """
+    a = np.linspace(0.0, own, DRAG_POINTS)[:, None]
+    r = np.abs(wind - a) + (wind + a - np.abs(wind - a)) * np.linspace(0.0, 1.0, DRAG_POINTS)
+    along = np.maximum(-a * r, 0.5 * (a**2 + r**2 - wind**2))
+    return largest_drag(a, r, along, drag, across, c)
+
+
+def drag_along(own: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+    """The same along one axis."""
+    v = np.linspace(-own, own, 4 * DRAG_POINTS)
+    r = v - wind
+    return largest_drag(np.abs(v), np.abs(r), v * r, drag, across, c)
+
+
+def largest_drag(
+    a: np.ndarray, r: np.ndarray, along: np.ndarray, drag: tuple[float, float], across: float, c: float
+) -> float:
+    """The largest |-x r + c v| at points with |v| = a and v r = along, x at both of its ends."""
+    quadratic, linear = drag
+    largest = 0.0
+    for x in (quadratic * r, quadratic * np.sqrt(r**2 + across**2) + linear):
+        square = (x * r) ** 2 + (c * a) ** 2 - 2.0 * c * x * along
+        largest = max(largest, float(np.max(square)))
+    return DRAG_ROOM * math.sqrt(max(largest, 0.0))
+
+
+@dataclass(frozen=True)
+class Air:
+    """Bounds of drag over mass in the plane and along z [m/s^2], and of the torques' angular accelerations [rad/s^2]."""
+
+    plane: float
+    vertical: float
+    torque_h: float
+    torque_z: float
+
+
+def air_of(problem: VehicleProblem, y: Signals, at: Attitude, rotors: Rotors, damping: tuple[float, float]) -> Air:
+    """Bounds of drag, with its damping in the plane and along z taken away, and of the torques."""
+    wind_h, wind_z = problem.wind
+    own_h, own_z = y["x"]["speed"], y["z"]["e_dot"]
+    speed_h, speed_z = own_h + wind_h, own_z + wind_z
+    speed = math.hypot(speed_h, speed_z)
+    lightest = problem.mass[0]
+    k_h, k_z = (k / lightest for k in problem.structure_drag)
+    propellers = problem.propeller_drag
+    linear = propellers * rotors.sum / lightest
+    tilted = abs(k_h - k_z) * speed
+    half = 0.5 * problem.rotors * rotors.spread
+    swung = propellers * problem.arm * half * at.rate / lightest
+    plane = drag_in_plane(own_h, wind_h, (k_h, linear), speed_z, damping[0])
+    vertical = drag_along(own_z, wind_z, (k_z, linear), speed_h, damping[1])
+    torque = propellers * problem.arm * (half * speed + problem.arm * rotors.sum * at.rate)
+    j_h = min(problem.inertia[0][0], problem.inertia[1][0])
+    return Air(
+        plane + tilted * (at.tilt * speed_h + speed_z) * at.tilt + swung,
+        vertical + tilted * (at.tilt**2 * speed_z + at.tilt * speed_h) + swung,
+        (torque + problem.rotor_inertia * half * at.rate_h) / j_h,
+        (torque + problem.rotor_inertia * rotors.spin_up) / problem.inertia[2][0],
+    )
+
+
+def remainders_of(problem: VehicleProblem, y: Signals, damping: tuple[float, float]) -> tuple[Signals, Rotors]:
+    """Bounds of the remainders, by channel and name, under bounds of the signals.
+
+    Raises:
+        OutOfRange: the vehicle may leave the range of the theorem.
+    """
+    at = attitude_of(problem, y)
+    moments = moments_of(problem, at)
+    rotors = rotors_of(problem, y, at, moments)
+    air = air_of(problem, y, at, rotors, damping)
+    k = problem.thrust_deviation
+    g = GRAVITY
+    lifted = (1.0 + k) * (g * at.tilt * (at.secant - 1.0) + at.carried * at.tangent)
+    forces = {
+        "x": lifted + k * g * at.tilt + air.plane,
+        "z": k * at.carried + air.vertical,
+    }
+    torques = lagged_torques if problem.rotor_lag else exact_torques
+    torque_x, torque_psi = torques(problem, y, at, air)
+    result = {
+        "x": {"force": forces["x"], "torque": torque_x},
+        "z": {"force": forces["z"]},
+        "psi": {"torque": torque_psi},
+    }
+    if problem.rotor_lag:
+        j_x, j_y, j_z = problem.believed_inertia
+        n = problem.rotors
+        arms = g * problem.arm * n * rotors.defect / (2.0 * min(j_x, j_y))
+        result["x"]["lag"] = moments.plane / problem.rotor_lag + at.yaw_rate * y["x"]["gamma"] + arms
+        result["z"]["lag"] = (
+            n * rotors.defect / problem.believed_mass + (g + at.carried) * at.tangent * at.euler_rate
+        )
+        twist = problem.torque_coefficient * n * rotors.defect / (2.0 * j_z)
+        result["psi"]["lag"] = moments.yaw / problem.rotor_lag + twist
+    return result, rotors
+
+
+def turned(problem: VehicleProblem, at: Attitude, yaw_acceleration: float) -> float:
+    """The part of b'' that comes from the turn of the plane [rad/s^2]."""
+    s = at.tilt
+    return yaw_acceleration * s + 2.0 * at.yaw_rate * at.tilt_rate + at.yaw_rate**2 * s
+
+
+def exact_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:
+    """Remainders of alpha'' and of psi'' without a rotor lag."""
+    del y
+    delta = problem.turn_deviation
+    s, t = at.tilt, at.tangent
+    x, y_axis, z = problem.inertia
+    l_h = max((z[1] + y_axis[1]) / x[0], (z[1] + x[1]) / y_axis[0])
+    l_z = (x[1] + y_axis[1]) / z[0]
+    m_h = delta * (at.wanted_tilt + s * at.wanted_yaw + at.frame_h + l_h * at.rate_h * at.rate_z) + air.torque_h
+    m_z = delta * (at.wanted_yaw + s * at.wanted_tilt + at.frame_z + l_z * at.rate_h**2 / 2.0) + air.torque_z
+    psi = t * m_h + at.secant * m_z
+    of_plane = turned(problem, at, at.wanted_yaw + psi) + problem.damping * at.yaw_rate * s
+    in_plane = GRAVITY * (of_plane + (1.0 + s * t) * m_h + t * m_z)
+    return in_plane + problem.stiffness * GRAVITY * at.desired, psi
+
+
+def lagged_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:
+    """The same with a rotor lag."""
+    delta = problem.turn_deviation
+    s, t = at.tilt, at.tangent
+    i_h, i_z = couplings(problem.inertia)
+    mu_h = y["x"]["gamma"] / GRAVITY
+    mu_z = y["psi"]["gamma"]
+    m_h = delta * mu_h + air.torque_h + i_h * at.rate_h * at.rate_z + at.frame_h
+    m_z = delta * mu_z + air.torque_z + i_z * at.rate_h**2 / 2.0 + at.frame_z
+    psi = t * mu_h + (at.secant - 1.0) * mu_z + t * m_h + at.secant * m_z
+    of_plane = turned(problem, at, mu_z + psi) + s * t * mu_h + t * mu_z
+    return GRAVITY * (of_plane + (1.0 + s * t) * m_h + t * m_z), psi
+
+
+def slopes_of(problem: VehicleProblem, y: Signals, r: Signals, damping: tuple[float, float]) -> Signals:
+    """Bounds of the signals' slopes within a sample, by channel and name."""
+    k_v, a_0, a_1 = problem.velocity_gain, problem.stiffness, problem.damping
+    lag = problem.rotor_lag
+    constant = problem.thrust_deviation * GRAVITY
+    l0 = {name: channel.l0 for name, channel in problem.channels.items()}
+    x, z, psi = y["x"], y["z"], y["psi"]
+    plane = {"e": x["e_dot"], "e_dot": x["acceleration"] + r["x"]["force"], "alpha": x["alpha_dot"]}
+    plane["alpha_dot"] = (x["gamma"] if lag else x["turn"]) + r["x"]["torque"]
+    plane["speed"] = plane["e_dot"]
+    plane["sigma"] = x["bend"] + r["x"]["force"]
+    plane["wanted"] = k_v * plane["e_dot"]
+    plane["turn"] = a_0 * (plane["wanted"] + x["alpha_dot"]) + a_1 * plane["alpha_dot"]
+    plane["acceleration"] = x["alpha_dot"] + damping[0] * plane["e_dot"]
+    plane["bend"] = x["alpha_dot"] + abs(l0["x"] - damping[0]) * plane["e_dot"]
+    vertical = {"e": z["e_dot"], "e_dot": z["acceleration"] + r["z"]["force"] + constant}
+    vertical["sigma"] = z["bend"] + r["z"]["force"] + constant
+    vertical["wanted"] = k_v * vertical["e_dot"]
+    heading = {"e": psi["e_dot"], "e_dot": (psi["gamma"] if lag else psi["wanted"]) + r["psi"]["torque"]}
+    heading["sigma"] = psi["bend"] + r["psi"]["torque"]
+    heading["wanted"] = problem.yaw_gain * heading["e_dot"] + problem.yaw_integral_gain * psi["follow"]
+    heading["follow"] = heading["e_dot"]
+    pushed = vertical["wanted"]
+    turning = heading["wanted"]
+    if lag:
+        plane["gamma"] = x["behind"] / lag + r["x"]["lag"]
+        plane["behind"] = plane["turn"] + plane["gamma"]
+        pushed = vertical["lift"] = z["behind"] / lag + r["z"]["lag"]
+        vertical["behind"] = vertical["wanted"] + pushed
+        turning = heading["gamma"] = psi["behind"] / lag + r["psi"]["lag"]
+        heading["behind"] = heading["wanted"] + turning
+    vertical["acceleration"] = pushed + damping[1] * vertical["e_dot"]
+    vertical["bend"] = pushed + abs(l0["z"] - damping[1]) * vertical["e_dot"]
+    heading["bend"] = turning + l0["psi"] * heading["e_dot"]
+    return {name: slopes | {"u_av": 0.0} for name, slopes in (("x", plane), ("z", vertical), ("psi", heading))}

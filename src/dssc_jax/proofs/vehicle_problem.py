@@ -1,0 +1,132 @@
+"""What is to be proved of a whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
+
+import math
+from dataclasses import asdict, dataclass
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.problem import Interval
+
+CHANNELS = ("x", "z", "psi")
+"""Channels with a controller of their own; that of y is that of x."""
+
+
+@dataclass(frozen=True)
+class ChannelProblem:
+    """The controller of a channel, and where the channel starts.
+
+    Args:
+        l0: Error pole [1/s].
+        functions: Kind and constants of the state-dependent functions.
+        rho: Bound of the switched control [m/s], [rad/s].
+        nominal: a_n, k_n and whether u_n has its term 1/tau_m; None: no nominal control.
+        start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
+        initial: Bounds of |e| and |e'| at t = 0, in the plane those of the vectors' norms.
+    """
+
+    l0: float
+    functions: JsonObject
+    rho: float
+    nominal: tuple[float, float, bool] | None
+    start: str
+    initial: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class VehicleProblem:
+    """A hovering multirotor with a sampled controller in each channel, and intervals of its uncertain numbers.
+
+    Args:
+        sample_time: T_s [s].
+        delay: Delay of the commands, in samples.
+        velocity_gain: k_v of the velocity loops [1/s].
+        stiffness: a_0 of the attitude loops [1/s^2].
+        damping: a_1 of the attitude loops [1/s].
+        yaw_gain: k_y of the yaw rate's loop [1/s].
+        yaw_integral_gain: i_y of the yaw rate's loop [1/s^2].
+        mass: Interval of the mass M [kg].
+        believed_mass: M_n of the inner loops [kg].
+        thrust: Interval of kappa = (M_n/M)(k_T/k_n).
+        turn: Interval that holds nu_i = (k_T/k_n) J_n,i/J_i of every axis.
+        inertia: Intervals of the diagonal of J [kg m^2].
+        believed_inertia: Diagonal of J_n [kg m^2].
+        rotors: Number of rotors n.
+        arm: Radius L of the circle on which they are [m].
+        torque_coefficient: c_tau, torque over thrust [m].
+        thrust_coefficient: k_n that the inner loops believe [N s^2/rad^2].
+        rotor_limit: Largest thrust of a rotor that the allocation commands [N].
+        rotor_lag: Time constant tau of a rotor's speed [s]; 0: none.
+        rotor_inertia: Axial inertia I_z of a rotor [kg m^2].
+        structure_drag: Coefficients across and along body z [N s^2/m^2].
+        propeller_drag: Coefficient of a propeller [N s^2/(m rad)].
+        wind: Bounds of the horizontal wind's norm and of the vertical wind [m/s].
+        channels: Controllers of ``x`` (and y), ``z`` and ``psi``.
+    """
+
+    sample_time: float
+    delay: float
+    velocity_gain: float
+    stiffness: float
+    damping: float
+    yaw_gain: float
+    yaw_integral_gain: float
+    mass: Interval
+    believed_mass: float
+    thrust: Interval
+    turn: Interval
+    inertia: tuple[Interval, Interval, Interval]
+    believed_inertia: tuple[float, float, float]
+    rotors: int
+    arm: float
+    torque_coefficient: float
+    thrust_coefficient: float
+    rotor_limit: float
+    rotor_lag: float
+    rotor_inertia: float
+    structure_drag: tuple[float, float]
+    propeller_drag: float
+    wind: tuple[float, float]
+    channels: dict[str, ChannelProblem]
+
+    def to_dict(self) -> JsonObject:
+        """The problem as JSON's types."""
+        return asdict(self)
+
+    @property
+    def thrust_deviation(self) -> float:
+        """k, the largest |kappa - 1|."""
+        return max(abs(end - 1.0) for end in self.thrust)
+
+    @property
+    def turn_deviation(self) -> float:
+        """The largest |nu_i - 1|."""
+        return max(abs(end - 1.0) for end in self.turn)
+
+    @property
+    def delay_weights(self) -> tuple[float, ...]:
+        """Weights of the commands of ages 0, 1, ... samples in what acts; their sum is 1."""
+        fraction = self.delay - math.floor(self.delay)
+        weights = (*(0.0 for _ in range(math.floor(self.delay))), 1.0 - fraction)
+        return (*weights, fraction) if fraction > 0.0 else weights
+
+
+def channel_from(content: JsonObject) -> ChannelProblem:
+    """A channel from JSON's types."""
+    nominal = content["nominal"] and tuple(content["nominal"])
+    return ChannelProblem(**{**content, "nominal": nominal, "initial": tuple(content["initial"])})
+
+
+def vehicle_problem_from(content: JsonObject) -> VehicleProblem:
+    """A problem from JSON's types.
+
+    Raises:
+        ConfigError: a field is missing or unknown.
+    """
+    names = ("mass", "thrust", "turn", "believed_inertia", "structure_drag", "wind")
+    try:
+        pairs = {name: tuple(content[name]) for name in names}
+        inertia = tuple(map(tuple, content["inertia"]))
+        channels = {name: channel_from(channel) for name, channel in content["channels"].items()}
+        return VehicleProblem(**{**content, **pairs, "inertia": inertia, "channels": channels})
+    except (KeyError, TypeError) as error:
+        raise ConfigError("problem", f"is not that of a vehicle's certificate: {error}") from None
