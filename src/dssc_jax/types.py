@@ -15,6 +15,7 @@ from dssc_jax.core.contracts import (
     Unmodelled,
     Variation,
     Wind,
+    WindBounds,
     stateless,
     unchanged,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "Unmodelled",
     "Variation",
     "Wind",
+    "WindBounds",
     "not_smooth",
     "piecewise",
     "single",

@@ -49,7 +49,9 @@ def test_streaming_equals_stored(case_2):
     fast = np.sum((u - slow) ** 2)
     noise = (run["sigma_measured"] - run["sigma"]).values[inside]
     gain = 1.0 / (run["k_o"] * run["tau_av"]).values[inside]
+    desired_rate = np.pi * np.cos(np.pi * t / 20.0)  # of 20 sin(2 pi t/40)
     expected = {
+        "error_rate_max": np.abs(run["y_dot"].values[inside] - desired_rate).max(),
         "iae": 0.005 * np.abs(e).sum(),
         "itae": 0.005 * ((t - 10.0) * np.abs(e)).sum(),
         "overshoot": max(0.0, (-np.sign(e[0]) * e).max()),
@@ -91,6 +93,21 @@ def test_peak_attitude_is_that_of_the_window():
         accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
     found = values(measures, accumulators, 4, 0.1)
     assert {name: float(value) for name, value in found.items()} == {"roll_max": 0.3, "pitch_max": 0.4}
+
+
+class Rotors(NamedTuple):
+    rotor: tuple[float, ...]
+
+
+def test_rotor_thrusts_are_those_of_all_rotors_in_the_window():
+    names = ("rotor_thrust_max", "rotor_thrust_min")
+    measures = tuple(Measure(name, name, Window(0.1), None, PERFORMANCE[name]) for name in names)
+    accumulators = starts(measures)
+    for k, thrusts in enumerate([(90.0, 1.0, 5.0), (20.0, 30.0, 25.0), (28.0, 24.0, 31.0)]):
+        instant = Instant(0.1 * k, 0.1, (), Rotors(thrusts))
+        accumulators = update_all(measures, accumulators, instant, jnp.asarray(k), 0.1)
+    found = values(measures, accumulators, 3, 0.1)
+    assert {name: float(value) for name, value in found.items()} == {"rotor_thrust_max": 31.0, "rotor_thrust_min": 20.0}
 
 
 def test_metrics_of_an_angle_are_in_radians():

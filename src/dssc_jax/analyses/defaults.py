@@ -27,3 +27,7 @@ LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
+
+SEGMENTS, CLIMBS = 100, 10
+"""Worst wind: parts of the flight in each of which a wind is constant, and largest number of steps of a climb."""
+LEAST_SEGMENTS, MOST_SEGMENTS, MOST_CLIMBS = 2, 400, 1000

@@ -24,6 +24,7 @@ KINDS = {
     "loop": "dssc_jax.analyses.loop_margins:LoopMargins",
     "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
     "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
+    "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
 """The class of each kind of analysis, imported when needed."""

@@ -1,11 +1,12 @@
 """Performance metrics that are computed only if a study lists them, because each costs time at every sample."""
 
 import math
+from functools import reduce
 from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import SAMPLING, Metric, Sample, Scope, Span, Window, itself, peak, total
+from dssc_jax.closed_loop.metrics import SAMPLING, Instant, Metric, Sample, Scope, Span, Window, itself, peak, total
 from dssc_jax.core.numerics import at_least, root_abs, sign
 from dssc_jax.core.signals import Scalar
 
@@ -138,7 +139,18 @@ def slope(acc: Trend, window: Window, span: Span) -> Scalar:
     return (acc.moment - centre * acc.total) / (spread * span.sample_time)
 
 
+def largest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
+    """Largest thrust of any rotor so far."""
+    return reduce(jnp.maximum, instant.plant.rotor, acc)
+
+
+def smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
+    """Smallest thrust of any rotor so far."""
+    return reduce(jnp.minimum, instant.plant.rotor, acc)
+
+
 PERFORMANCE: dict[str, Metric] = {
+    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself),
     "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
     "itae": Metric("y s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
     "overshoot": Metric(
@@ -165,5 +177,11 @@ PERFORMANCE: dict[str, Metric] = {
     "total_command_tv": Metric("u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
     "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
     "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
+    "rotor_thrust_max": Metric(
+        "N", "largest commanded thrust of a rotor", largest_thrust, itself, ("rotor",), Scope.VEHICLE
+    ),
+    "rotor_thrust_min": Metric(
+        "N", "smallest commanded thrust of a rotor", smallest_thrust, itself, ("rotor",), Scope.VEHICLE, math.inf
+    ),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
 }

@@ -265,6 +265,7 @@ def metric_sample(
         k_p=input_gain,
         info=controlled.info,
         reference=reference,
+        e_dot=error.sigma - l0 * error.e,
     )
 
 

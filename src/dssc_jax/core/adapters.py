@@ -12,6 +12,7 @@ from dssc_jax.core.contracts import (
     Reference,
     Unmodelled,
     Wind,
+    WindBounds,
     as_given,
 )
 from dssc_jax.core.numerics import dot
@@ -129,7 +130,15 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
             total = total + wind.value(numbers, held, t)
         return total
 
-    return Wind(NoParams, init, step, value)
+    def bounds(params: tuple[Params, ...]) -> WindBounds:
+        limits = [wind.bounds(numbers) for wind, numbers in zip(parts, params, strict=True) if wind.bounds is not None]
+        rates = [limit.rate for limit in limits if limit.rate is not None]
+        speed = sum(limit.speed for limit in limits)
+        vertical = sum(limit.vertical for limit in limits)
+        return WindBounds(speed, vertical, sum(rates) if len(rates) == len(parts) else None)
+
+    has_bounds = all(wind.bounds is not None for wind in parts)
+    return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None)
 
 
 def static_unmodelled(

@@ -249,6 +249,20 @@ class Disturbance(NamedTuple):
     smooth: Declaration = None
 
 
+class WindBounds(NamedTuple):
+    """Bounds that every wind of a kind keeps at all times, whatever its random numbers.
+
+    Args:
+        speed: Bound of the norm of the horizontal wind [m/s].
+        vertical: Bound of the vertical wind |w_z| [m/s].
+        rate: Bound of |w'| of the horizontal vector, and of the vertical component [m/s^2]; None: the wind may jump.
+    """
+
+    speed: Scalar
+    vertical: Scalar
+    rate: Scalar | None
+
+
 class Wind(NamedTuple):
     """Wind velocity in the inertial frame, z up [m/s].
 
@@ -258,6 +272,7 @@ class Wind(NamedTuple):
         step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
         value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
         prepare: As in :class:`Plant`.
+        bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
     """
 
     params: type
@@ -265,6 +280,7 @@ class Wind(NamedTuple):
     step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
     value: Callable[[Params, State, Scalar], Vec3]
     prepare: Callable[[Params], Params] = as_given
+    bounds: Callable[[Params], WindBounds] | None = None
 
 
 class Sensor(NamedTuple):

@@ -22,6 +22,7 @@ from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE
 from dssc_jax.plotting.sweeps import probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
+from dssc_jax.plotting.winds import worst_wind
 from dssc_jax.results.result import Result
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "trajectory",
     "tuning",
     "typical",
+    "worst_wind",
     "write",
 ]
 

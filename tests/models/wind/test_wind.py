@@ -21,6 +21,7 @@ TABLES = {
     "gust": {"x": 3.0, "y": -1.0, "z": 0.5, "at": 2.0, "duration": 4.0, "mean_x": 1.0},
     "spline": {"interval": 2.0, "x": [3.0, -1.0, 2.0], "z": [0.5], "at": 1.0},
     "dryden": {"speed": 8.0, "altitude": 3.0, "airspeed": 15.0, "direction": 0.7},
+    "bounded": {"speed": 8.0, "vertical": 3.0, "rate": 2.0, "period": 1.5},
 }
 
 

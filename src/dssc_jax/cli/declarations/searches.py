@@ -1,4 +1,4 @@
-"""Options of the commands that search: tune, falsify."""
+"""Options of the commands that search: tune, falsify, worst-wind."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.analyses.defaults import BUDGET, ROUNDS
+from dssc_jax.analyses.defaults import BUDGET, CLIMBS, ROUNDS, SEGMENTS
 from dssc_jax.cli.declarations.types import DrawsOptions, Json, NoCheck, OutputOptions, SeededOptions
 
 Budget = Annotated[
@@ -56,4 +56,29 @@ class Falsify(OutputOptions, SeededOptions):
         float | None,
         typer.Option("--within-mass", metavar="P", help="Only the likeliest draws that have the probability P."),
     ] = None
+    search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstWind(OutputOptions, SeededOptions):
+    """Find the wind within bounds that drives each signal of a flight to its worst value.
+
+    The wind of the study has bounds: [wind] kind = "bounded", or another kind that declares its own. Winds that swing
+    in resonance with the loop and winds that switch at random come first; the worst of them climb along the gradient of
+    the signal, with the uncertain numbers of the study moving within the support of their laws.
+
+    The result is a lower bound of what such winds can do. Each worst flight is written as a study (flights/SIGNAL.toml,
+    for `simulate`), and its wind as CSV. The study's [sweep] is ignored.
+    """
+
+    signal: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--signal", metavar="NAME", help="Only this signal, such as error_max_x or tilt_max; may be repeated."
+        ),
+    ] = None
+    segments: Annotated[
+        int, typer.Option("--segments", metavar="N", help="Parts of the flight, between which a wind may change.")
+    ] = SEGMENTS
+    rounds: Annotated[int, typer.Option("--rounds", metavar="N", help="Steps of a climb at most.")] = CLIMBS
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0

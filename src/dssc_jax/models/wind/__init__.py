@@ -1,13 +1,20 @@
 """Registry of winds: velocity of the air in the inertial frame, z up; a family is one file."""
 
-from dssc_jax.core.contracts import NoParams, Wind, stateless, unchanged
+from dssc_jax.core.contracts import NoParams, Wind, WindBounds, stateless, unchanged
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.wind.bounded import BOUNDED_WIND
 from dssc_jax.models.wind.dryden import DRYDEN
 from dssc_jax.models.wind.prescribed import CONSTANT_WIND, GUST, PIECEWISE, SPLINE_WIND
 from dssc_jax.models.wind.record import RECORDED_WIND
 
-NO_WIND = Wind(NoParams, stateless, unchanged, lambda params, state, t: Vec3(0.0, 0.0, 0.0))
+NO_WIND = Wind(
+    NoParams,
+    stateless,
+    unchanged,
+    lambda params, state, t: Vec3(0.0, 0.0, 0.0),
+    bounds=lambda params: WindBounds(0.0, 0.0, 0.0),
+)
 
 WINDS: Registry = {
     "none": single(NO_WIND, "no wind"),
@@ -23,6 +30,14 @@ WINDS: Registry = {
         x=[1.0, 2.0],
     ),
     "record": RECORDED_WIND,
+    "bounded": single(
+        BOUNDED_WIND,
+        "all winds within bounds: a draw switches between extremes at random times",
+        speed=5.0,
+        vertical=2.0,
+        rate=4.0,
+        period=0.5,
+    ),
     "dryden": single(
         DRYDEN,
         "mean wind and Dryden turbulence of MIL-F-8785C at low altitude, exactly sampled",

@@ -7,13 +7,14 @@ Reference:
 """
 
 import math
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Wind, stateless, unchanged
+from dssc_jax.core.contracts import Wind, WindBounds, stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import cubic_spline, elapsed_share
 from dssc_jax.core.quantities import Quantity, extent
@@ -71,6 +72,24 @@ class SplineWindParams(NamedTuple):
     at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
 
 
+def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBounds:
+    """Bounds of a wind that is always a weighted mean of some vectors, and of its rate.
+
+    Args:
+        winds: The vectors [m/s].
+        slopes: Vectors of which w' is always a weighted mean [m/s^2]; None: the wind may jump.
+    """
+    speed, vertical = largest_norms(winds)
+    return WindBounds(speed, vertical, None if slopes is None else max(largest_norms(slopes)))
+
+
+def largest_norms(vectors: Iterable[Vec3]) -> tuple[float, float]:
+    """The largest horizontal norm, and the largest vertical magnitude, of some vectors without laws."""
+    columns = [(math.hypot(float(vector.x), float(vector.y)), abs(float(vector.z))) for vector in vectors]
+    horizontal, vertical = zip(*columns, strict=True)
+    return max(horizontal), max(vertical)
+
+
 def calm(params: Params, key: jax.Array) -> Vec3:
     """No wind before the first sample."""
     return Vec3(0.0, 0.0, 0.0)
@@ -84,6 +103,12 @@ def held_wind(params: Params, state: Vec3, t: Scalar) -> Vec3:
 def constant_step(params: ConstantWindParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean over [t, t + dt): a jump within a sample does not spoil the integrator's order."""
     return Vec3(params.x, params.y, params.z) * elapsed_share(params.at, t, dt)
+
+
+def constant_bounds(params: ConstantWindParams) -> WindBounds:
+    """The wind's own norms; unless it blows from the start, it jumps."""
+    wind = Vec3(params.x, params.y, params.z)
+    return enclosing([wind], [Vec3(0.0, 0.0, 0.0)] if float(params.at) == 0.0 else None)
 
 
 def check_table(params: PiecewiseParams) -> PiecewiseParams:
@@ -113,11 +138,23 @@ def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scal
     return wind
 
 
+def piecewise_bounds(params: PiecewiseParams) -> WindBounds:
+    """The largest norms of the rows, between which the wind jumps."""
+    return enclosing(map(Vec3, params.x, params.y, params.z), None)
+
+
 def gust_value(params: GustParams, state: State, t: Scalar) -> Vec3:
     """Mean plus peak times (1 - cos(2 pi (t - at)/duration))/2, as the square of a sine."""
     phase = jnp.clip((t - params.at) / params.duration, 0.0, 1.0)
     swell = jnp.square(jnp.sin(math.pi * phase))
     return Vec3(params.mean_x, params.mean_y, params.mean_z) + Vec3(params.x, params.y, params.z) * swell
+
+
+def gust_bounds(params: GustParams) -> WindBounds:
+    """The mean and the mean with the peak enclose the wind; the steepest slope is peak pi/duration."""
+    mean = Vec3(params.mean_x, params.mean_y, params.mean_z)
+    peak = Vec3(params.x, params.y, params.z)
+    return enclosing([mean, mean + peak], [peak * (math.pi / params.duration)])
 
 
 def check_wind_knots(params: SplineWindParams) -> SplineWindParams:
@@ -133,7 +170,21 @@ def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
     return Vec3(*(cubic_spline(knots, place) for knots in (params.x, params.y, params.z)))
 
 
-CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind)
-PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held_wind, check_table)
-GUST = Wind(GustParams, stateless, unchanged, gust_value)
-SPLINE_WIND = Wind(SplineWindParams, stateless, unchanged, spline_wind, check_wind_knots)
+def spline_bounds(params: SplineWindParams) -> WindBounds:
+    """A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval."""
+    count = max(len(params.x), len(params.y), len(params.z))
+    columns = (padded(knots, count) for knots in (params.x, params.y, params.z))
+    knots = [Vec3(*row) for row in zip(*columns, strict=True)]
+    slopes = [(following - previous) / params.interval for previous, following in pairwise(knots)]
+    return enclosing(knots, slopes)
+
+
+def padded(knots: Sequence[Scalar], count: int) -> list[Scalar]:
+    """Knots with zeros up to a count, and one zero on each side."""
+    return [0.0, *knots, *[0.0] * (count - len(knots)), 0.0]
+
+
+CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind, bounds=constant_bounds)
+PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held_wind, check_table, piecewise_bounds)
+GUST = Wind(GustParams, stateless, unchanged, gust_value, bounds=gust_bounds)
+SPLINE_WIND = Wind(SplineWindParams, stateless, unchanged, spline_wind, check_wind_knots, spline_bounds)

@@ -2,12 +2,15 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Wind, stateless, unchanged
+import numpy as np
+
+from dssc_jax.core.contracts import Wind, WindBounds, stateless, unchanged
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.wind.prescribed import enclosing
 
 
 class RecordedWindParams(NamedTuple):
@@ -25,13 +28,33 @@ def wind_at(pieces: tuple[Pieces, ...], state: tuple[()], t: Scalar) -> Vec3:
     return Vec3(piece_at(x, t).y, piece_at(y, t).y, piece_at(z, t).y)
 
 
+def held_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
+    """The largest norms of the recorded values, between which the wind jumps."""
+    return enclosing(coefficient_rows(pieces, 0), None)
+
+
+def line_bounds(pieces: tuple[Pieces, ...]) -> WindBounds:
+    """The largest norms of the recorded values and of the slopes between them."""
+    return enclosing(coefficient_rows(pieces, 0), coefficient_rows(pieces, 1))
+
+
+def coefficient_rows(pieces: tuple[Pieces, ...], power: int) -> list[Vec3]:
+    """The coefficient of one power of time in each piece, of the three components."""
+    columns = [np.asarray(component.coefficients)[:, power].tolist() for component in pieces]
+    return [Vec3(*row) for row in zip(*columns, strict=True)]
+
+
+BOUNDS = {Interpolation.HOLD: held_bounds, Interpolation.LINEAR: line_bounds}
+"""Bounds of the rules under which the wind stays between the recorded values; a cubic spline overshoots them."""
+
+
 def recorded_wind(rule: Interpolation) -> Wind:
     """The wind that follows a record of its three components by the given rule."""
 
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
-    return Wind(RecordedWindParams, stateless, unchanged, wind_at, prepare)
+    return Wind(RecordedWindParams, stateless, unchanged, wind_at, prepare, BOUNDS.get(rule))
 
 
 RECORDED_WIND = Entry(

@@ -1,0 +1,1 @@
+"""The worst wind within bounds, and many flights in given winds."""

@@ -1,0 +1,251 @@
+"""Many flights in given winds by one compiled program, and what each signal reaches at most.
+
+A wind is a table of vectors at the times of a grid. Where the wind may jump, each vector holds until the next time (the
+kind ``piecewise``). Where its rate is bounded, the vectors are the knots of a cubic spline (the kind ``spline``), which
+stays within every bound on the knots and on their differences.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import Outcome
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.engine.batching import BLOCK, Arrays, medians
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.study import Study
+
+AXES = ("x", "y", "z")
+KINDS = ("error_max", "error_rate_max", "sigma_max", "tilt_max", "rotor_thrust_max", "rotor_thrust_min")
+"""Metrics of a flight."""
+SMALLEST = ("rotor_thrust_min",)
+"""Those of which the smallest value is the worst."""
+REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
+"""Tables of a study that say nothing of a flight in a given wind."""
+BEYOND = 3
+"""Knots that a spline needs in addition to one for each segment: one before the flight, at its end and after it."""
+
+
+class WindGrid(NamedTuple):
+    """Times at which a wind is given.
+
+    Args:
+        interval: Time between two of them [s].
+        size: Number of vectors.
+        smooth: Whether the vectors are knots of a spline; otherwise each one holds for the interval.
+    """
+
+    interval: float
+    size: int
+    smooth: bool
+
+    @classmethod
+    def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
+        """The grid with about so many segments over a flight, each of whole samples."""
+        samples = -(-study.loop.steps // segments)
+        count = -(-study.loop.steps // samples)
+        return cls(samples * study.loop.sample_time, count + BEYOND * smooth, smooth)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times of the vectors [s], shape (size,); of a spline, one lies before the flight and two after it."""
+        return (np.arange(self.size) - (1.0 if self.smooth else 0.0)) * self.interval
+
+    @property
+    def names(self) -> list[str]:
+        """Names of a wind's numbers, one component after the other."""
+        return [f"wind.{axis}.{place}" for axis in AXES for place in range(self.size)]
+
+    def table(self, columns: Sequence[Sequence[object]]) -> TomlTable:
+        """The table ``[wind]`` of a study, from its three components."""
+        components = {axis: list(column) for axis, column in zip(AXES, columns, strict=True)}
+        if self.smooth:
+            return {"kind": "spline", "interval": self.interval, "at": float(self.times[0]), **components}
+        return {"kind": "piecewise", "times": self.times.tolist(), **components}
+
+    def values(self, winds: np.ndarray) -> Arrays:
+        """Value of each number for some winds, shape (n, size, 3) -> (n,) each."""
+        columns = np.moveaxis(winds, 2, 1).reshape(len(winds), -1)
+        return dict(zip(self.names, columns.T, strict=True))
+
+
+class Signal(NamedTuple):
+    """What a flight reaches at most, or at least.
+
+    Args:
+        measure: Its metric.
+        sign: 1 if the largest value is the worst, -1 if the smallest is.
+    """
+
+    measure: Measure
+    sign: float
+
+    @property
+    def name(self) -> str:
+        """Name of the metric in results."""
+        return self.measure.name
+
+
+@dataclass
+class WindFlights:
+    """A study compiled once, which flies in any winds and with any values of its uncertain numbers.
+
+    The study's own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of draw 0.
+
+    Args:
+        study: The study.
+        grid: Times at which the winds are given.
+        lanes: Most flights of a batch.
+
+    Raises:
+        ConfigError: The plant does not fly, or a number of the wind is uncertain.
+    """
+
+    study: Study
+    grid: WindGrid
+    lanes: int = BLOCK
+    flying: Study = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.flying = flying_study(self.study, self.grid)
+        self.signals = {measure.name: Signal(measure, sign_of(measure)) for measure in self.flying.measures}
+        self.numbers = [name for name in self.flying.laws if not name.startswith("wind.")]
+        self._plain = Evaluator(self.flying, {}, self.lanes)
+        self._steep = GradientEvaluator(self.flying, {}, self.lanes, names=[*self.grid.names, *self.numbers])
+
+    def __call__(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray]) -> Arrays:
+        """Fly.
+
+        Args:
+            winds: The winds [m/s], shape (n, size, 3).
+            numbers: Value of each uncertain number, shape (n,) each.
+
+        Returns:
+            Each signal's value, and ``outcome``, shape (n,) each. A flight that ends early has the worst value, +-inf.
+        """
+        return self._worst(self._plain(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers)))
+
+    def with_slopes(self, winds: np.ndarray, numbers: Mapping[str, np.ndarray], names: Sequence[str]) -> "Slopes":
+        """Fly, and differentiate one signal of each flight.
+
+        Args:
+            winds: The winds [m/s], shape (n, size, 3).
+            numbers: Value of each uncertain number, shape (n,) each.
+            names: The signal of each flight, n names.
+        """
+        results = self._steep(np.zeros(len(winds), int), self.grid.values(winds) | dict(numbers))
+
+        def slope(by: str) -> np.ndarray:
+            return np.array([results[Derivative(name, by)][flight] for flight, name in enumerate(names)])
+
+        columns = np.stack([slope(name) for name in self.grid.names], axis=1)
+        by_wind = np.moveaxis(columns.reshape(len(winds), 3, self.grid.size), 1, 2)
+        by_numbers = {name: slope(name) for name in self.numbers}
+        return Slopes(np.nan_to_num(by_wind), {name: np.nan_to_num(column) for name, column in by_numbers.items()})
+
+    def _worst(self, results: Arrays) -> Arrays:
+        """The signals, with the worst value where a flight ended early."""
+        ended = results["outcome"] != Outcome.OK
+        values = {}
+        for name, signal in self.signals.items():
+            values[name] = np.where(ended, signal.sign * np.inf, results[name])
+        return values | {"outcome": results["outcome"]}
+
+
+class Slopes(NamedTuple):
+    """Derivatives of one signal of each flight.
+
+    Args:
+        wind: With respect to the wind, shape (n, size, 3).
+        numbers: With respect to each uncertain number, shape (n,) each.
+    """
+
+    wind: np.ndarray
+    numbers: dict[str, np.ndarray]
+
+
+def sign_of(measure: Measure) -> float:
+    """1 if the largest value of a metric is the worst, -1 if the smallest is."""
+    return -1.0 if measure.kind in SMALLEST else 1.0
+
+
+def flying_study(study: Study, grid: WindGrid) -> Study:
+    """The study whose wind is a table of free numbers, and which measures the signals.
+
+    Raises:
+        ConfigError: The plant does not fly, or a number of its wind is uncertain.
+    """
+    uncertain = [name for name in study.laws if name.startswith("wind.")]
+    if uncertain:
+        raise ConfigError(uncertain[0], "is uncertain; the wind's bounds must be numbers")
+    table = {name: value for name, value in study.table.items() if name not in REPLACED}
+    free = [{"uniform": [-1.0, 1.0]}] * grid.size
+    loop = {name: value for name, value in dict(study.table["loop"]).items() if name != "settled"}
+    changes = {"loop": loop, "wind": grid.table((free, free, free)), "metrics": {"names": list(KINDS)}}
+    return Study.from_table(table | changes, study.source)
+
+
+def fly_winds(
+    study: Study,
+    winds: np.ndarray,
+    numbers: Mapping[str, np.ndarray] | None = None,
+    *,
+    smooth: bool = False,
+) -> xr.Dataset:
+    """Fly once in each of many given winds, in batches of one compiled program.
+
+    Args:
+        study: The study; its own wind, sweep, metrics and requirements are replaced. Noise within the loop is that of
+            draw 0.
+        winds: The winds [m/s], shape (flights, vectors, 3). The vectors divide the flight into equal parts, of whole
+            samples; each one holds over its part. Fewer than the flight has samples.
+        numbers: Values of uncertain numbers of the study by dotted name, shape (flights,) each; the others have their
+            medians.
+        smooth: Whether the vectors are the knots of a cubic spline instead: the first one a part before the start, the
+            second one at the start, and the last two at the end and a part after it.
+
+    Returns:
+        Along ``flight``: for each channel the largest |e|, |e'| and |sigma| as ``error_max_x``, ``error_rate_max_x``,
+        ``sigma_max_x``; ``tilt_max``, ``rotor_thrust_max``, ``rotor_thrust_min``; and ``outcome``, above 0 if
+        the flight ended early, whose values are then infinite.
+
+    Raises:
+        ConfigError: The winds do not have this shape, a number is unknown, or the plant does not fly.
+
+    Example:
+        >>> import numpy as np
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/hover_wind.toml").override({"loop.duration": 5.0})
+        >>> winds = np.zeros((2, 10, 3))
+        >>> winds[1, :, 0] = 5.0
+        >>> dj.fly_winds(study, winds)["error_max_x"].values.round(3).tolist()
+        [0.0, 0.206]
+    """
+    shape = np.shape(winds)
+    if len(shape) != 3 or shape[2] != 3 or shape[1] <= BEYOND * smooth:
+        raise ConfigError("winds", f"must have the shape (flights, vectors, 3), got {shape}")
+    grid = WindGrid.of(study, shape[1] - BEYOND * smooth, smooth)
+    if grid.size != shape[1]:
+        rule = f"must divide the {study.loop.steps} samples of the flight into parts of whole samples"
+        raise ConfigError("winds", f"{rule}; got {shape[1]} vectors, of which {grid.size} would do")
+    flights = WindFlights(study, grid, min(BLOCK, shape[0]))
+    values = medians(flights.flying) | dict(numbers or {})
+    for name in numbers or {}:
+        if name not in flights.numbers:
+            raise ConfigError(name, f"is no uncertain number of this study; {nearest(name, flights.numbers)}")
+    columns = {name: np.broadcast_to(values[name], shape[:1]) for name in flights.numbers}
+    results = flights(np.asarray(winds, float), columns)
+    variables = {}
+    for name, signal in flights.signals.items():
+        variables[name] = ("flight", results[name], {"units": signal.measure.unit, "long_name": signal.measure.meaning})
+    variables["outcome"] = (
+        "flight",
+        results["outcome"],
+        {"long_name": "outcome code, above 0 if the flight ended early"},
+    )
+    return xr.Dataset(variables, attrs={"title": study.name})

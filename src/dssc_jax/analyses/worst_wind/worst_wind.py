@@ -1,0 +1,279 @@
+"""Search for the wind within bounds that drives each signal of a flight to its worst value.
+
+The result is a lower bound of what winds within the bounds can do: each wind found can be flown again. Nothing is
+claimed of winds that were not tried.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.defaults import CLIMBS, LEAST_SEGMENTS, MOST_CLIMBS, MOST_SEGMENTS, SEGMENTS
+from dssc_jax.analyses.worst_wind.ascent import Ascent, Worst
+from dssc_jax.analyses.worst_wind.flights import AXES, WindFlights, WindGrid
+from dssc_jax.analyses.worst_wind.wind_set import Limits, WindSet
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import BLOCK
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.study import Study
+
+UNASKED = ("error_rate_max",)
+"""Metrics of a flight that are driven to their worst only on request."""
+ALONE = ("sampling", "replicates", "correlation", "sweep", "draws")
+"""Settings of a study for all its draws together."""
+UNIT_OF_SIGNAL = "that of the signal"
+
+
+@dataclass(frozen=True)
+class SignalAnswer:
+    """The worst value found of one signal."""
+
+    signal: Annotated[str, Quantity("", "the signal, by the name of its metric")]
+    meaning: Annotated[str, Quantity("", "what it is")]
+    unit: Annotated[str, Quantity("", "its unit")]
+    worst: Annotated[float | None, Quantity(UNIT_OF_SIGNAL, "worst value; None if the flight ends early")]
+    candidate: Annotated[float | None, Quantity(UNIT_OF_SIGNAL, "worst value among the first candidates")]
+    numbers: Annotated[dict[str, float], Quantity("that of the number", "value of each uncertain number")]
+
+
+@dataclass(frozen=True)
+class WorstWindAnswer:
+    """The bounds, and the worst value found of each signal."""
+
+    speed: Annotated[float, Quantity("m/s", "bound of the horizontal wind's norm")]
+    vertical: Annotated[float, Quantity("m/s", "bound of the vertical wind")]
+    rate: Annotated[float | None, Quantity("m/s^2", "bound of |w'|; None: the wind may jump")]
+    signals: list[SignalAnswer]
+    vectors: Annotated[int, Quantity("1", "vectors of a wind")]
+    interval: Annotated[float, Quantity("s", "time between two vectors")]
+    flights: Annotated[int, Quantity("1", "flights in given winds")]
+    slopes: Annotated[int, Quantity("1", "flights with the derivative along one number")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+@dataclass(eq=False)
+class WorstWind(Analysis):
+    """The worst wind found for each signal of a flight.
+
+    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and the
+    value of each uncertain number. Along ``signal`` and ``time`` it has the wind as
+    ``wind_x``, ``wind_y`` and ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot
+    of a cubic spline. :meth:`flight` is the study that flies it.
+
+    Args:
+        units: Unit of each signal.
+        meanings: What each signal is.
+        limits: The bounds of the wind.
+        interval: Time between two vectors [s].
+        flights: Flights in given winds.
+        slopes: Flights with the derivative along one number.
+        seconds: Computing time.
+    """
+
+    kind = "worst-wind"
+    title = "The worst wind"
+    table = ("signal",)
+
+    units: tuple[str, ...]
+    meanings: tuple[str, ...]
+    limits: Limits
+    interval: float
+    flights: int
+    slopes: int
+    seconds: float
+
+    @property
+    def signals(self) -> list[str]:
+        """Names of the signals."""
+        return self.dataset["signal"].values.tolist()
+
+    @property
+    def grid(self) -> WindGrid:
+        """Times at which a wind is given."""
+        return WindGrid(self.interval, self.dataset.sizes["time"], self.limits.rate is not None)
+
+    def wind(self, signal: str) -> np.ndarray:
+        """The worst wind of a signal [m/s], shape (vectors, 3); see :func:`dssc_jax.fly_winds`."""
+        row = self._row(signal)
+        return np.stack([row[f"wind_{axis}"].values for axis in AXES], axis=1)
+
+    def numbers(self, signal: str) -> dict[str, float]:
+        """Value of each uncertain number in the worst flight of a signal."""
+        row = self._row(signal)
+        return {name: float(row[name]) for name in self.study.laws}
+
+    def flight(self, signal: str) -> Study:
+        """The study of the worst flight of a signal, as draw 0: wind and numbers replace bounds and laws.
+
+        Example:
+            ``dj.simulate(worst.flight("error_max_x"))``
+        """
+        table = {name: value for name, value in self.study.table.items() if name not in ALONE}
+        wind = self.grid.table(self.wind(signal).T.tolist())
+        return Study.from_table(table | {"wind": wind}, self.study.source).override(self.numbers(signal))
+
+    def _row(self, signal: str) -> xr.Dataset:
+        """Everything of one signal; raises ConfigError if it was not searched for."""
+        if signal not in self.signals:
+            raise ConfigError("signal", f"'{signal}' was not searched for; {nearest(signal, self.signals)}")
+        return self.dataset.sel(signal=signal)
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        first = self.answer.signals[0]
+        reached = "ends the flight early" if first.worst is None else f"drives {first.signal} to {first.worst:.4g}"
+        unit = "" if first.worst is None else f" {first.unit}"
+        return f"the worst wind found of at most {self.limits.speed:g} m/s {reached}{unit}".removesuffix(" 1")
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.worst_wind(self)
+
+    @property
+    def answer(self) -> WorstWindAnswer:
+        """The numbers that summary.json holds."""
+        return WorstWindAnswer(
+            speed=self.limits.speed,
+            vertical=self.limits.vertical,
+            rate=self.limits.rate,
+            signals=[self.signal_answer(name) for name in self.signals],
+            vectors=self.dataset.sizes["time"],
+            interval=self.interval,
+            flights=self.flights,
+            slopes=self.slopes,
+            seconds=self.seconds,
+        )
+
+    def signal_answer(self, signal: str) -> SignalAnswer:
+        """The worst value found of one signal."""
+        row = self._row(signal)
+        place = self.signals.index(signal)
+        return SignalAnswer(
+            signal=signal,
+            meaning=self.meanings[place],
+            unit=self.units[place],
+            worst=finite_or_none(float(row["worst"])),
+            candidate=finite_or_none(float(row["candidate"])),
+            numbers=self.numbers(signal),
+        )
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number, or None if it is infinite."""
+    return value if np.isfinite(value) else None
+
+
+def worst_wind(
+    study: Study,
+    *,
+    signals: list[str] | None = None,
+    segments: int = SEGMENTS,
+    rounds: int = CLIMBS,
+    seed: int = 0,
+    progress: ProgressCallback | None = None,
+) -> WorstWind:
+    """Find the wind within the bounds of a study's wind that drives each signal to its worst value.
+
+    Candidates are winds that swing along a line with a period, which resonate with the loop, and winds that switch to
+    random extremes. From the two worst of them for each signal, a climb steps towards the extreme wind of the signal's
+    gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its value.
+
+    Args:
+        study: The study. Its wind declares its bounds; those of ``kind = "bounded"`` are its parameters. Its own sweep
+            is ignored, and noise within the loop is that of draw 0.
+        signals: Metrics of a flight, see :func:`dssc_jax.fly_winds`: the largest |e|, |e'| and |sigma| of each channel,
+            the largest tilt, the largest and the smallest thrust of a rotor. None: all but |e'|.
+        segments: Parts of the flight, of whole samples; a wind may change between two.
+        rounds: Most steps of a climb; 0: the best candidate is the answer.
+        seed: Seed of the random candidates.
+        progress: Called with the rounds done.
+
+    Raises:
+        ConfigError: The wind has no known bounds or uncertain ones, or never blows; a signal is unknown; ``segments``
+            or ``rounds`` is out of range.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/hover_wind.toml").override({"loop.duration": 10.0})
+        >>> worst = dj.worst_wind(study, signals=["error_max_x"], segments=20, rounds=2)
+        >>> 0.3 < worst.answer.signals[0].worst < 0.5
+        True
+    """
+    began = time.perf_counter()
+    study = study.without_sweep()
+    if not LEAST_SEGMENTS <= segments <= MOST_SEGMENTS:
+        raise ConfigError("segments", f"must be in {LEAST_SEGMENTS} .. {MOST_SEGMENTS}, got {segments}")
+    if not 0 <= rounds <= MOST_CLIMBS:
+        raise ConfigError("rounds", f"must be in 0 .. {MOST_CLIMBS}, got {rounds}")
+    limits = limits_of(study)
+    grid = WindGrid.of(study, segments, limits.rate is not None)
+    flights = WindFlights(study, grid, BLOCK)
+    for name in signals or ():
+        if name not in flights.signals:
+            raise ConfigError("signals", f"unknown signal '{name}'; {nearest(name, flights.signals)}")
+    asked = [name for name, signal in flights.signals.items() if signal.measure.kind not in UNASKED]
+    chosen = list(dict.fromkeys(signals or asked))
+    ascent = Ascent(flights, WindSet(limits, grid), chosen, rounds, np.random.default_rng(seed), progress)
+    found = ascent.run()
+    measures = [flights.signals[name].measure for name in chosen]
+    return WorstWind(
+        study,
+        dataset_of(flights, found),
+        units=tuple(measure.unit for measure in measures),
+        meanings=tuple(measure.meaning for measure in measures),
+        limits=limits,
+        interval=grid.interval,
+        flights=ascent.flown,
+        slopes=ascent.differentiated,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def limits_of(study: Study) -> Limits:
+    """The bounds of a study's wind in plain numbers.
+
+    Raises:
+        ConfigError: They are not known, or uncertain, or the wind never blows.
+    """
+    uncertain = [name for name in study.laws if name.startswith("wind.")]
+    if uncertain:
+        raise ConfigError(uncertain[0], "is uncertain; the bounds of the wind must be numbers")
+    bounds = study.loop.wind.bounds
+    if bounds is None:
+        raise ConfigError("wind.kind", "this wind declares no bounds; use kind = 'bounded', or one that declares them")
+    speed, vertical, rate = bounds(study.params({}).wind)
+    if speed <= 0.0 and vertical <= 0.0:
+        raise ConfigError("wind", "never blows; use kind = 'bounded' with the bounds of the wind")
+    return Limits(float(speed), float(vertical), None if rate is None else float(rate))
+
+
+def dataset_of(flights: WindFlights, found: dict[str, Worst]) -> xr.Dataset:
+    """The dataset of :class:`WorstWind`."""
+    columns = {
+        "worst": ([worst.value for worst in found.values()], UNIT_OF_SIGNAL, "worst value found"),
+        "candidate": ([worst.candidate for worst in found.values()], UNIT_OF_SIGNAL, "worst value of the candidates"),
+    }
+    for name in flights.numbers:
+        quantity = flights.study.quantities[name]
+        values = [float(worst.point.numbers[name][0]) for worst in found.values()]
+        columns[name] = (values, quantity.unit, quantity.meaning)
+    variables = {}
+    for name, (values, unit, meaning) in columns.items():
+        variables[name] = ("signal", np.asarray(values), {"units": unit, "long_name": meaning})
+    for index, axis in enumerate(AXES):
+        winds = np.stack([worst.point.winds[0, :, index] for worst in found.values()])
+        attributes = {"units": "m/s", "long_name": f"worst wind along {axis}"}
+        variables[f"wind_{axis}"] = (("signal", "time"), winds, attributes)
+    coords = {
+        "signal": ("signal", list(found), {"units": "", "long_name": "signal, by the name of its metric"}),
+        "time": ("time", flights.grid.times, {"units": "s", "long_name": "time of the wind's vector"}),
+    }
+    return xr.Dataset(variables, coords=coords, attrs={"title": flights.study.name})

@@ -1,0 +1,54 @@
+"""dssc-jax worst-wind: the wind within bounds that drives each signal to its worst value."""
+
+from pathlib import Path
+
+from dssc_jax.analyses.worst_wind.worst_wind import WorstWind, worst_wind
+from dssc_jax.cli.analysing import attempt, free_folder, print_analysis, save_analysis
+from dssc_jax.cli.declarations.searches import WorstWind as WorstWindOptions
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.loading import study_of
+from dssc_jax.console.terminal import progress_bar
+from dssc_jax.console.winds import show_worst_wind
+from dssc_jax.core import files
+from dssc_jax.study.tables import to_toml
+
+
+def run(options: WorstWindOptions) -> int:
+    """Search, save the analysis and a study of each worst flight, and print it."""
+    study = study_of(options).without_sweep()
+    folder = free_folder(
+        study,
+        "worst-wind",
+        "worst-wind",
+        options.out,
+        options.settings,
+        options.seed,
+        options.signal,
+    )
+    with progress_bar(study, quiet=options.as_json, of="steps", early="nothing worse came") as advance:
+        found = worst_wind(
+            study,
+            signals=options.signal,
+            segments=options.segments,
+            rounds=options.rounds,
+            seed=options.search_seed,
+            progress=advance,
+        )
+    figures = save_analysis(found, folder, options)
+    flights = folder / "flights"
+    files.make_folder(flights, folder)
+    for signal in found.signals:
+        write_flight(found, signal, flights)
+    print_analysis(found, figures, options, show_worst_wind, {"result": folder, "flights": flights})
+    return DONE
+
+
+def write_flight(found: WorstWind, signal: str, folder: Path) -> None:
+    """Write the study of the worst flight of a signal, and its wind as CSV."""
+    file = folder / f"{signal}.toml"
+    attempt(file, lambda: files.write_text(file, to_toml(found.flight(signal).table)))
+    rows = ["t,x,y,z"]
+    for time, vector in zip(found.grid.times.tolist(), found.wind(signal).tolist(), strict=True):
+        rows.append(",".join(repr(number) for number in (time, *vector)))
+    table = folder / f"{signal}.csv"
+    attempt(table, lambda: files.write_text(table, "\n".join(rows) + "\n"))
