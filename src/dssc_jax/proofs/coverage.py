@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict
+from typing import TypeAlias
 
 import jax
 
@@ -25,6 +26,8 @@ from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.sensors.lag import SENSOR_LAG
 from dssc_jax.proofs.problem import Interval, ProofProblem
+from dssc_jax.proofs.vehicle_coverage import is_vehicle, vehicle_problem_of
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
@@ -41,8 +44,21 @@ LAGS = {
 """Numerator and denominator of each lag, in rising powers of mu s."""
 
 
-def problem_of(study: Study) -> ProofProblem:
-    """The problem of a study at its own values; laws of k_p, a_p and mu become the intervals of their support.
+AnyProblem: TypeAlias = ProofProblem | VehicleProblem
+"""What is to be proved: a loop of the class (5)-(8), or a whole vehicle."""
+
+
+def problem_of(study: Study) -> AnyProblem:
+    """The problem of a study at its own values; laws become the intervals of their support.
+
+    Raises:
+        NotCovered: a part of the loop is outside of what a proof covers; the message gives the reason.
+    """
+    return vehicle_problem_of(study) if is_vehicle(study) else axis_problem_of(study)
+
+
+def axis_problem_of(study: Study) -> ProofProblem:
+    """The problem of a loop of the class (5)-(8); laws of k_p, a_p and mu become the intervals of their support.
 
     Raises:
         NotCovered: a part of the loop is outside of the class; the message gives the reason.

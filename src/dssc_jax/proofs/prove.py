@@ -5,6 +5,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,9 +13,12 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
-from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.proofs.problem import Box, Interval, ProofProblem
+from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND, VEHICLE_VERSION, VehicleProved, prove_vehicle
 from dssc_jax.proofs.search.box_search import Failure, Proof, halves, prove_box, volume
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
@@ -57,6 +61,11 @@ class Proved:
         return not self.failures
 
     @property
+    def reason(self) -> str:
+        """Why the first box that was given up is not proved, in words; empty if all are proved."""
+        return REASONS[self.failures[0].reason] if self.failures else ""
+
+    @property
     def share(self) -> float:
         """Share of the box's volume that is proved; 1/mu on a logarithmic scale."""
         return 1.0 if self.complete else float(sum(volume(proof.box, self.problem) for proof in self.proofs))
@@ -82,7 +91,7 @@ class Proved:
     def statement(self) -> str:
         """What is proved, in one sentence."""
         if not self.proofs:
-            return f"Nothing is proved: {REASONS[self.failures[0].reason]}."
+            return f"Nothing is proved: {self.reason}."
         box = with_mu(self.problem.box)
         intervals = " and ".join(in_words(name, interval, self.units) for name, interval in box.items())
         plants = "every plant" if self.complete else f"{self.share:.1%} of the plants"
@@ -122,26 +131,46 @@ def in_words(name: str, interval: Interval, units: ChannelUnits) -> str:
     return f"{name} = {low:g} {unit}" if low == high else f"{name} in [{low:g}, {high:g}] {unit}"
 
 
-def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], None] | None = None) -> Proved:
+AnyProved: TypeAlias = Proved | VehicleProved
+"""The outcome of a proof."""
+
+
+def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], None] | None = None) -> AnyProved:
     """Prove that a study's sampled loop slides and stays near its reference, for all values of its uncertain numbers.
 
-    Laws of k_p, a_p and mu become the intervals of their support. The box of intervals is halved where no proof is
-    found. Only what the verifier accepts counts as proved; see docs/proofs.md.
+    Laws become the intervals of their support. The box of intervals of a loop of the class (5)-(8) is halved where no
+    proof is found. Only what the verifier accepts counts as proved; see docs/proofs.md and docs/vehicle_proofs.md.
 
     Args:
-        study: A study of DSSC, SSC or PI on a plant (5)-(8) with a zero reference; its sweep is ignored.
-        boxes: Largest number of boxes that are tried.
+        study: A study of DSSC, SSC or PI on a plant (5)-(8), or of a vehicle that hovers; its sweep is ignored.
+        boxes: Largest number of boxes that are tried; a vehicle is one box.
         progress: Called with the boxes done and the boxes known.
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: ``boxes`` is not positive.
     """
-    return replace(prove_problem(problem_of(study), boxes, progress), units=study.units[0])
+    proved = prove_problem(problem_of(study), boxes, progress)
+    return replace(proved, units=study.units[0]) if isinstance(proved, Proved) else proved
 
 
-def prove_problem(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:
+def prove_problem(
+    problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None
+) -> AnyProved:
     """:func:`prove` for a problem.
+
+    Raises:
+        ConfigError: ``boxes`` is not positive.
+    """
+    if isinstance(problem, VehicleProblem):
+        if boxes < 1:
+            raise ConfigError("boxes", f"must be at least 1, got {boxes}")
+        return prove_vehicle(problem)
+    return prove_axis(problem, boxes, progress)
+
+
+def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> Proved:
+    """:func:`prove` for the problem of a loop of the class (5)-(8).
 
     Raises:
         ConfigError: ``boxes`` is not positive.
@@ -192,13 +221,15 @@ def attempt(
     return Failure(box, "verifier"), None
 
 
-def check_certificate(content: object) -> ProofVerdict:
+def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:
     """Verify the content of a certificate's file, from it alone.
 
     Raises:
         ConfigError: it is no certificate of this version.
     """
+    of_vehicle = isinstance(content, dict) and content.get("kind") == VEHICLE_KIND
     version = content.get("version") if isinstance(content, dict) else None
-    if type(version) is not int or version != VERSION:
-        raise ConfigError("version", f"is not {VERSION}: no certificate of this program; prove the study again")
-    return verify_certificate(content)
+    expected = VEHICLE_VERSION if of_vehicle else VERSION
+    if type(version) is not int or version != expected:
+        raise ConfigError("version", f"is not {expected}: no certificate of this program; prove the study again")
+    return verify_vehicle(content) if of_vehicle else verify_certificate(content)

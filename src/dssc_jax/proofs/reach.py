@@ -10,9 +10,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import widened
 from dssc_jax.proofs import SWEEP_BOXES
-from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.problem import ProofProblem
-from dssc_jax.proofs.prove import REASONS, Proved, prove_problem
+from dssc_jax.proofs.coverage import AnyProblem, problem_of
+from dssc_jax.proofs.prove import AnyProved, Proved, prove_problem
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
@@ -36,7 +35,7 @@ class ProvedReach:
 
     name: str
     values: list[tuple[float, bool]]
-    last: Proved | None
+    last: AnyProved | None
     proved: float | None
     refused: float | None
     reason: str
@@ -93,13 +92,15 @@ def proved_up_to(
     if safe == end or (log and min(bounds) <= 0.0):
         raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
     single = study.without_sweep()
-    proofs: dict[float, tuple[float, Proved]] = {}
+    proofs: dict[float, tuple[float, AnyProved]] = {}
 
     def proved_at(share: np.ndarray | float) -> bool:
         """Whether the study is proved at a share of the way from the safe end to the other."""
         share = float(share)
         value = safe * (end / safe) ** share if log else safe + share * (end - safe)
-        proof = replace(prove_problem(problem_at(single, name, value), boxes), units=study.units[0])
+        proof = prove_problem(problem_at(single, name, value), boxes)
+        if isinstance(proof, Proved):
+            proof = replace(proof, units=study.units[0])
         proofs[share] = (value, proof)
         if progress is not None:
             progress(len(proofs), None)
@@ -109,22 +110,22 @@ def proved_up_to(
     outside = 1.0
     if not proved_at(inside):
         value, proof = proofs[inside]
-        return ProvedReach(name, tried(proofs), None, None, value, REASONS[proof.failures[0].reason])
+        return ProvedReach(name, tried(proofs), None, None, value, proof.reason)
     if proved_at(outside):
         value, proof = proofs[outside]
         return ProvedReach(name, tried(proofs), proof, value, None, "")
     inside, outside = map(float, bisect(proved_at, inside, outside, HALVINGS))
     value, proof = proofs[inside]
     refused, failure = proofs[outside]
-    return ProvedReach(name, tried(proofs), proof, value, refused, REASONS[failure.failures[0].reason])
+    return ProvedReach(name, tried(proofs), proof, value, refused, failure.reason)
 
 
-def tried(proofs: dict[float, tuple[float, Proved]]) -> list[tuple[float, bool]]:
+def tried(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
     """The values that were tried, in order, and whether each is proved."""
     return [(value, proof.complete) for value, proof in proofs.values()]
 
 
-def problem_at(study: Study, name: str, value: float) -> ProofProblem:
+def problem_at(study: Study, name: str, value: float) -> AnyProblem:
     """The problem of a study with one number at a value.
 
     Raises:

@@ -14,8 +14,7 @@ from queue import SimpleQueue
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs import SWEEP_BOXES
-from dssc_jax.proofs.coverage import problem_of
-from dssc_jax.proofs.problem import ProofProblem
+from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import Study
 
@@ -81,7 +80,7 @@ def problem_in(certificate: object) -> object:
     return certificate.get("problem") if isinstance(certificate, dict) else None
 
 
-def prove_point(problem: ProofProblem, boxes: int) -> PointOutcome:
+def prove_point(problem: AnyProblem, boxes: int) -> PointOutcome:
     """Summary and certificate of one point."""
     from dssc_jax.proofs.prove import prove_problem
 
@@ -111,7 +110,7 @@ def worker(boxes: int) -> Iterator[Connection]:
         connection.close()
 
 
-def ask(idle: "SimpleQueue[Connection]", problem: ProofProblem) -> PointOutcome:
+def ask(idle: "SimpleQueue[Connection]", problem: AnyProblem) -> PointOutcome:
     """Have an idle process prove a problem.
 
     Raises:

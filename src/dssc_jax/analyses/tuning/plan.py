@@ -17,7 +17,7 @@ from dssc_jax.study import Law, Study
 from dssc_jax.study.schema import TuneTable
 
 if TYPE_CHECKING:
-    from dssc_jax.proofs.prove import Proved
+    from dssc_jax.proofs.prove import AnyProved
 
 DESCENTS = ("adam", "adabelief", "amsgrad", "lion", "nadam", "rmsprop", "sgd")  # names in optax
 EVOLUTION = "differential_evolution"  # in scipy.optimize
@@ -57,7 +57,7 @@ class ProvedAim(NamedTuple):
     """
 
     value: float | None
-    proof: "Proved | None"
+    proof: "AnyProved | None"
     reason: str
 
 
@@ -78,7 +78,7 @@ class Plan:
     mirror: Mirror
     theorem: Theorem | None
     seed: int
-    _proofs: "dict[NumbersKey, Proved]" = field(default_factory=dict, repr=False, compare=False)
+    _proofs: "dict[NumbersKey, AnyProved]" = field(default_factory=dict, repr=False, compare=False)
     _aims: dict[NumbersKey, ProvedAim] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -144,7 +144,7 @@ class Plan:
         by_name = {measure.name: measure for measure in self.study.measures}
         return {name: by_name[name] for name in (*self.table.objective, *self.table.limits)}
 
-    def proof_at(self, numbers: Mapping[str, float]) -> "Proved":
+    def proof_at(self, numbers: Mapping[str, float]) -> "AnyProved":
         """The proof of the study with other numbers, as far as there is one."""
         from dssc_jax.proofs.prove import prove
 
@@ -164,7 +164,7 @@ class Plan:
             proof = self.proof_at(numbers)
             if proof.complete:
                 return ProvedAim(proof.error, proof, "")
-            return ProvedAim(None, None, proof.summary()["failures"][0]["text"])
+            return ProvedAim(None, None, proof.reason)
         from dssc_jax.proofs.reach import proved_up_to
 
         ((name, bounds),) = self.table.over.items()
@@ -174,7 +174,7 @@ class Plan:
             self._aims[key] = ProvedAim(reach.proved, reach.last, reach.reason if reach.last is None else "")
         return self._aims[key]
 
-    def proof_of_result(self, numbers: Mapping[str, float]) -> "Proved | None":
+    def proof_of_result(self, numbers: Mapping[str, float]) -> "AnyProved | None":
         """The proof to store: that of the proved number if it is optimised; None if no proof is required."""
         if self.optimises_proof:
             return self.aim_at(numbers).proof

@@ -1,0 +1,148 @@
+"""Prove a hovering vehicle: search, then verify. docs/vehicle_proofs.md has the theorem."""
+
+import json
+import math
+import time
+from dataclasses import dataclass
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
+
+VEHICLE_VERSION = 1
+VEHICLE_KIND = "vehicle"
+VEHICLE_REASONS = {
+    "gain": "no bounds of the signals imply themselves",
+    "sliding": "the equivalent control may exceed rho",
+    "verifier": "the verifier rejects what the search found",
+}
+STATED = ("e", "e_dot", "sigma")
+"""Signals of each channel that a summary holds; y has the bounds of x."""
+SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
+
+
+@dataclass(frozen=True)
+class VehicleProved:
+    """The outcome of a vehicle's proof.
+
+    Args:
+        problem: What was to be proved.
+        proof: What the search found, as a certificate holds it; None: nothing.
+        verdict: The verifier's; None: the search found nothing.
+        failure: Why there is no proof: ``gain``, ``sliding`` or ``verifier``; empty if there is one.
+        seconds: Time spent.
+    """
+
+    problem: VehicleProblem
+    proof: JsonObject | None
+    verdict: VehicleVerdict | None
+    failure: str
+    seconds: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether the vehicle is proved."""
+        return not self.failure
+
+    @property
+    def share(self) -> float:
+        """1 if the vehicle is proved, else 0: its intervals are not cut into boxes."""
+        return float(self.complete)
+
+    @property
+    def error(self) -> float:
+        """Upper bound of |e| [m] along x and y once settled; infinite if nothing is proved."""
+        return math.inf if self.verdict is None or self.failure else self.verdict.settled["x"]["e"]
+
+    @property
+    def largest_error(self) -> float:
+        """Upper bound of |e| [m] along x and y from the start on; infinite if nothing is proved."""
+        return math.inf if self.verdict is None or self.failure else self.verdict.bounds["x"]["e"]
+
+    @property
+    def reason(self) -> str:
+        """Why there is no proof, in words; empty if there is one."""
+        if not self.failure:
+            return ""
+        detail = f": {self.verdict.reason}" if self.verdict is not None else ""
+        return VEHICLE_REASONS[self.failure] + detail
+
+    def summary(self) -> JsonObject:
+        """The outcome in plain numbers: ``bounds`` from the start on and ``settled``, by channel [m, m/s, rad, rad/s]."""
+        proved = self.verdict if self.complete else None
+        return {
+            "proved": self.complete,
+            "share": self.share,
+            "boxes": int(self.complete),
+            "error": self.error if self.complete else None,
+            "largest_error": self.largest_error if self.complete else None,
+            "bounds": None if proved is None else stated(proved.bounds, proved.tilt, proved),
+            "settled": None if proved is None else stated(proved.settled, proved.settled_tilt, proved),
+            "statement": self.statement(),
+            "failures": [] if self.complete else [{"box": {}, "reason": self.failure, "text": self.reason}],
+            "seconds": self.seconds,
+        }
+
+    def statement(self) -> str:
+        """What is proved, in a few sentences."""
+        if self.verdict is None or self.failure:
+            return f"Nothing is proved: {self.reason}."
+        wind_h, wind_z = self.problem.wind
+        bounds, settled = self.verdict.bounds, self.verdict.settled
+        vehicle = ", ".join(["", *vehicle_words(self.problem)])
+        ends = ""
+        if settled["x"]["e"] < 0.99 * bounds["x"]["e"]:
+            ends = f" It ends within |e_x|, |e_y| <= {settled['x']['e']:.4g} m and |e_z| <= {settled['z']['e']:.4g} m."
+        return (
+            f"For every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes{vehicle}, all "
+            f"four sampled channels slide from the first sample on, and the vehicle never exceeds |e_x|, |e_y| <= "
+            f"{bounds['x']['e']:.4g} m, |e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad and a "
+            f"tilt of {math.degrees(self.verdict.tilt):.4g} degrees. Its rotors stay between "
+            f"{self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N.{ends}"
+        )
+
+    def certificate(self) -> JsonObject:
+        """The certificate as JSON's types; without a proof it holds none."""
+        return certificate_of(self.problem, self.proof if self.complete else None)
+
+
+def vehicle_words(problem: VehicleProblem) -> list[str]:
+    """The vehicle's intervals, its lag and its delay, in words."""
+    words = []
+    if problem.thrust_deviation:
+        words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
+    if problem.turn_deviation:
+        words.append("every believed inertia in [{:.4g}, {:.4g}] of the true one".format(*problem.turn))
+    if problem.rotor_lag:
+        words.append(f"a rotor lag of {problem.rotor_lag:g} s")
+    if problem.delay:
+        words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
+    return words
+
+
+def stated(signals: dict[str, dict[str, float]], tilt: float, verdict: VehicleVerdict) -> JsonObject:
+    """The bounds that a summary holds."""
+    channels = {
+        shown: {signal: signals[name][signal] for signal in STATED}
+        for name, names in SHOWN_AS.items()
+        for shown in names
+    }
+    return channels | {"tilt": tilt, "rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
+
+
+def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:
+    """A certificate's content."""
+    return {"version": VEHICLE_VERSION, "kind": VEHICLE_KIND, "problem": problem.to_dict(), "proof": proof}
+
+
+def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
+    """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
+    began = time.perf_counter()
+    found = best_bounds(problem)
+    if isinstance(found, str):
+        return VehicleProved(problem, None, None, found, time.perf_counter() - began)
+    proof = proof_of(problem, found)
+    verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
+    failure = "" if verdict.proved else "verifier"
+    return VehicleProved(problem, proof, verdict, failure, time.perf_counter() - began)

@@ -1,0 +1,255 @@
+"""What of a vehicle's study a proof covers: from its loop to the plain numbers of a problem."""
+
+import math
+
+import numpy as np
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.registry import Discretisation
+from dssc_jax.design.certification import Ends, NotCovered, ends_of
+from dssc_jax.models.actuators import NO_DYNAMICS
+from dssc_jax.models.actuators.delay import DELAY
+from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.dssc_forms import DsscGains
+from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Vgsta
+from dssc_jax.models.controllers.modulation import ConstantModulation
+from dssc_jax.models.differentiators import NO_DIFFERENTIATOR
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.models.references.flights import HOVER
+from dssc_jax.models.sensors import IDEAL
+from dssc_jax.models.uav.inner_loop import AttitudeReference, InnerGains, ThrustRule
+from dssc_jax.models.uav.plant import UAV, UavParams
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+from dssc_jax.proofs.problem import Interval
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+from dssc_jax.study import Study
+
+UNCERTAIN = ("plant.vehicle.mass", "plant.vehicle.thrust_coefficient", "plant.vehicle.body_inertia")
+"""Beginnings of the names of numbers that a proof of the vehicle covers over an interval."""
+ONLY_BOUNDS = ("plant.position", "plant.velocity", "plant.yaw", "wind.")
+"""Beginnings of the names of numbers that only bound a start or the wind."""
+EQUAL_ANGLES = 1e-9
+"""Largest difference [rad] of angles that count as equal."""
+AXES = {"x": 0, "z": 2, "psi": 3}
+"""Places of the channels in the loop; y has the controller of x."""
+
+
+def is_vehicle(study: Study) -> bool:
+    """Whether the study's plant is the complete vehicle."""
+    return study.loop.plant is UAV
+
+
+def vehicle_problem_of(study: Study) -> VehicleProblem:
+    """The problem of a vehicle's study at its own values; laws become the intervals of their support.
+
+    Raises:
+        NotCovered: a part of the loop is outside of the theorem; the message gives the reason.
+    """
+    require_laws(study)
+    ends = ends_of(study.without_sweep())
+    require_loop(study)
+    plant = ends.part("plant")
+    inner = require_inner_loop(plant)
+    vehicle = ends.low.plant.vehicle
+    require_geometry(plant)
+    model = ends.low.plant.inner_model
+    masses = interval_of([end.plant.vehicle.mass for end in ends])
+    thrusts = interval_of([end.plant.vehicle.thrust_coefficient for end in ends])
+    relative = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))
+    inertia = tuple(interval_of(pair) for pair in zip(*(end.plant.vehicle.inertia for end in ends), strict=True))
+    turns = [quotient((believed, believed), pair) for believed, pair in zip(model.inertia, inertia, strict=True)]
+    turns = [product(relative, turn) for turn in turns]
+    return VehicleProblem(
+        sample_time=study.loop.sample_time,
+        delay=delay_of(study, ends),
+        velocity_gain=float(inner.kd_velocity),
+        stiffness=float(inner.kp_attitude),
+        damping=float(inner.kd_attitude),
+        yaw_gain=float(inner.kd_yaw),
+        yaw_integral_gain=float(inner.kp_yaw),
+        mass=masses,
+        believed_mass=float(model.mass),
+        thrust=product(relative, quotient((model.mass, model.mass), masses)),
+        turn=(min(low for low, _ in turns), max(high for _, high in turns)),
+        inertia=(inertia[0], inertia[1], inertia[2]),
+        believed_inertia=(float(model.inertia.x), float(model.inertia.y), float(model.inertia.z)),
+        rotors=vehicle.rotors,
+        arm=float(vehicle.arm),
+        torque_coefficient=float(vehicle.torque_coefficient),
+        thrust_coefficient=float(model.thrust_coefficient),
+        rotor_limit=min(float(end.plant.vehicle.thrust_limit) for end in ends),
+        rotor_lag=float(vehicle.motor_lag or 0.0),
+        rotor_inertia=float(vehicle.rotor_inertia_z),
+        structure_drag=(float(vehicle.structure_drag[0]), float(vehicle.structure_drag[2])),
+        propeller_drag=float(vehicle.propeller_drag),
+        wind=wind_of(study, ends),
+        channels=channels_of(study, ends),
+    )
+
+
+def require_laws(study: Study) -> None:
+    """Refuse laws of numbers that the theorem does not cover, and laws without bounds."""
+    for name, law in study.laws.items():
+        if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
+            raise NotCovered(f"{name} is uncertain; a proof of the vehicle takes intervals of {', '.join(UNCERTAIN)} only")
+        if not all(math.isfinite(end) for end in law.support):
+            raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
+
+
+def require_loop(study: Study) -> None:
+    """Refuse a moving reference, and sensors, differentiators and disturbances of the channels."""
+    loop = study.loop
+    if loop.reference is not HOVER:
+        raise NotCovered("the reference moves; a proof of the vehicle takes reference.kind = 'hover'")
+    if any(sensor is not IDEAL for sensor in loop.sensor):
+        raise NotCovered("a sensor is not ideal")
+    if any(differentiator is not NO_DIFFERENTIATOR for differentiator in loop.differentiator):
+        raise NotCovered("a rate is not measured exactly, but by a differentiator")
+    if any(disturbance is not NO_DISTURBANCE for disturbance in loop.disturbance):
+        raise NotCovered("a channel has a disturbance besides the wind")
+
+
+def require_inner_loop(plant: Ends) -> InnerGains:
+    """The inner loops' gains; refuse variants that the theorem does not cover."""
+    inner = plant.low.inner_loop
+    if inner != plant.high.inner_loop:
+        raise NotCovered("a gain of the inner loops is uncertain")
+    if inner.thrust is not ThrustRule.PROJECTION:
+        raise NotCovered("plant.inner_loop.thrust is not 'projection'")
+    if inner.attitude is not AttitudeReference.PLAIN:
+        raise NotCovered("plant.inner_loop.attitude is not 'plain'")
+    if inner.kp_velocity != 0.0:
+        raise NotCovered("plant.inner_loop.kp_velocity is not 0")
+    return inner
+
+
+def require_geometry(plant: Ends) -> None:
+    """Refuse rotors that are not equally spaced with alternating spins, and drag that differs between x and y."""
+    vehicle: Vehicle = plant.low.vehicle
+    n = vehicle.rotors
+    angles = np.array(vehicle.rotor_angles, dtype=float)
+    steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))
+    spins = np.array(vehicle.spins, dtype=float)
+    if n % 2 or np.max(np.abs(steps - 2.0 * math.pi / n)) > EQUAL_ANGLES or np.any(spins[1:] != -spins[:-1]):
+        raise NotCovered("the rotors are not equally spaced, counter-clockwise, with alternating spins")
+    if vehicle.structure_drag[0] != vehicle.structure_drag[1]:
+        raise NotCovered("plant.vehicle.structure_drag differs between body x and y")
+
+
+def interval_of(ends: "list[float] | tuple[float, ...]") -> Interval:
+    """The interval of a number's ends."""
+    return float(min(ends)), float(max(ends))
+
+
+def widened(interval: Interval, exact: Interval) -> Interval:
+    """An interval a little wider than its rounded ends, unless it is a number that rounding has not changed."""
+    if interval == exact:
+        return interval
+    low, high = interval
+    return low - 4.0 * math.ulp(low), high + 4.0 * math.ulp(high)
+
+
+def quotient(a: Interval, b: Interval) -> Interval:
+    """The interval of a/b of positive numbers; 1 for a number over itself."""
+    if a == b and a[0] == a[1]:
+        return 1.0, 1.0
+    return widened((a[0] / b[1], a[1] / b[0]), (1.0, 1.0))
+
+
+def product(a: Interval, b: Interval) -> Interval:
+    """The interval of a b of positive numbers."""
+    if a == (1.0, 1.0) or b == (1.0, 1.0):
+        return b if a == (1.0, 1.0) else a
+    return widened((a[0] * b[0], a[1] * b[1]), (1.0, 1.0))
+
+
+def delay_of(study: Study, ends: Ends) -> float:
+    """The delay of the commands [samples], which all channels share.
+
+    Raises:
+        NotCovered: the unmodelled dynamics are none or no known, common delay.
+    """
+    models: tuple[Unmodelled, ...] = study.loop.unmodelled
+    if all(model is NO_DYNAMICS for model in models):
+        return 0.0
+    if any(model is not DELAY for model in models):
+        raise NotCovered("the unmodelled dynamics are no delay; a lag belongs to plant.vehicle.motor_lag")
+    samples = {float(part.samples) for end in ends for part in end.unmodelled}
+    if len(samples) > 1:
+        raise NotCovered("the delay is uncertain, or differs between the channels")
+    return samples.pop()
+
+
+def wind_of(study: Study, ends: Ends) -> tuple[float, float]:
+    """Bounds of the horizontal and of the vertical wind [m/s].
+
+    Raises:
+        NotCovered: they are not known.
+    """
+    wind = study.loop.wind
+    if wind.bounds is None:
+        raise NotCovered("the wind has no known bound; wind.kind = 'bounded' states one")
+    limits = [wind.bounds(end.wind) for end in ends]
+    return max(float(limit.speed) for limit in limits), max(float(limit.vertical) for limit in limits)
+
+
+def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
+    """The controllers, and bounds of where the channels start.
+
+    Raises:
+        NotCovered: a controller is outside of the theorem, or x and y differ.
+    """
+    gains = ends.low.controller
+    if gains[0] != gains[1] or study.loop.controller[0] is not study.loop.controller[1]:
+        raise NotCovered("the controllers of x and y differ")
+    starts = starts_of(ends)
+    return {name: channel_of(study, place, gains[place], starts[name]) for name, place in AXES.items()}
+
+
+def channel_of(study: Study, place: int, gains: object, initial: tuple[float, float]) -> ChannelProblem:
+    """The controller of a channel.
+
+    Raises:
+        NotCovered: it is outside of the theorem.
+    """
+    name = study.loop.channels[place]
+    member = study.loop.controller[place]
+    conservative = (DSSC.members[Discretisation.CONSERVATIVE], SSC.members[Discretisation.CONSERVATIVE])
+    if member not in conservative or not isinstance(gains, DsscGains):
+        raise NotCovered(f"the controller of {name} is not DSSC or SSC in the conservative form")
+    if not isinstance(gains.rho, ConstantModulation):
+        raise NotCovered(f"rho of {name} is not constant")
+    if gains.sign_width is not None:
+        raise NotCovered(f"the sign of {name} is smoothed")
+    if isinstance(gains.functions, Vgsta) or not gains.functions.finite_slope:
+        raise NotCovered(f"phi_1 of {name} depends on e, or has no finite slope at sigma = 0")
+    kind = next(kind for kind, entry in GAIN_FUNCTIONS.items() if isinstance(gains.functions, entry.members[None]))
+    constants = {key: float(value) for key, value in gains.functions._asdict().items() if value is not None}
+    nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
+    return ChannelProblem(
+        l0=float(gains.l0),
+        functions={"kind": kind, **constants},
+        rho=float(gains.rho.rho),
+        nominal=nominal,
+        start=gains.predictor_start.value,
+        initial=initial,
+    )
+
+
+def starts_of(ends: Ends) -> dict[str, tuple[float, float]]:
+    """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms."""
+    plants: list[UavParams] = [end.plant for end in ends]
+    hover = ends.low.reference
+    apart = [largest_of([end.position[i] - hover.position[i] for end in plants]) for i in range(3)]
+    speeds = [largest_of([end.velocity[i] for end in plants]) for i in range(3)]
+    turned = largest_of([end.yaw - hover.yaw for end in plants])
+    return {
+        "x": (math.hypot(apart[0], apart[1]), math.hypot(speeds[0], speeds[1])),
+        "z": (apart[2], speeds[2]),
+        "psi": (turned, 0.0),
+    }
+
+
+def largest_of(values: list[float]) -> float:
+    """The largest magnitude."""
+    return float(max(map(abs, values)))
