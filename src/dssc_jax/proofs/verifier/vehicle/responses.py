@@ -90,12 +90,12 @@ def channel_responses(problem: VehicleProblem, name: str, proof: ChannelProof) -
         proof: Its proof.
     """
     controller = problem["channels"][name]
-    channel = channel_of(problem, name, proof["drag_damping"])
-    sampled = sampled_channel(channel, controller, proof, problem["sample_time"], problem["delay"])
-    p = symmetric_matrix(proof["p"])
     t = arb(problem["sample_time"])
     decay = t * arb(proof["rate"])
     require_premise(bool(decay > 0) and bool(decay < 1), f"V1: lambda of {name} is not in (0, 1/T_s)")
+    channel = channel_of(problem, name, proof["drag_damping"])
+    sampled = sampled_channel(channel, controller, proof, problem["sample_time"], problem["delay"])
+    p = symmetric_matrix(proof["p"])
     require_premise(positive_definite(p), f"V1: P of {name} is not positive definite")
     decrease = p * (1 - decay) - sampled.a.transpose() * p * sampled.a
     require_premise(positive_definite(decrease), f"V1: V of {name} does not fall")
