@@ -30,7 +30,7 @@ class ResponseBounds(NamedTuple):
 
     Args:
         sums: Of the sums over k of |row A^k input|, (rows, inputs).
-        peaks: Of the largest |row A^k start| over all k and starts, (rows,).
+        peaks: Of the largest |offset + row A^k start| over all k, (rows, starts).
     """
 
     sums: np.ndarray
@@ -49,7 +49,13 @@ def magnitudes(matrix: arb_mat) -> np.ndarray:
 
 
 def response_bounds(
-    a: arb_mat, rows: arb_mat, inputs: arb_mat, starts: arb_mat, p: arb_mat, decay: arb
+    a: arb_mat,
+    rows: arb_mat,
+    inputs: arb_mat,
+    starts: arb_mat,
+    p: arb_mat,
+    decay: arb,
+    offsets: arb_mat | None = None,
 ) -> ResponseBounds | None:
     """Bounds of the responses to inputs and to starts; None if they decay too slowly.
 
@@ -60,6 +66,7 @@ def response_bounds(
         starts: Columns of the initial states, (n, s).
         p: V = z'Pz, which falls by at least the share ``decay`` in a sample, as the caller has shown.
         decay: Its share.
+        offsets: What is added to the responses to the starts, (m, s); absent means zero.
     """
     n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
     short = stacked(powers(rows, a))
@@ -80,22 +87,24 @@ def response_bounds(
     lost = [arb(0)] * count
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.ncols()))
+    added = np.zeros(peaks.shape) if offsets is None else middles(offsets)
+    added_error = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
     for _ in range(MOST_BLOCKS):
         for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
             lost[j] = lost[j] + largest_in_unit_cube * max((z[i, j].rad() for i in range(n)), key=float)
         z = z.mid()
         state = middles(z)
-        response = np.abs(short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
-        sums += response[..., :q].sum(axis=0) + error_sum @ np.abs(state[:, :q]) + UNDERFLOW
-        largest = response[..., q:].max(axis=0) + error_peak @ np.abs(state[:, q:]) + UNDERFLOW
-        peaks = np.maximum(peaks, largest)
+        response = (short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
+        sums += np.abs(response[..., :q]).sum(axis=0) + error_sum @ np.abs(state[:, :q]) + UNDERFLOW
+        largest = np.abs(response[..., q:] + added).max(axis=0) + error_peak @ np.abs(state[:, q:]) + UNDERFLOW
+        peaks = np.maximum(peaks, largest + added_error)
         z = block_jump * z
         ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
         tail_peaks = reach[:, None] * np.array([float(end) for end in ends])
         tail_sums = tail_peaks[:, :q] * float((2 / decay).upper())
         if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks[:, q:] <= np.maximum(peaks, UNDERFLOW)):
             lost_peaks = reach[:, None] * np.array([float(size.upper()) for size in lost[q:]])
-            peaks = np.maximum(peaks + lost_peaks, tail_peaks[:, q:]).max(axis=1, initial=0.0)
+            peaks = np.maximum(peaks + lost_peaks, tail_peaks[:, q:] + np.abs(added) + added_error)
             return ResponseBounds(SUMMED * (sums + tail_sums), SUMMED * peaks)
     return None
 

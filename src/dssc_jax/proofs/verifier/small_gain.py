@@ -176,7 +176,7 @@ def implied_bounds(
     sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, states)
     for i, bound in enumerate(bounds):
         response = total([arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)])
-        peak = arb(float(responses.peaks[i])) if started else arb(0)
+        peak = arb(float(responses.peaks[i].max(initial=0.0))) if started else arb(0)
         holds = response + peak < bound
         require_premise(holds, f"P7: the bound of signal {i} does not imply itself in {label}")
     if started and problem["rho"] is not None:

@@ -1,0 +1,1 @@
+"""The verifier of the whole vehicle's theorem. It shares no code with the search."""

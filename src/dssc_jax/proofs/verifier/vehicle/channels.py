@@ -1,0 +1,265 @@
+"""The linear channels of the vehicle, and each as a sampled loop: exact numbers in, balls out.
+
+Between the samples chi' = F chi + G U + sum of b_j r_j. A row over (chi, U) stands for each signal. The samples have
+z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import identity
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, ChannelProof, VehicleProblem
+
+EQUIVALENT = "u_av"
+"""The signal that exists at the samples only."""
+Rows = dict[str, arb_mat]
+"""Rows by the name of their signal."""
+
+
+class Channel(NamedTuple):
+    """A linear channel.
+
+    Args:
+        generator: [F, G], (n, n + 1).
+        inputs: The columns b_j of the remainders, (n, 1) each.
+        signals: The rows [C, d] of the signals without u_av, (1, n + 1) each.
+        constant: The column b of the constant o, where it acts.
+    """
+
+    generator: arb_mat
+    inputs: dict[str, arb_mat]
+    signals: Rows
+    constant: arb_mat | None = None
+
+    @property
+    def order(self) -> int:
+        """Number n of the states chi."""
+        return self.generator.nrows()
+
+
+class SampledChannel(NamedTuple):
+    """A channel at its samples.
+
+    Args:
+        a: A, (m, m).
+        by_command: b_u, the column of omega_u, (m, 1).
+        by_integral: b_q, the column of omega_q, (m, 1).
+        acting: Row of U, (1, m), without the omegas of the same sample.
+        fresh: The share of u_k in U.
+        equivalent: Row of u_av, (1, m), without omega_q of the same sample.
+        sigma: Row of sigma, (1, m).
+    """
+
+    a: arb_mat
+    by_command: arb_mat
+    by_integral: arb_mat
+    acting: arb_mat
+    fresh: arb
+    equivalent: arb_mat
+    sigma: arb_mat
+
+
+def signal_names(name: str, *, lagging: bool) -> set[str]:
+    """The signals of a channel, with or without a rotor lag."""
+    names = {"e", "e_dot", "sigma", "wanted", "bend", EQUIVALENT}
+    match name:
+        case "x":
+            names |= {"alpha", "alpha_dot", "turn", "acceleration"}
+            behind = {"gamma", "behind"}
+        case "z":
+            names |= {"acceleration"}
+            behind = {"lift", "behind"}
+        case _:
+            names |= {"follow"}
+            behind = {"gamma", "behind"}
+    return names | behind if lagging else names
+
+
+def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
+    """A channel, with the damping c."""
+    l0 = arb(problem["channels"][name]["l0"])
+    match name:
+        case "x":
+            return plane_channel(problem, l0, arb(damping))
+        case "z":
+            return vertical_channel(problem, l0, arb(damping))
+        case _:
+            return yaw_channel(problem, l0)
+
+
+def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
+    """The channel of x and y."""
+    lag = rotor_rate(problem)
+    e, e_dot, alpha, alpha_dot, *behind, command = unit_rows(5 if lag is None else 6)
+    wanted = (command - e_dot) * arb(problem["velocity_gain"])
+    turn = (wanted - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
+    acceleration = alpha - e_dot * damping
+    signals = kinematics(e, e_dot, l0) | {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": wanted, "turn": turn}
+    signals |= {"acceleration": acceleration, "bend": acceleration + e_dot * l0}
+    if lag is None:
+        return Channel(stack([e_dot, acceleration, alpha_dot, turn]), input_columns(4, force=1, torque=3), signals)
+    (gamma,) = behind
+    signals |= {"gamma": gamma, "behind": turn - gamma}
+    slopes = [e_dot, acceleration, alpha_dot, gamma, (turn - gamma) * lag]
+    return Channel(stack(slopes), input_columns(5, force=1, torque=3, lag=4), signals)
+
+
+def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
+    """The channel of z; the constant o enters where the force does."""
+    lag = rotor_rate(problem)
+    e, e_dot, *behind, command = unit_rows(3 if lag is None else 4)
+    wanted = (command - e_dot) * arb(problem["velocity_gain"])
+    lift = wanted if lag is None else behind[0]
+    acceleration = lift - e_dot * damping
+    signals = kinematics(e, e_dot, l0) | {"wanted": wanted}
+    signals |= {"acceleration": acceleration, "bend": acceleration + e_dot * l0}
+    if lag is None:
+        inputs = input_columns(2, force=1)
+        return Channel(stack([e_dot, acceleration]), inputs, signals, inputs["force"])
+    signals |= {"lift": lift, "behind": wanted - lift}
+    inputs = input_columns(3, force=1, lag=2)
+    return Channel(stack([e_dot, acceleration, (wanted - lift) * lag]), inputs, signals, inputs["force"])
+
+
+def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
+    """The channel of psi."""
+    lag = rotor_rate(problem)
+    e, e_dot, integral, *behind, command = unit_rows(4 if lag is None else 5)
+    follow = command - e_dot
+    wanted = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])
+    gamma = wanted if lag is None else behind[0]
+    signals = kinematics(e, e_dot, l0) | {"wanted": wanted, "follow": follow, "bend": gamma + e_dot * l0}
+    if lag is None:
+        return Channel(stack([e_dot, wanted, follow]), input_columns(3, torque=1), signals)
+    signals |= {"gamma": gamma, "behind": wanted - gamma}
+    slopes = [e_dot, gamma, follow, (wanted - gamma) * lag]
+    return Channel(stack(slopes), input_columns(4, torque=1, lag=3), signals)
+
+
+def rotor_rate(problem: VehicleProblem) -> arb | None:
+    """1/tau; None without a rotor lag."""
+    return 1 / arb(problem["rotor_lag"]) if problem["rotor_lag"] > 0 else None
+
+
+def unit_rows(count: int) -> list[arb_mat]:
+    """The unit rows."""
+    return [arb_mat([row]) for row in identity(count).tolist()]
+
+
+def kinematics(e: arb_mat, e_dot: arb_mat, l0: arb) -> Rows:
+    """The rows of the signals that the controller measures."""
+    return {"e": e, "e_dot": e_dot, "sigma": e_dot + e * l0}
+
+
+def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
+    """The unit columns of the remainders, by the states whose slopes they join."""
+    units = identity(order).tolist()
+    return {name: arb_mat([units[place]]).transpose() for name, place in places.items()}
+
+
+def stack(rows: Sequence[arb_mat]) -> arb_mat:
+    """Rows below one another."""
+    return arb_mat([row for part in rows for row in part.tolist()])
+
+
+def flow(channel: Channel, time: arb) -> arb_mat:
+    """exp of [[F, G], [0, 0]] over a time, (n + 1, n + 1)."""
+    n = channel.order
+    return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
+
+
+def forced(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
+    """The integral of e^(F r) b over a time, (n, 1)."""
+    n = channel.order
+    f = channel.generator.tolist()
+    b = column.tolist()
+    generator = arb_mat([[*f[i][:n], b[i][0]] for i in range(n)] + [[arb(0)] * (n + 1)])
+    held = (generator * time).exp().tolist()
+    return arb_mat([[held[i][n]] for i in range(n)])
+
+
+def sampled_channel(
+    channel: Channel, controller: ChannelProblem, proof: ChannelProof, sample_time: float, delay: float
+) -> SampledChannel:
+    """A channel at its samples.
+
+    Args:
+        channel: The channel.
+        controller: Its l_0 and its nominal control.
+        proof: The slopes of its functions.
+        sample_time: T_s [s].
+        delay: Delay of the commands [samples], a real number.
+    """
+    n = channel.order
+    memories = math.ceil(delay)
+    m = n + memories + 1
+    t = arb(sample_time)
+    *units, integral = unit_rows(m)
+    sigma = with_zeros(channel.signals["sigma"], n, m)
+    e = units[0]
+    slope_1, slope_2, slope_n = map(arb, proof["slopes"])
+    next_integral = integral + sigma * (t * slope_2)
+    equivalent = next_integral + sigma * slope_1
+    command = -equivalent - sigma * slope_n
+    if controller["nominal"] is not None:
+        a_n, k_n, _ = controller["nominal"]
+        l0 = arb(controller["l0"])
+        lead = arb(a_n) - l0
+        command = command - (e * (lead * l0) - sigma * lead) * (1 / arb(k_n))
+    fresh, weights = delay_weights(delay)
+    acting = command * fresh
+    for unit, weight in zip(units[n:], weights, strict=True):
+        acting = acting + unit * weight
+    held = flow(channel, t)
+    by_held = arb_mat([[row[n]] for row in held.tolist()[:n]])
+    free = arb_mat([[*row[:n], *[arb(0)] * (m - n)] for row in held.tolist()[:n]])
+    moved = [command, *units[n : m - 2]] if memories else []
+    a = stack([free + by_held * acting, *moved, next_integral])
+    by_command = [-fresh * row[0] for row in by_held.tolist()]
+    rest = [arb(0)] * memories
+    if memories:
+        rest[0] = arb(-1)
+    by_integral = [t * x for x in [*by_command, *rest]]
+    return SampledChannel(
+        a,
+        arb_mat([[x] for x in [*by_command, *rest, arb(0)]]),
+        arb_mat([[x] for x in [*by_integral, t]]),
+        acting,
+        fresh,
+        equivalent,
+        sigma,
+    )
+
+
+def delay_weights(delay: float) -> tuple[arb, list[arb]]:
+    """The weights of u_k, and of u_(k-1), ..., u_(k-D), in the command that acts."""
+    whole = math.floor(delay)
+    fraction = arb(delay) - whole
+    weights = [arb(0)] * (math.ceil(delay) + 1)
+    weights[whole] = 1 - fraction
+    if fraction > 0:
+        weights[whole + 1] = fraction
+    return weights[0], weights[1:]
+
+
+def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
+    """A row over chi as one over z, (1, m)."""
+    return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
+
+
+def row_at(channel: Channel, sampled: SampledChannel, signal: str, held: arb_mat) -> tuple[arb_mat, arb]:
+    """A signal within a sample: its row over z_k, and its direct effect of u_k.
+
+    Args:
+        channel: The channel.
+        sampled: The same at its samples.
+        signal: The signal's name, not u_av.
+        held: :func:`flow` over the time since the sample.
+    """
+    n = channel.order
+    row = channel.signals[signal] * held
+    by_command = row[0, n]
+    return with_zeros(row, n, sampled.a.nrows()) + sampled.acting * by_command, by_command * sampled.fresh

@@ -1,0 +1,114 @@
+"""The functions of a channel within a region: how far they are from straight lines, and their largest gains."""
+
+import math
+from typing import NamedTuple, cast
+
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import Balls, Rejected
+from dssc_jax.proofs.verifier.certificate import Problem
+from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.premises import renamed
+
+AXES_OF_PLANE = 2
+
+
+class Deviations(NamedTuple):
+    """Upper bounds over |sigma| <= Y[sigma].
+
+    Args:
+        d_1: D_1, of |phi_1 - k_1 sigma|.
+        d_2: D_2, of |phi_2 - k_2 sigma|.
+        d_b: D_b, of |phi_1 + n - (k_1 + k_n) sigma|.
+        share_1: d_1, the first over |sigma|.
+        share_2: d_2, the second over |sigma|.
+        share_b: d_b, the third over |sigma|.
+        k_p: Largest K_P.
+        k_i: Largest K_I.
+        tau_av: Largest tau_av.
+        axes: h, which a vector of deviations exceeds its entries by.
+    """
+
+    d_1: arb
+    d_2: arb
+    d_b: arb
+    share_1: arb
+    share_2: arb
+    share_b: arb
+    k_p: arb
+    k_i: arb
+    tau_av: arb
+    axes: arb
+
+    def of_command(self, sigma: arb) -> arb:
+        """Bound of |omega_u|."""
+        return least(self.axes * self.d_b, self.share_b * sigma)
+
+    def of_integral(self, sigma: arb) -> arb:
+        """Bound of |omega_q|."""
+        return least(self.axes * self.d_2, self.share_2 * sigma)
+
+    def of_start(self, start: str, sigma: arb, sample_time: arb) -> arb:
+        """Bound of the deviation of the first sum q, at the first |sigma|."""
+        if start == "zero":
+            return arb(0)
+        result = least(self.axes * self.d_1, self.share_1 * sigma)
+        if start == "midpoint":
+            result = result + sample_time / 2 * self.of_integral(sigma)
+        return result.upper()
+
+
+def least(a: arb, b: arb) -> arb:
+    """An upper bound of the smaller of two numbers."""
+    a_end, b_end = a.upper(), b.upper()
+    return a_end if a_end <= b_end else b_end
+
+
+def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma: arb) -> Deviations:
+    """(V2) The functions of a channel within a region.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        proof: Its proof, with the slopes k_1, k_2 and k_n.
+        sigma: Y[sigma], an exact number.
+    """
+    controller = problem["channels"][name]
+    region = float_above(sigma)
+    slopes = Balls(zip(("mean", "k_i", "k_n"), map(arb, proof["slopes"]), strict=True))
+    loop = cast(
+        Problem,
+        {
+            "sample_time": problem["sample_time"],
+            "l0": controller["l0"],
+            "form": "conservative",
+            "functions": controller["functions"],
+            "nominal": controller["nominal"],
+        },
+    )
+    try:
+        distances = function_distances(loop, region, 0.0, slopes)
+        gains = enclosed_gains(loop, region, 0.0)
+    except Rejected as rejected:
+        raise renamed(rejected, "V2", f" of {name}") from None
+    shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
+    axes = arb(AXES_OF_PLANE).sqrt() if name == "x" else arb(1)
+    return Deviations(
+        distances["phi_1"].upper(),
+        distances["phi_2"].upper(),
+        distances["both"].upper(),
+        shares["mean"],
+        shares["k_i"],
+        (shares["mean"] + shares["k_n"]).upper(),
+        gains["k_p"].upper(),
+        gains["k_i"].upper(),
+        gains["tau_av"].upper(),
+        axes,
+    )
+
+
+def float_above(value: arb) -> float:
+    """A number of float64 above an exact one."""
+    return math.nextafter(float(value), math.inf)

@@ -1,0 +1,125 @@
+"""The map F: the bounds of all signals that bounds of all signals imply, from the start on or as time grows."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise, total
+from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem, VehicleProof
+from dssc_jax.proofs.verifier.vehicle.channels import EQUIVALENT
+from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of
+from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
+from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
+from dssc_jax.proofs.verifier.vehicle.responses import PHASES, SignalResponse, channel_responses
+from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
+
+Responses = Mapping[str, Mapping[str, list[SignalResponse]]]
+"""The responses of the signals, by channel and name, one for each phase."""
+REACH = 2 * len(PHASES)
+"""T_s over the longest time between a time within the sample and the nearest phase."""
+
+
+class Vehicle(NamedTuple):
+    """What does not change with the bounds.
+
+    Args:
+        problem: The certificate's problem.
+        proof: Its proof.
+        ranges: What the problem's intervals come to.
+        dampings: c of each channel.
+        responses: The responses of the linear channels.
+    """
+
+    problem: VehicleProblem
+    proof: VehicleProof
+    ranges: Ranges
+    dampings: Mapping[str, float]
+    responses: Responses
+
+
+class Inputs(NamedTuple):
+    """What bounds of the signals allow: the remainders, and the deviations of the functions, by channel."""
+
+    remainders: Remainders
+    deviations: Mapping[str, Deviations]
+
+
+def vehicle_of(problem: VehicleProblem, proof: VehicleProof) -> Vehicle:
+    """(V1) The linear channels, and their responses."""
+    proofs = proof["channels"]
+    return Vehicle(
+        problem,
+        proof,
+        ranges_of(problem),
+        {name: proofs[name]["drag_damping"] for name in CHANNELS},
+        {name: channel_responses(problem, name, proofs[name]) for name in CHANNELS},
+    )
+
+
+def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
+    """(V2) The deviations of the functions under bounds of the signals."""
+    proofs = vehicle.proof["channels"]
+    return {name: deviations_of(vehicle.problem, name, proofs[name], bounds[name]["sigma"]) for name in CHANNELS}
+
+
+def inputs_under(vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations]) -> Inputs:
+    """(V3) What bounds of the signals allow."""
+    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings), deviations)
+
+
+def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, started: bool) -> dict[str, Balls]:
+    """F of bounds of the signals.
+
+    Args:
+        vehicle: The channels.
+        bounds: Bounds of the signals.
+        inputs: What they allow.
+        started: Whether from the start on; otherwise of the upper limits.
+    """
+    t = arb(vehicle.problem["sample_time"])
+    result = {}
+    for name in CHANNELS:
+        slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
+        starts = start_sizes(vehicle, name, inputs.deviations[name]) if started else None
+        result[name] = Balls()
+        for signal, phases in vehicle.responses[name].items():
+            reached = arb(0)
+            for response in phases:
+                value = answered(name, bounds, inputs, response, starts)
+                require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
+                reached = maximum(reached, value.upper())
+            between = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
+            result[name][signal] = (reached + between).upper()
+    return result
+
+
+def answered(name: str, bounds: SignalBalls, inputs: Inputs, response: SignalResponse, starts: list[arb] | None) -> arb:
+    """The bound of a signal at one phase."""
+    deviations = inputs.deviations[name]
+    sigma = bounds[name]["sigma"]
+    rests = inputs.remainders.channels[name]
+    terms = [
+        deviations.of_command(sigma) * response.command,
+        deviations.of_integral(sigma) * response.integral,
+        inputs.remainders.constant * (response.constant if starts else response.settled_constant),
+    ]
+    terms += [rests[rest] * size for rest, size in response.remainders.items()]
+    if starts:
+        terms += [start * peak for start, peak in zip(starts, response.starts, strict=True)]
+    return total(terms)
+
+
+def start_sizes(vehicle: Vehicle, name: str, deviations: Deviations) -> list[arb]:
+    """E_0, V_0 and what the first sum q deviates by."""
+    controller = vehicle.problem["channels"][name]
+    e, e_dot = map(arb, controller["initial"])
+    t = arb(vehicle.problem["sample_time"])
+    return [e, e_dot, deviations.of_start(controller["start"], first_sigma(vehicle.problem, name), t)]
+
+
+def first_sigma(problem: VehicleProblem, name: str) -> arb:
+    """Sigma_0."""
+    controller = problem["channels"][name]
+    e, e_dot = map(arb, controller["initial"])
+    return e_dot + arb(controller["l0"]) * e

@@ -1,0 +1,9 @@
+"""The names of the vehicle's premises, in place of those of the theorem on one axis, whose parts it uses."""
+
+from dssc_jax.proofs.verifier.balls import Rejected
+
+
+def renamed(rejected: Rejected, premise: str, place: str = "") -> Rejected:
+    """The reason of a rejection under another premise, and with its place."""
+    reason = str(rejected)
+    return Rejected(f"{premise}:{reason[reason.index(':') + 1 :]}{place}")

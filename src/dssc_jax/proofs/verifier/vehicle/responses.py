@@ -1,0 +1,248 @@
+"""Upper bounds of what the inputs of a channel do to its signals: sums and integrals of responses, and their peaks.
+
+A signal is seen at the times ``PHASES`` of each sample. With f(r) = rho A^k e^(F r) b the integral of |f| over a sample
+is at most T/2 (|f(0)| + |f(T)|) + T^3/12 sup |f''|: that of the straight line between its ends, which a convex function
+bounds by its values there, and the distance of f from this line. f'' has the column e^(F r) F^2 b, which is enclosed
+over the sample as a middle column plus a radius in each unit column.
+"""
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+from flint import arb, arb_mat
+
+from dssc_jax.proofs.verifier.balls import (
+    Balls,
+    Rejected,
+    column,
+    identity,
+    interval_ball,
+    positive_definite,
+    require_premise,
+    side_by_side,
+    symmetric_matrix,
+    total,
+)
+from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds, response_bounds
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.channels import (
+    EQUIVALENT,
+    Channel,
+    SampledChannel,
+    channel_of,
+    flow,
+    forced,
+    row_at,
+    sampled_channel,
+    stack,
+    with_zeros,
+)
+
+PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
+"""Times within a sample at which the signals are seen, over T_s."""
+
+
+class SignalResponse(NamedTuple):
+    """What a signal answers at one time within the samples; upper bounds.
+
+    Args:
+        command: To |omega_u| <= 1.
+        integral: To |omega_q| <= 1.
+        remainders: To each |r_j| <= 1.
+        constant: To a constant 1 in place of o, from t = 0 on.
+        settled_constant: The same as time grows.
+        starts: To e = 1 and to e' = 1 at t = 0, and to a deviation 1 of the first sum q.
+    """
+
+    command: arb
+    integral: arb
+    remainders: Balls
+    constant: arb
+    settled_constant: arb
+    starts: tuple[arb, arb, arb]
+
+
+class Sight(NamedTuple):
+    """A signal at one time within the samples.
+
+    Args:
+        signal: The signal's name.
+        time: Time since the sample [s].
+        row: Its row over z_k, (1, m).
+        direct: Its direct effect of u_k.
+        direct_integral: Its direct effect of omega_q of the same sample.
+    """
+
+    signal: str
+    time: arb
+    row: arb_mat
+    direct: arb
+    direct_integral: arb
+
+
+def channel_responses(problem: VehicleProblem, name: str, proof: ChannelProof) -> dict[str, list[SignalResponse]]:
+    """(V1) The responses of a channel's signals, at each phase.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        proof: Its proof.
+    """
+    controller = problem["channels"][name]
+    t = arb(problem["sample_time"])
+    decay = t * arb(proof["rate"])
+    require_premise(bool(decay > 0) and bool(decay < 1), f"V1: lambda of {name} is not in (0, 1/T_s)")
+    channel = channel_of(problem, name, proof["drag_damping"])
+    sampled = sampled_channel(channel, controller, proof, problem["sample_time"], problem["delay"])
+    p = symmetric_matrix(proof["p"])
+    require_premise(positive_definite(p), f"V1: P of {name} is not positive definite")
+    decrease = p * (1 - decay) - sampled.a.transpose() * p * sampled.a
+    require_premise(positive_definite(decrease), f"V1: V of {name} does not fall")
+    sights = seen_signals(channel, sampled, t)
+    curved = curved_columns(channel, t)
+    starts, offsets = start_columns(channel, sampled, proof, controller["start"], t, sights)
+    columns = [sampled.by_command, sampled.by_integral]
+    for parts in curved.values():
+        columns += [extended(part, sampled) for part in (parts.begin, parts.end, parts.middle)]
+    inputs = joined([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
+    rows = stack([sight.row for sight in sights])
+    reached = response_bounds(sampled.a, rows, inputs, starts, p, decay, offsets)
+    require_premise(reached is not None, f"V1: the responses of {name} decay too slowly")
+    assert reached is not None
+    result: dict[str, list[SignalResponse]] = {}
+    for i, sight in enumerate(sights):
+        response = response_of(i, sight, channel, curved, reached, offsets, t)
+        result.setdefault(sight.signal, []).append(response)
+    return result
+
+
+def seen_signals(channel: Channel, sampled: SampledChannel, t: arb) -> list[Sight]:
+    """Every signal at every phase; u_av at the samples."""
+    sights = []
+    for phase in PHASES:
+        time = t * phase.numerator / phase.denominator
+        held = flow(channel, time)
+        for signal in channel.signals:
+            row, direct = row_at(channel, sampled, signal, held)
+            sights.append(Sight(signal, time, row, abs(direct), t * abs(direct)))
+    return [*sights, Sight(EQUIVALENT, arb(0), sampled.equivalent, arb(0), t)]
+
+
+class CurvedColumn(NamedTuple):
+    """e^(F r) b at both ends of the sample, and its second derivative: a middle column and the radii about it."""
+
+    begin: arb_mat
+    end: arb_mat
+    middle: arb_mat
+    radii: list[arb]
+
+
+def curved_columns(channel: Channel, t: arb) -> dict[str, CurvedColumn]:
+    """The columns of the remainders within a sample."""
+    f = dynamics(channel)
+    over_sample = (f * (t * interval_ball(0.0, 1.0))).exp()
+    result = {}
+    for name, b in channel.inputs.items():
+        second = over_sample * (f * (f * b))
+        radii = [entry.rad() for (entry,) in second.tolist()]
+        result[name] = CurvedColumn(b, (f * t).exp() * b, second.mid(), radii)
+    return result
+
+
+def dynamics(channel: Channel) -> arb_mat:
+    """F, (n, n)."""
+    return first_columns(channel.generator, channel.order)
+
+
+def first_columns(matrix: arb_mat, count: int) -> arb_mat:
+    """The first columns of a matrix."""
+    return arb_mat([row[:count] for row in matrix.tolist()])
+
+
+def joined(columns: Sequence[arb_mat]) -> arb_mat:
+    """Matrices beside each other."""
+    first, *others = columns
+    for other in others:
+        first = side_by_side(first, other)
+    return first
+
+
+def extended(part: arb_mat, sampled: SampledChannel) -> arb_mat:
+    """A column over chi as one over z, (m, 1)."""
+    rest = sampled.a.nrows() - part.nrows()
+    return stack([part, arb_mat(rest, 1)])
+
+
+def start_columns(
+    channel: Channel, sampled: SampledChannel, proof: ChannelProof, start: str, t: arb, sights: Sequence[Sight]
+) -> tuple[arb_mat, arb_mat]:
+    """The starts z_0 of e, of e' and of the first sum q, and -z* of the constant; and the offsets of their responses.
+
+    To the constant, z_k = z* + A^k (0 - z*), and the signal at s has the integral of C e^(F r) b up to s besides.
+    """
+    m = sampled.a.nrows()
+    slope_1, slope_2, _ = map(arb, proof["slopes"])
+    ratio = {"zero": arb(0), "matched": slope_1, "midpoint": slope_1 + t * slope_2 / 2}[start]
+    units = identity(m)
+    last = column(units, m - 1)
+    columns = []
+    for place in range(2):  # of sigma_0 = e' + l_0 e
+        columns.append(column(units, place) - last * (ratio * sampled.sigma[0, place]))
+    columns.append(last)
+    offsets = arb_mat(len(sights), 4)
+    b = channel.constant
+    if b is None:
+        return joined([*columns, arb_mat(m, 1)]), offsets
+    try:
+        rest = (units - sampled.a).solve(extended(forced(channel, b, t), sampled))
+    except ZeroDivisionError:
+        raise Rejected("V1: the response to the constant cannot be enclosed") from None
+    for i, sight in enumerate(sights):
+        offsets[i, 3] = (sight.row * rest)[0, 0]
+        if sight.signal != EQUIVALENT:
+            within = with_zeros(channel.signals[sight.signal], channel.order, channel.order)
+            offsets[i, 3] = offsets[i, 3] + (within * forced(channel, b, sight.time))[0, 0]
+    return joined([*columns, -rest]), offsets
+
+
+def response_of(
+    i: int,
+    sight: Sight,
+    channel: Channel,
+    curved: dict[str, CurvedColumn],
+    reached: ResponseBounds,
+    offsets: arb_mat,
+    t: arb,
+) -> SignalResponse:
+    """The response of one signal at one phase, which is row ``i`` of the sums."""
+    command, integral, *sums = [arb(float(value)) for value in reached.sums[i]]
+    units = sums[3 * len(curved) :]
+    remainders = Balls()
+    for place, (name, parts) in enumerate(curved.items()):
+        begin, end, middle = sums[3 * place : 3 * place + 3]
+        bent = middle + total([radius * unit for radius, unit in zip(parts.radii, units, strict=True)])
+        within = integral_within(channel, sight, parts.begin)
+        remainders[name] = (t / 2 * (begin + end) + t**3 / 12 * bent + within).upper()
+    peaks = [arb(float(value)) for value in reached.peaks[i]]
+    return SignalResponse(
+        (command + sight.direct).upper(),
+        (integral + sight.direct_integral).upper(),
+        remainders,
+        peaks[3],
+        abs(offsets[i, 3]).upper(),
+        (peaks[0], peaks[1], peaks[2]),
+    )
+
+
+def integral_within(channel: Channel, sight: Sight, b: arb_mat) -> arb:
+    """Bound of the integral of |C e^(F r) b| since the sample."""
+    if sight.signal == EQUIVALENT:
+        return arb(0)
+    f = dynamics(channel)
+    time = sight.time
+    row = first_columns(channel.signals[sight.signal], channel.order)
+    over_time = (f * (time * interval_ball(0.0, 1.0))).exp()
+    ends = abs((row * b)[0, 0]) + abs((row * (f * time).exp() * b)[0, 0])
+    bent = abs((row * over_time * (f * (f * b)))[0, 0])
+    return (time / 2 * ends + time**3 / 12 * bent).upper()

@@ -1,0 +1,91 @@
+"""Bounds of how fast the signals change within a sample, from bounds of the signals and of the remainders."""
+
+from collections.abc import Mapping
+
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import Balls
+from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls
+
+
+def signal_slopes(
+    problem: VehicleProblem, name: str, damping: float, bounds: SignalBalls, remainders: Remainders
+) -> Balls:
+    """Bounds of the slopes of a channel's signals, all but u_av.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        damping: Its c.
+        bounds: Bounds of the signals.
+        remainders: Bounds of the remainders.
+    """
+    rests = remainders.channels[name]
+    match name:
+        case "x":
+            slopes = plane_slopes(problem, arb(damping), bounds["x"], rests)
+        case "z":
+            slopes = vertical_slopes(problem, arb(damping), bounds["z"], rests, remainders.constant)
+        case _:
+            slopes = yaw_slopes(problem, bounds["psi"], rests)
+    return {signal: slope.upper() for signal, slope in slopes.items()}
+
+
+def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], rests: Balls) -> Balls:
+    """Those of x and y."""
+    l0 = arb(problem["channels"]["x"]["l0"])
+    stiffness = arb(problem["stiffness"])
+    lagging = problem["rotor_lag"] > 0
+    e_dot = y["acceleration"] + rests["force"]
+    alpha_dot = (y["gamma"] if lagging else y["turn"]) + rests["torque"]
+    wanted = arb(problem["velocity_gain"]) * e_dot
+    turn = stiffness * (wanted + y["alpha_dot"]) + arb(problem["damping"]) * alpha_dot
+    slopes = {
+        "e": y["e_dot"],
+        "e_dot": e_dot,
+        "alpha": y["alpha_dot"],
+        "alpha_dot": alpha_dot,
+        "sigma": y["bend"] + rests["force"],
+        "wanted": wanted,
+        "turn": turn,
+        "acceleration": y["alpha_dot"] + damping * e_dot,
+        "bend": y["alpha_dot"] + abs(l0 - damping) * e_dot,
+    }
+    if lagging:
+        slopes["gamma"] = y["behind"] / arb(problem["rotor_lag"]) + rests["lag"]
+        slopes["behind"] = turn + slopes["gamma"]
+    return slopes
+
+
+def vertical_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], rests: Balls, constant: arb) -> Balls:
+    """Those of z, which the constant o joins."""
+    l0 = arb(problem["channels"]["z"]["l0"])
+    e_dot = y["acceleration"] + rests["force"] + constant
+    wanted = arb(problem["velocity_gain"]) * e_dot
+    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + rests["force"] + constant, "wanted": wanted}
+    lift = wanted
+    if problem["rotor_lag"] > 0:
+        lift = y["behind"] / arb(problem["rotor_lag"]) + rests["lag"]
+        slopes |= {"lift": lift, "behind": wanted + lift}
+    return slopes | {"acceleration": damping * e_dot + lift, "bend": abs(l0 - damping) * e_dot + lift}
+
+
+def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], rests: Balls) -> Balls:
+    """Those of psi."""
+    l0 = arb(problem["channels"]["psi"]["l0"])
+    lagging = problem["rotor_lag"] > 0
+    e_dot = (y["gamma"] if lagging else y["wanted"]) + rests["torque"]
+    wanted = arb(problem["yaw_gain"]) * e_dot + arb(problem["yaw_integral_gain"]) * y["follow"]
+    slopes = {
+        "e": y["e_dot"],
+        "e_dot": e_dot,
+        "sigma": y["bend"] + rests["torque"],
+        "wanted": wanted,
+        "follow": e_dot,
+        "bend": wanted + l0 * e_dot,
+    }
+    if lagging:
+        gamma = y["behind"] / arb(problem["rotor_lag"]) + rests["lag"]
+        slopes |= {"gamma": gamma, "behind": wanted + gamma, "bend": gamma + l0 * e_dot}
+    return slopes

@@ -1,0 +1,154 @@
+"""The verifier of the whole vehicle's theorem: a certificate is proved if (V0) to (V5) hold in ball arithmetic.
+
+docs/vehicle_proofs.md states the theorem. The numbers of the certificate are exact.
+"""
+
+import math
+from typing import NamedTuple
+
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, maximum, require_premise
+from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
+from dssc_jax.proofs.verifier.vehicle.implied import (
+    Inputs,
+    Vehicle,
+    deviations_under,
+    first_sigma,
+    implied_bounds,
+    inputs_under,
+    vehicle_of,
+)
+from dssc_jax.proofs.verifier.vehicle.remainders import SignalBalls
+from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
+from dssc_jax.proofs.verifier.verdict import ball_precision
+
+MOST_ITERATIONS = 40
+"""Of F_s."""
+LEAST_FALL = 1e-4
+"""Fall of a bound, as a share of it, below which no more is gained."""
+REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
+"""The remainder in the slope of sigma."""
+FloatBounds = dict[str, dict[str, float]]
+"""Bounds of the signals, rounded up, by channel and name."""
+
+
+class VehicleVerdict(NamedTuple):
+    """The verifier's answer.
+
+    Args:
+        proved: Whether every premise holds.
+        reason: The first premise that could not be shown, and its signal; empty if proved.
+        bounds: Bounds of the signals at all times, by channel and name; SI units. Empty if not proved.
+        settled: Bounds of their upper limits as time grows.
+        tilt: Bound of the tilt [rad]; infinite if not proved.
+        settled_tilt: Bound of its upper limit [rad].
+        rotor_min: Lower bound of the rotors' commanded thrusts [N].
+        rotor_max: Upper bound of them [N].
+    """
+
+    proved: bool
+    reason: str
+    bounds: FloatBounds
+    settled: FloatBounds
+    tilt: float
+    settled_tilt: float
+    rotor_min: float
+    rotor_max: float
+
+
+def verify_vehicle(content: object) -> VehicleVerdict:
+    """Verify a vehicle's certificate.
+
+    Args:
+        content: The content of a certificate's file.
+    """
+    with ball_precision():
+        try:
+            certificate = require_certificate(content)
+            return proved_verdict(vehicle_of(certificate["problem"], certificate["proof"]))
+        except Rejected as rejected:
+            infinite = float("inf")
+            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite)
+
+
+def proved_verdict(vehicle: Vehicle) -> VehicleVerdict:
+    """(V2) to (V5), and what follows from them."""
+    proofs = vehicle.proof["channels"]
+    bounds = {name: {signal: arb(value) for signal, value in proofs[name]["bounds"].items()} for name in CHANNELS}
+    deviations = deviations_under(vehicle, bounds)
+    inputs = inputs_under(vehicle, bounds, deviations)
+    implied = implied_bounds(vehicle, bounds, inputs, started=True)
+    for name in CHANNELS:
+        for signal, bound in bounds[name].items():
+            holds = bool(implied[name][signal] < bound)
+            require_premise(holds, f"V4: the bound of {name}.{signal} does not imply itself")
+    for name in CHANNELS:
+        require_sliding(vehicle.problem, name, bounds, inputs)
+    settled = settled_bounds(vehicle, bounds)
+    gravity = vehicle.ranges.gravity
+    rotors = inputs.remainders.rotors
+    return VehicleVerdict(
+        True,
+        "",
+        rounded(bounds),
+        rounded(settled),
+        float_above(inputs.remainders.tilt),
+        float_above((settled["x"]["alpha"] / gravity).upper()),
+        math.nextafter(float(rotors.smallest), -math.inf),
+        float_above(rotors.largest),
+    )
+
+
+def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inputs: Inputs) -> None:
+    """(V5) The equivalent control of a channel is at most rho."""
+    t = arb(problem["sample_time"])
+    controller = problem["channels"][name]
+    rho = arb(controller["rho"])
+    y = bounds[name]
+    law = inputs.deviations[name]
+    slope = y["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
+    if name == "z":
+        slope = slope + inputs.remainders.constant
+    before = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
+    wanted = before + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
+    require_premise(bool(wanted <= rho), f"V5: the equivalent control of {name} may exceed rho")
+    if controller["start"] == "zero":
+        first = first_equivalent(problem, name, law)
+        require_premise(bool(first <= rho), f"V5: the first equivalent control of {name} may exceed rho")
+
+
+def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb:
+    """The equivalent control of the first sample, with the start ``zero``."""
+    t = arb(problem["sample_time"])
+    return (1 + law.tau_av / t) * (law.k_p + t * law.k_i) * first_sigma(problem, name)
+
+
+def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
+    """Bounds of the upper limits: F_s again and again, of which the smallest of each signal counts."""
+    entered = arb(ENTERED)
+    for _ in range(MOST_ITERATIONS):
+        wider = {name: {signal: (y * entered).upper() for signal, y in bounds[name].items()} for name in CHANNELS}
+        try:
+            inputs = inputs_under(vehicle, wider, deviations_under(vehicle, wider))
+            implied = implied_bounds(vehicle, wider, inputs, started=False)
+        except Rejected:  # 1.0001 times the bounds need not satisfy what they do
+            return bounds
+        lower = {}
+        falls = False
+        for name in CHANNELS:
+            lower[name] = {}
+            for signal, bound in bounds[name].items():
+                value = implied[name][signal]
+                falls = falls or bool(value < bound * (1 - arb(LEAST_FALL)))
+                lower[name][signal] = value if value < bound else bound
+        bounds = lower
+        if not falls:
+            break
+    return bounds
+
+
+def rounded(bounds: SignalBalls) -> FloatBounds:
+    """Bounds in float64, rounded up."""
+    return {name: {signal: float_above(y) for signal, y in bounds[name].items()} for name in CHANNELS}

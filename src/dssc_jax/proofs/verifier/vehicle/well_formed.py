@@ -1,0 +1,135 @@
+"""(V0) What a vehicle's certificate has to look like before anything in it is computed with."""
+
+import math
+from typing import Any, cast
+
+from dssc_jax.proofs.verifier.balls import Rejected
+from dssc_jax.proofs.verifier.vehicle.certificate import (
+    CHANNELS,
+    ChannelProblem,
+    ChannelProof,
+    VehicleCertificate,
+    VehicleProblem,
+    VehicleProof,
+)
+from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
+from dssc_jax.proofs.verifier.vehicle.premises import renamed
+from dssc_jax.proofs.verifier.well_formed import (
+    MOST_DELAY,
+    STARTS,
+    require_entries,
+    require_finite,
+    require_functions,
+    require_interval,
+    require_list,
+    require_not_negative,
+    require_numbers,
+    require_positive,
+    require_shape,
+    require_sizes,
+    require_symmetric,
+)
+
+KIND = "vehicle"
+VERSION = 1
+LEAST_ROTORS = 4
+POSITIVE = (
+    "sample_time",
+    "velocity_gain",
+    "stiffness",
+    "damping",
+    "yaw_gain",
+    "believed_mass",
+    "arm",
+    "torque_coefficient",
+    "thrust_coefficient",
+    "rotor_limit",
+)
+NOT_NEGATIVE = ("yaw_integral_gain", "rotor_lag", "rotor_inertia", "propeller_drag")
+NOT_COVERED = ("vgsta", "sta")
+"""Functions that depend on e, or whose slope is infinite at 0."""
+
+
+def require_certificate(content: object) -> VehicleCertificate:
+    """A problem and its proof; reject a content with other parts."""
+    try:
+        certificate = require_entries(content, VehicleCertificate.__required_keys__, "the certificate")
+        version = certificate["version"]
+        require_shape(type(version) is int and version == VERSION, "version", f"is not {VERSION}")
+        require_shape(certificate["kind"] == KIND, "kind", f"is not {KIND}")
+        problem = require_problem(certificate["problem"])
+        require_proof(problem, certificate["proof"])
+    except Rejected as rejected:
+        raise renamed(rejected, "V0") from None
+    return cast(VehicleCertificate, content)
+
+
+def require_problem(content: object) -> VehicleProblem:
+    """A vehicle of the class; reject anything else."""
+    problem: dict[str, Any] = require_entries(content, VehicleProblem.__required_keys__, "problem")
+    for name in POSITIVE:
+        require_positive(problem[name], name)
+    for name in NOT_NEGATIVE:
+        require_not_negative(problem[name], name)
+    delay = require_finite(problem["delay"], "delay")
+    require_shape(0 <= delay <= MOST_DELAY, "delay", f"is not within [0, {MOST_DELAY}]")
+    rotors = require_finite(problem["rotors"], "rotors")
+    even = rotors >= LEAST_ROTORS and rotors % 2 == 0
+    require_shape(even, "rotors", f"is no even number of at least {LEAST_ROTORS}")
+    for name in ("mass", "thrust", "turn"):
+        require_positive_interval(problem[name], name)
+    for interval in require_list(problem["inertia"], 3, "inertia"):
+        require_positive_interval(interval, "inertia")
+    for value in require_list(problem["believed_inertia"], 3, "believed_inertia"):
+        require_positive(value, "believed_inertia")
+    for name in ("structure_drag", "wind"):
+        require_sizes(problem[name], 2, name)
+    channels = require_entries(problem["channels"], set(CHANNELS), "channels")
+    for name in CHANNELS:
+        require_channel(channels[name], name)
+    return cast(VehicleProblem, content)
+
+
+def require_positive_interval(content: object, place: str) -> None:
+    """Reject anything but an interval of positive numbers."""
+    low, _ = require_interval(content, place)
+    require_shape(low > 0, place, "is not positive")
+
+
+def require_channel(content: object, name: str) -> None:
+    """Reject anything but a channel's controller and start."""
+    channel: dict[str, Any] = require_entries(content, ChannelProblem.__required_keys__, f"channels.{name}")
+    require_positive(channel["l0"], f"{name}.l0")
+    require_positive(channel["rho"], f"{name}.rho")
+    require_functions(channel["functions"], "conservative")
+    covered = channel["functions"]["kind"] not in NOT_COVERED
+    require_shape(covered, f"{name}.functions", "depend on e, which is not covered")
+    if channel["nominal"] is not None:
+        a, k, filtered = require_list(channel["nominal"], 3, f"{name}.nominal")
+        require_finite(a, f"{name}.nominal")
+        require_positive(k, f"{name}.nominal")
+        require_shape(type(filtered) is bool, f"{name}.nominal", "is not true or false")
+    require_shape(channel["start"] in STARTS, f"{name}.start", f"is none of {', '.join(STARTS)}")
+    require_sizes(channel["initial"], 2, f"{name}.initial")
+
+
+def require_proof(problem: VehicleProblem, content: object) -> None:
+    """Reject anything but the proofs of the problem's channels."""
+    proof = require_entries(content, VehicleProof.__required_keys__, "proof")
+    channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
+    for name in CHANNELS:
+        require_channel_proof(problem, name, channels[name])
+
+
+def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
+    """Reject anything but a proof of the channel's shapes."""
+    proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
+    require_numbers(proof["slopes"], 3, f"{name}.slopes")
+    require_not_negative(proof["drag_damping"], f"{name}.drag_damping")
+    require_shape(name != "psi" or proof["drag_damping"] == 0, f"{name}.drag_damping", "is not 0")
+    require_positive(proof["rate"], f"{name}.rate")
+    order = channel_of(problem, name, proof["drag_damping"]).order + math.ceil(problem["delay"]) + 1
+    require_symmetric(proof["p"], order, f"{name}.p")
+    names = signal_names(name, lagging=problem["rotor_lag"] > 0)
+    for signal, bound in require_entries(proof["bounds"], names, f"{name}.bounds").items():
+        require_positive(bound, f"{name}.{signal}")
