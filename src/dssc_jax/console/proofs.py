@@ -1,12 +1,9 @@
 """Show a proof of the sampled loop, and a verifier's verdict."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dssc_jax.console.terminal import output, show_table
-
-if TYPE_CHECKING:
-    from dssc_jax.proofs.verifier.verdict import ProofVerdict
 
 MOST_SHOWN = 12
 """Boxes without a proof that are listed."""
@@ -26,12 +23,10 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
-def show_verdict(verdict: "ProofVerdict", loop: dict[str, str]) -> None:
-    """Print whether a certificate is valid, and of which loop it is one."""
-    bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
-    text = f"valid: |e| never exceeds {bounds}, in the output's unit"
+def show_verdict(verdict: str, loop: dict[str, str]) -> None:
+    """Print what a certificate's verdict says, and of which loop it is one."""
     console = output()
-    console.print(text if verdict.proved else f"not valid: {verdict.reason}", soft_wrap=True, markup=False)
+    console.print(verdict, soft_wrap=True, markup=False)
     for label, words in loop.items():
         console.print(f"  {label:<13}{words}", soft_wrap=True, markup=False)
 

@@ -154,9 +154,7 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
     return replace(proved, units=study.units[0]) if isinstance(proved, Proved) else proved
 
 
-def prove_problem(
-    problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None
-) -> AnyProved:
+def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> AnyProved:
     """:func:`prove` for a problem.
 
     Raises:

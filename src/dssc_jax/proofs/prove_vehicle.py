@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
+from dssc_jax.proofs.vehicle_words import stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
 VEHICLE_VERSION = 1
@@ -17,9 +18,6 @@ VEHICLE_REASONS = {
     "sliding": "the equivalent control may exceed rho",
     "verifier": "the verifier rejects what the search found",
 }
-STATED = ("e", "e_dot", "sigma")
-"""Signals of each channel that a summary holds; y has the bounds of x."""
-SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
 
 
 @dataclass(frozen=True)
@@ -69,16 +67,15 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers: ``bounds`` from the start on and ``settled``, by channel [m, m/s, rad, rad/s]."""
-        proved = self.verdict if self.complete else None
+        """The outcome in plain numbers; ``bounds`` hold from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
+        absent = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
             "share": self.share,
             "boxes": int(self.complete),
             "error": self.error if self.complete else None,
             "largest_error": self.largest_error if self.complete else None,
-            "bounds": None if proved is None else stated(proved.bounds, proved.tilt, proved),
-            "settled": None if proved is None else stated(proved.settled, proved.settled_tilt, proved),
+            **(absent if self.verdict is None or self.failure else stated_bounds(self.verdict)),
             "statement": self.statement(),
             "failures": [] if self.complete else [{"box": {}, "reason": self.failure, "text": self.reason}],
             "seconds": self.seconds,
@@ -94,12 +91,14 @@ class VehicleProved:
         ends = ""
         if settled["x"]["e"] < 0.99 * bounds["x"]["e"]:
             ends = f" It ends within |e_x|, |e_y| <= {settled['x']['e']:.4g} m and |e_z| <= {settled['z']['e']:.4g} m."
+        wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
+        plane = f"|e_x|, |e_y| <= {bounds['x']['e']:.4g} m"
+        others = f"|e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad"
+        tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
+        rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
         return (
-            f"For every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes{vehicle}, all "
-            f"four sampled channels slide from the first sample on, and the vehicle never exceeds |e_x|, |e_y| <= "
-            f"{bounds['x']['e']:.4g} m, |e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad and a "
-            f"tilt of {math.degrees(self.verdict.tilt):.4g} degrees. Its rotors stay between "
-            f"{self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N.{ends}"
+            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never exceeds "
+            f"{plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:
@@ -119,16 +118,6 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
     if problem.delay:
         words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
     return words
-
-
-def stated(signals: dict[str, dict[str, float]], tilt: float, verdict: VehicleVerdict) -> JsonObject:
-    """The bounds that a summary holds."""
-    channels = {
-        shown: {signal: signals[name][signal] for signal in STATED}
-        for name, names in SHOWN_AS.items()
-        for shown in names
-    }
-    return channels | {"tilt": tilt, "rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
 
 
 def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObject:

@@ -19,7 +19,7 @@ from dssc_jax.models.references.flights import HOVER
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.uav.inner_loop import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
-from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.proofs.problem import Interval
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 from dssc_jax.study import Study
@@ -91,7 +91,9 @@ def require_laws(study: Study) -> None:
     """Refuse laws of numbers that the theorem does not cover, and laws without bounds."""
     for name, law in study.laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
-            raise NotCovered(f"{name} is uncertain; a proof of the vehicle takes intervals of {', '.join(UNCERTAIN)} only")
+            raise NotCovered(
+                f"{name} is uncertain; a proof of the vehicle takes intervals of {', '.join(UNCERTAIN)} only"
+            )
         if not all(math.isfinite(end) for end in law.support):
             raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from dssc_jax.proofs.verifier.certificate import Interval, Problem
+from dssc_jax.proofs.verifier.verdict import ProofVerdict
 
 SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 
@@ -23,6 +24,14 @@ def loop_in_words(problem: Problem) -> dict[str, str]:
         "disturbance": disturbance_words(problem),
         "reference": reference_words(problem),
     }
+
+
+def verdict_in_words(verdict: ProofVerdict) -> str:
+    """What a verdict says."""
+    if not verdict.proved:
+        return f"not valid: {verdict.reason}"
+    bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"
+    return f"valid: |e| never exceeds {bounds}, in the output's unit"
 
 
 def interval_words(interval: Interval) -> str:

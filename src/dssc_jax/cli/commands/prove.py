@@ -1,7 +1,6 @@
 """dssc-jax prove: the sampled loop, with lag; also verifies the certificates in a file."""
 
 import json
-import math
 from pathlib import Path
 
 from dssc_jax.analyses.loading import load
@@ -20,15 +19,20 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 from dssc_jax.proofs.certificate_text import certificate_content
-from dssc_jax.proofs.prove import Proved, check_certificate, prove
+from dssc_jax.proofs.prove import AnyProved, check_certificate, prove
+from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND
 from dssc_jax.proofs.reach import proved_up_to
+from dssc_jax.proofs.vehicle_words import stated_bounds, vehicle_in_words, vehicle_verdict_in_words
+from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict
 from dssc_jax.proofs.verifier.verdict import ProofVerdict
-from dssc_jax.proofs.words import loop_in_words
+from dssc_jax.proofs.words import loop_in_words, verdict_in_words
 from dssc_jax.results.manifest import MANIFEST
 from dssc_jax.results.result import load_result
 from dssc_jax.runs.prove_sweep import foreign_points
 from dssc_jax.study import Described, Study
 
+MALFORMED = ("P0", "V0")
+"""Beginnings of the reasons of a verdict on a content whose problem need not be well formed."""
 FOREIGN = "P0: the certificate is that of another loop than the folder's"
 
 
@@ -59,17 +63,30 @@ def verify_certificate(content: object, path: Path, as_json: bool) -> int:
     """Verify the certificate in a file and print the verdict."""
     verdict = check_certificate(content)
     words = {}
-    if isinstance(content, dict) and not verdict.reason.startswith("P0"):  # the problem is well formed
+    if isinstance(content, dict) and not verdict.reason.startswith(MALFORMED):
         if verdict.proved and is_foreign(content["problem"], path):
-            verdict = ProofVerdict(False, FOREIGN, math.inf, math.inf)
+            verdict = verdict._replace(proved=False, reason=FOREIGN)
+        elif content.get("kind") == VEHICLE_KIND:
+            words = vehicle_in_words(content["problem"])
         else:
             words = loop_in_words(content["problem"])
     if as_json:
-        answer = verdict._asdict() if verdict.proved else {"proved": False, "reason": verdict.reason}
-        print(json.dumps(answer | {"loop": words}, allow_nan=False))
+        print(json.dumps(verdict_content(verdict) | {"loop": words}, allow_nan=False))
+    elif isinstance(verdict, VehicleVerdict):
+        show_verdict(vehicle_verdict_in_words(verdict), words)
     else:
-        show_verdict(verdict, words)
+        show_verdict(verdict_in_words(verdict), words)
     return DONE if verdict.proved else FAILS
+
+
+def verdict_content(verdict: ProofVerdict | VehicleVerdict) -> JsonObject:
+    """A verdict as JSON's types."""
+    if not verdict.proved:
+        return {"proved": False, "reason": verdict.reason}
+    if isinstance(verdict, VehicleVerdict):
+        errors = {"error": verdict.settled["x"]["e"], "largest_error": verdict.bounds["x"]["e"]}
+        return {"proved": True, "reason": "", **errors, **stated_bounds(verdict)}
+    return verdict._asdict()
 
 
 def is_foreign(problem: JsonObject, path: Path) -> bool:
@@ -82,7 +99,7 @@ def is_foreign(problem: JsonObject, path: Path) -> bool:
     return tuned.proved_loop != problem
 
 
-def write_certificate(proved: Proved, out: Path | None) -> None:
+def write_certificate(proved: AnyProved, out: Path | None) -> None:
     """Write the certificate, if a file is given."""
     if out is not None:
         content = json.dumps(proved.certificate(), indent=1) + "\n"

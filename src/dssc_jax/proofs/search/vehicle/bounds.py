@@ -143,10 +143,7 @@ def all_deviations(
     problem: VehicleProblem, y: Signals, slopes: dict[str, tuple[float, float, float]]
 ) -> dict[str, ChannelDeviations]:
     """The deviations of every channel under the bounds of its sigma."""
-    return {
-        name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name])
-        for name in CHANNELS
-    }
+    return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
 
 def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, Linear]:
@@ -219,9 +216,7 @@ def applied(
     return reached, remainders, rotors
 
 
-def slides(
-    problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y: Signals, remainders: Signals
-) -> bool:
+def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y: Signals, remainders: Signals) -> bool:
     """Whether the equivalent control of every channel stays within rho."""
     t = problem.sample_time
     for name, channel in problem.channels.items():
@@ -242,9 +237,7 @@ def slides(
 def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> VehicleBounds | str:
     """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``."""
     linear = linear_channels(problem, damping)
-    y: Signals = {
-        name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()
-    }
+    y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
     regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
     regions = {name: max(region, 1e-3) for name, region in regions.items()}
     slopes: dict[str, tuple[float, float, float]] = {}

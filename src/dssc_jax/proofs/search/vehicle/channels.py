@@ -79,7 +79,7 @@ class Sampled:
 
 
 def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
-    """The channel of x and y, whose drag is damped by ``damping``: chi = (e, e', alpha, alpha', and gamma with a lag)."""
+    """The channel of x and y: chi = (e, e', alpha, alpha', and gamma with a lag). ``damping`` is that of drag [1/s]."""
     k_v, a_0, a_1 = problem.velocity_gain, problem.stiffness, problem.damping
     lagged = problem.rotor_lag > 0.0
     m = 5 if lagged else 4

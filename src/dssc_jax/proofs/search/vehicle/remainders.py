@@ -70,7 +70,7 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Rotors:
-    """Bounds of the rotors: thrusts [N], the spread of the speeds and their sum [rad/s], rho [N/s], spin-up [rad/s^2]."""
+    """Bounds of the rotors: thrusts [N], spread and sum of the speeds [rad/s], rho [N/s], spin-up [rad/s^2]."""
 
     smallest: float
     largest: float
@@ -221,7 +221,7 @@ def largest_drag(
 
 @dataclass(frozen=True)
 class Air:
-    """Bounds of drag over mass in the plane and along z [m/s^2], and of the torques' angular accelerations [rad/s^2]."""
+    """Bounds of drag over mass in the plane and along z [m/s^2], and of torques over inertia [rad/s^2]."""
 
     plane: float
     vertical: float
@@ -283,9 +283,7 @@ def remainders_of(problem: VehicleProblem, y: Signals, damping: tuple[float, flo
         n = problem.rotors
         arms = g * problem.arm * n * rotors.defect / (2.0 * min(j_x, j_y))
         result["x"]["lag"] = moments.plane / problem.rotor_lag + at.yaw_rate * y["x"]["gamma"] + arms
-        result["z"]["lag"] = (
-            n * rotors.defect / problem.believed_mass + (g + at.carried) * at.tangent * at.euler_rate
-        )
+        result["z"]["lag"] = n * rotors.defect / problem.believed_mass + (g + at.carried) * at.tangent * at.euler_rate
         twist = problem.torque_coefficient * n * rotors.defect / (2.0 * j_z)
         result["psi"]["lag"] = moments.yaw / problem.rotor_lag + twist
     return result, rotors

@@ -1,0 +1,89 @@
+"""The vehicle of a certificate in words, with its numbers as they are, and what its verdict says."""
+
+import math
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict
+from dssc_jax.proofs.words import functions_words, interval_words, nominal_words
+
+
+def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
+    """What a certificate's problem says, by label; the problem is well formed."""
+    drag = problem["structure_drag"]
+    words = {
+        "loop": f"T_s = {problem['sample_time']} s, delay of {problem['delay']} samples, conservative form",
+        "inner loops": inner_words(problem),
+        "mass": f"M {interval_words(problem['mass'])} kg, believed {problem['believed_mass']} kg, "
+        f"thrust over mass {interval_words(problem['thrust'])} of the believed one",
+        "inertia": inertia_words(problem),
+        "rotors": rotor_words(problem),
+        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, propeller {problem['propeller_drag']} N s^2/(m rad)",
+        "wind": f"any with |w_h| <= {problem['wind'][0]} m/s and |w_z| <= {problem['wind'][1]} m/s",
+    }
+    names = {"x": "x and y", "z": "z", "psi": "psi"}
+    return words | {names[name]: channel_words(channel) for name, channel in problem["channels"].items()}
+
+
+def inner_words(problem: VehicleProblem) -> str:
+    """The gains of the inner loops."""
+    tilt = f"attitude {problem['stiffness']} 1/s^2 and {problem['damping']} 1/s"
+    yaw = f"yaw rate {problem['yaw_gain']} 1/s and {problem['yaw_integral_gain']} 1/s^2"
+    return f"velocity {problem['velocity_gain']} 1/s, {tilt}, {yaw}"
+
+
+def inertia_words(problem: VehicleProblem) -> str:
+    """The inertia, and what the inner loops believe of it."""
+    axes = zip("xyz", problem["inertia"], problem["believed_inertia"], strict=True)
+    parts = [f"J_{axis} {interval_words(interval)} (believed {believed})" for axis, interval, believed in axes]
+    return f"{', '.join(parts)} kg m^2, believed over true {interval_words(problem['turn'])}"
+
+
+def rotor_words(problem: VehicleProblem) -> str:
+    """The rotors."""
+    lag = f"lag of {problem['rotor_lag']} s" if problem["rotor_lag"] else "no lag"
+    place = f"{problem['rotors']} at {problem['arm']} m"
+    limit = f"at most {problem['rotor_limit']} N each"
+    coefficients = f"c_tau = {problem['torque_coefficient']} m, k_n = {problem['thrust_coefficient']} N s^2/rad^2"
+    return f"{place}, {lag}, {limit}, {coefficients}, I_z = {problem['rotor_inertia']} kg m^2"
+
+
+def channel_words(channel: ChannelProblem) -> str:
+    """The controller of a channel, and its start."""
+    e, e_dot = channel["initial"]
+    start = f"predictor's start {channel['start']}, |e| <= {e} and |e'| <= {e_dot} at t = 0"
+    law = f"l_0 = {channel['l0']} 1/s, rho = {channel['rho']}, {functions_words(channel['functions'])}"
+    return f"{law}, nominal {nominal_words(channel['nominal'])}, {start}"
+
+
+STATED = ("e", "e_dot", "sigma")
+"""Signals of each channel that a statement holds; y has the bounds of x."""
+SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
+
+
+def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
+    """What a verdict says."""
+    if not verdict.proved:
+        return f"not valid: {verdict.reason}"
+    parts = []
+    for name, label, unit in (("x", "|e_x| and |e_y|", "m"), ("z", "|e_z|", "m"), ("psi", "|e_psi|", "rad")):
+        largest, settled = verdict.bounds[name]["e"], verdict.settled[name]["e"]
+        parts.append(f"{label} {largest:.4g} {unit} (ends within {settled:.4g})")
+    tilt = f"the tilt {math.degrees(verdict.tilt):.4g} degrees"
+    rotors = f"rotors stay between {verdict.rotor_min:.4g} and {verdict.rotor_max:.4g} N"
+    return f"valid: never exceeded are {', '.join(parts)} and {tilt}; {rotors}"
+
+
+def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
+    """The bounds of a verdict, from the start on and settled: by channel [m, m/s, rad, rad/s], tilt [rad], rotors [N]."""
+    rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
+    pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
+    return {
+        when: {
+            shown: {signal: signals[name][signal] for signal in STATED}
+            for name, names in SHOWN_AS.items()
+            for shown in names
+        }
+        | {"tilt": tilt, **rotors}
+        for when, (signals, tilt) in pairs.items()
+    }
