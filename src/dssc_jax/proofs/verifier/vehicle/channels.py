@@ -15,6 +15,8 @@ from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, Channel
 
 EQUIVALENT = "u_av"
 """The signal that exists at the samples only."""
+ALONG_AXES = {"e", "e_dot", "sigma", "bend", EQUIVALENT}
+"""The signals of the plane that are bounded along each axis; the others are norms of vectors."""
 Rows = dict[str, arb_mat]
 """Rows by the name of their signal."""
 
@@ -67,7 +69,7 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
     names = {"e", "e_dot", "sigma", "wanted", "bend", EQUIVALENT}
     match name:
         case "x":
-            names |= {"alpha", "alpha_dot", "turn", "acceleration"}
+            names |= {"speed", "alpha", "alpha_dot", "turn", "acceleration"}
             behind = {"gamma", "behind"}
         case "z":
             names |= {"acceleration"}
@@ -97,8 +99,8 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     wanted = (command - e_dot) * arb(problem["velocity_gain"])
     turn = (wanted - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
     acceleration = alpha - e_dot * damping
-    signals = kinematics(e, e_dot, l0) | {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": wanted, "turn": turn}
-    signals |= {"acceleration": acceleration, "bend": acceleration + e_dot * l0}
+    signals = kinematics(e, e_dot, l0) | {"bend": acceleration + e_dot * l0, "speed": e_dot}
+    signals |= {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": wanted, "turn": turn, "acceleration": acceleration}
     if lag is None:
         return Channel(stack([e_dot, acceleration, alpha_dot, turn]), input_columns(4, force=1, torque=3), signals)
     (gamma,) = behind

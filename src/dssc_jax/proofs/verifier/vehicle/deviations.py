@@ -12,11 +12,9 @@ from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.premises import renamed
 
-AXES_OF_PLANE = 2
-
 
 class Deviations(NamedTuple):
-    """Upper bounds over |sigma| <= Y[sigma].
+    """Upper bounds over |sigma| <= Y[sigma], along one axis.
 
     Args:
         d_1: D_1, of |phi_1 - k_1 sigma|.
@@ -28,7 +26,6 @@ class Deviations(NamedTuple):
         k_p: Largest K_P.
         k_i: Largest K_I.
         tau_av: Largest tau_av.
-        axes: h, which a vector of deviations exceeds its entries by.
     """
 
     d_1: arb
@@ -40,21 +37,20 @@ class Deviations(NamedTuple):
     k_p: arb
     k_i: arb
     tau_av: arb
-    axes: arb
 
     def of_command(self, sigma: arb) -> arb:
         """Bound of |omega_u|."""
-        return least(self.axes * self.d_b, self.share_b * sigma)
+        return least(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
         """Bound of |omega_q|."""
-        return least(self.axes * self.d_2, self.share_2 * sigma)
+        return least(self.d_2, self.share_2 * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb) -> arb:
         """Bound of the deviation of the first sum q, at the first |sigma|."""
         if start == "zero":
             return arb(0)
-        result = least(self.axes * self.d_1, self.share_1 * sigma)
+        result = least(self.d_1, self.share_1 * sigma)
         if start == "midpoint":
             result = result + sample_time / 2 * self.of_integral(sigma)
         return result.upper()
@@ -94,7 +90,6 @@ def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma
     except Rejected as rejected:
         raise renamed(rejected, "V2", f" of {name}") from None
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
-    axes = arb(AXES_OF_PLANE).sqrt() if name == "x" else arb(1)
     return Deviations(
         distances["phi_1"].upper(),
         distances["phi_2"].upper(),
@@ -105,7 +100,6 @@ def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma
         gains["k_p"].upper(),
         gains["k_i"].upper(),
         gains["tau_av"].upper(),
-        axes,
     )
 
 

@@ -7,7 +7,7 @@ from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise, total
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem, VehicleProof
-from dssc_jax.proofs.verifier.vehicle.channels import EQUIVALENT
+from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
@@ -86,7 +86,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
         for signal, phases in vehicle.responses[name].items():
             reached = arb(0)
             for response in phases:
-                value = answered(name, bounds, inputs, response, starts)
+                value = answered(name, bounds, inputs, response, starts, vector_share(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
                 reached = maximum(reached, value.upper())
             between = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
@@ -94,20 +94,34 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
     return result
 
 
-def answered(name: str, bounds: SignalBalls, inputs: Inputs, response: SignalResponse, starts: list[arb] | None) -> arb:
-    """The bound of a signal at one phase."""
+def answered(
+    name: str,
+    bounds: SignalBalls,
+    inputs: Inputs,
+    response: SignalResponse,
+    starts: list[arb] | None,
+    share: arb,
+) -> arb:
+    """The bound of a signal at one phase; ``share`` is h."""
     deviations = inputs.deviations[name]
     sigma = bounds[name]["sigma"]
     rests = inputs.remainders.channels[name]
     terms = [
-        deviations.of_command(sigma) * response.command,
-        deviations.of_integral(sigma) * response.integral,
+        share * deviations.of_command(sigma) * response.command,
+        share * deviations.of_integral(sigma) * response.integral,
         inputs.remainders.constant * (response.constant if starts else response.settled_constant),
     ]
     terms += [rests[rest] * size for rest, size in response.remainders.items()]
     if starts:
-        terms += [start * peak for start, peak in zip(starts, response.starts, strict=True)]
+        e, e_dot, deviation = starts
+        by_e, by_e_dot, by_deviation = response.starts
+        terms += [e * by_e, e_dot * by_e_dot, share * deviation * by_deviation]
     return total(terms)
+
+
+def vector_share(name: str, signal: str) -> arb:
+    """h, by which the vector of two axes' deviations is longer than each."""
+    return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
 def start_sizes(vehicle: Vehicle, name: str, deviations: Deviations) -> list[arb]:

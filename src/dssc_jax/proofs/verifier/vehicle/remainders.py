@@ -176,7 +176,7 @@ def drag_of(
     wind_h, wind_z = map(arb, problem["wind"])
     arm = arb(problem["arm"])
     hub = arb(problem["rotor_inertia"])
-    speed_h = bounds["x"]["e_dot"]
+    speed_h = bounds["x"]["speed"]
     speed_z = bounds["z"]["e_dot"]
     v_h = (speed_h + wind_h).upper()
     z = (speed_z + wind_z).upper()

@@ -1,9 +1,9 @@
 """Upper bounds of what the inputs of a channel do to its signals: sums and integrals of responses, and their peaks.
 
-A signal is seen at the times ``PHASES`` of each sample. With f(r) = rho A^k e^(F r) b the integral of |f| over a sample
-is at most T/2 (|f(0)| + |f(T)|) + T^3/12 sup |f''|: that of the straight line between its ends, which a convex function
-bounds by its values there, and the distance of f from this line. f'' has the column e^(F r) F^2 b, which is enclosed
-over the sample as a middle column plus a radius in each unit column.
+A signal is seen at the times ``PHASES`` of each sample. With f(r) = rho A^k e^(F r) b the integral of |f| over a time h
+is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex, and
+f is apart from this line. A sample is cut into ``PIECES``. f'' has the column e^(F r) F^2 b, which is enclosed over the
+sample as a middle column plus a radius in each unit column.
 """
 
 from collections.abc import Sequence
@@ -39,6 +39,8 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     with_zeros,
 )
 
+PIECES = 4
+"""Pieces of a sample, over each of which a straight line replaces a response."""
 PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
 """Times within a sample at which the signals are seen, over T_s."""
 
@@ -104,7 +106,7 @@ def channel_responses(problem: VehicleProblem, name: str, proof: ChannelProof) -
     starts, offsets = start_columns(channel, sampled, proof, controller["start"], t, sights)
     columns = [sampled.by_command, sampled.by_integral]
     for parts in curved.values():
-        columns += [extended(part, sampled) for part in (parts.begin, parts.end, parts.middle)]
+        columns += [extended(part, sampled) for part in (*parts.points, parts.bend)]
     inputs = joined([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
     rows = stack([sight.row for sight in sights])
     reached = response_bounds(sampled.a, rows, inputs, starts, p, decay, offsets)
@@ -130,11 +132,10 @@ def seen_signals(channel: Channel, sampled: SampledChannel, t: arb) -> list[Sigh
 
 
 class CurvedColumn(NamedTuple):
-    """e^(F r) b at both ends of the sample, and its second derivative: a middle column and the radii about it."""
+    """e^(F r) b at the ends of all pieces, and its second derivative: a middle column and the radii about it."""
 
-    begin: arb_mat
-    end: arb_mat
-    middle: arb_mat
+    points: list[arb_mat]
+    bend: arb_mat
     radii: list[arb]
 
 
@@ -146,7 +147,8 @@ def curved_columns(channel: Channel, t: arb) -> dict[str, CurvedColumn]:
     for name, b in channel.inputs.items():
         second = over_sample * (f * (f * b))
         radii = [entry.rad() for (entry,) in second.tolist()]
-        result[name] = CurvedColumn(b, (f * t).exp() * b, second.mid(), radii)
+        points = [(f * (t * piece / PIECES)).exp() * b for piece in range(PIECES + 1)]
+        result[name] = CurvedColumn(points, second.mid(), radii)
     return result
 
 
@@ -217,13 +219,15 @@ def response_of(
 ) -> SignalResponse:
     """The response of one signal at one phase, which is row ``i`` of the sums."""
     command, integral, *sums = [arb(float(value)) for value in reached.sums[i]]
-    units = sums[3 * len(curved) :]
+    count = PIECES + 2
+    units = sums[count * len(curved) :]
+    piece = t / PIECES
     remainders = Balls()
     for place, (name, parts) in enumerate(curved.items()):
-        begin, end, middle = sums[3 * place : 3 * place + 3]
+        first, *inner, last, middle = sums[count * place : count * (place + 1)]
         bent = middle + total([radius * unit for radius, unit in zip(parts.radii, units, strict=True)])
-        within = integral_within(channel, sight, parts.begin)
-        remainders[name] = (t / 2 * (begin + end) + t**3 / 12 * bent + within).upper()
+        lines = piece * ((first + last) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent
+        remainders[name] = (lines + integral_within(channel, sight, parts.points[0])).upper()
     peaks = [arb(float(value)) for value in reached.peaks[i]]
     return SignalResponse(
         (command + sight.direct).upper(),
@@ -240,9 +244,9 @@ def integral_within(channel: Channel, sight: Sight, b: arb_mat) -> arb:
     if sight.signal == EQUIVALENT:
         return arb(0)
     f = dynamics(channel)
-    time = sight.time
     row = first_columns(channel.signals[sight.signal], channel.order)
-    over_time = (f * (time * interval_ball(0.0, 1.0))).exp()
-    ends = abs((row * b)[0, 0]) + abs((row * (f * time).exp() * b)[0, 0])
+    over_time = (f * (sight.time * interval_ball(0.0, 1.0))).exp()
     bent = abs((row * over_time * (f * (f * b)))[0, 0])
-    return (time / 2 * ends + time**3 / 12 * bent).upper()
+    piece = sight.time / PIECES
+    first, *inner, last = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(PIECES + 1)]
+    return (piece * ((first + last) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent).upper()

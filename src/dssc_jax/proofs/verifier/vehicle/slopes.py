@@ -44,6 +44,7 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
     slopes = {
         "e": y["e_dot"],
         "e_dot": e_dot,
+        "speed": e_dot,
         "alpha": y["alpha_dot"],
         "alpha_dot": alpha_dot,
         "sigma": y["bend"] + rests["force"],
