@@ -15,7 +15,7 @@ from dssc_jax.proofs.verifier.intervals import Intervals, exactly, square_root
 from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
-"""Largest excess over the distances at points, as a share of them."""
+"""Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
 DISTANCE_ROUNDING = 2.0**-42
 """The same, in sizes of the function."""
 MOST_PIECES = 6000
@@ -24,10 +24,11 @@ DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 """The gains of whose sum each is the distance, times |sigma|."""
 
 
-def function_distances(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
+def function_distances(problem: Problem, sigma: float, e: float, centre: Balls, room: float = DISTANCE_ROOM) -> Balls:
     """Upper bounds of the distances over a region.
 
-    ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
+    ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers. ``room`` is the largest excess over the
+    distances at points, as a share of them; Table 1's functions have their own.
     """
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
@@ -49,9 +50,7 @@ def function_distances(problem: Problem, sigma: float, e: float, centre: Balls) 
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
-            close = all(
-                reached[name].upper() <= at_points[name] * (1 + DISTANCE_ROOM) + least_rooms[name] for name in reached
-            )
+            close = all(reached[name].upper() <= at_points[name] * (1 + room) + least_rooms[name] for name in reached)
             if not reached or (remaining > 0 and not close):
                 middle = middle_of((low, high))
                 halves += [(low, middle), (middle, high)]

@@ -12,6 +12,9 @@ from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.premises import renamed
 
+DISTANCE_ROOM = 1e-3
+"""Largest excess over the distances at points, as a share of them."""
+
 
 class Deviations(NamedTuple):
     """Upper bounds over |sigma| <= Y[sigma], along one axis.
@@ -85,7 +88,7 @@ def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma
         },
     )
     try:
-        distances = function_distances(loop, region, 0.0, slopes)
+        distances = function_distances(loop, region, 0.0, slopes, DISTANCE_ROOM)
         gains = enclosed_gains(loop, region, 0.0)
     except Rejected as rejected:
         raise renamed(rejected, "V2", f" of {name}") from None
