@@ -14,7 +14,7 @@ from dssc_jax.proofs.verifier.vehicle.channels import channel_of, sampled_channe
 from dssc_jax.proofs.verifier.vehicle.drag import DragRegion, plane_drag, vertical_drag
 from dssc_jax.proofs.verifier.vehicle.implied import deviations_under, implied_bounds, inputs_under, vehicle_of
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
-from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
+from dssc_jax.proofs.verifier.vehicle.remainders import farthest_behind, remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import PHASES, channel_responses
 from dssc_jax.proofs.verifier.vehicle.verdict import verify_vehicle
 from dssc_jax.proofs.verifier.verdict import ball_precision
@@ -337,6 +337,35 @@ def test_remainders_of_the_true_equations_of_motion_stay_within_their_bounds(lag
     assert min(closest.values()) > 0.9
     assert len(refusals) < 40
     assert all(reason.startswith("V3") for reason in refusals)
+
+
+def test_rotors_of_an_octocopter_are_behind_in_the_null_space_of_the_allocation_too():
+    """Their speeds follow commands that jump between two wrenches; thrust and moments alone tell too little."""
+    craft, _, _ = random_case(np.random.default_rng(0), 0.05)
+    craft.rotors = 8
+    rng = np.random.default_rng(8)
+    matrix = np.stack([craft.wrench(unit) for unit in np.eye(8)], axis=1)
+    onto_wrenches = np.linalg.pinv(matrix) @ matrix
+    hover = craft.mass_n * HOVER / 8
+    exceeded = False
+    for _ in range(40):
+        sides = [craft.allocated(np.append(8.0 * hover, rng.standard_normal(3) * [3.0, 3.0, 0.5])) for _ in range(2)]
+        smallest = min(side.min() for side in sides)
+        if smallest < 0.5 * hover:
+            continue
+        speeds = np.full(8, np.sqrt(hover / craft.k_n))
+        part = whole = 0.0
+        for i in range(2000):
+            wanted = sides[i // 5 % 2]
+            speeds = speeds + (np.sqrt(wanted / craft.k_n) - speeds) * -np.expm1(-0.01 / craft.lag)
+            for commanded_now in (wanted, sides[(i + 1) // 5 % 2]):
+                behind = commanded_now - craft.k_n * speeds**2
+                part = max(part, np.abs(onto_wrenches @ behind).max())
+                whole = max(whole, np.abs(behind).max())
+        exceeded |= whole > part * (1.0 + 1e-6)
+        with ball_precision():
+            assert whole <= float(farthest_behind(arb(8), arb(part), arb(float(smallest))))
+    assert exceeded
 
 
 def test_a_certificate_is_proved_and_its_bounds_settle(certificate):
