@@ -347,4 +347,4 @@ def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
             "p": p.tolist(),
             "bounds": found.bounds[name],
         }
-    return {"channels": channels}
+    return {"channels": channels, "cells": None}

@@ -61,10 +61,18 @@ class ChannelProof(TypedDict):
     bounds: Mapping[str, float]
 
 
+class CellsProof(TypedDict):
+    """The samples c of a time cell, and the bounds of the signals in each of the J first cells."""
+
+    samples: int
+    bounds: Mapping[str, Mapping[str, Sequence[float]]]
+
+
 class VehicleProof(TypedDict):
-    """The proofs of the channels."""
+    """The proofs of the channels, whose bounds are those of the last cell; and the time cells before it."""
 
     channels: Mapping[str, ChannelProof]
+    cells: CellsProof | None
 
 
 class VehicleCertificate(TypedDict):

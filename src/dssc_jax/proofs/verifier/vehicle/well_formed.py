@@ -6,6 +6,7 @@ from typing import Any, cast
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.certificate import (
     CHANNELS,
+    CellsProof,
     ChannelProblem,
     ChannelProof,
     VehicleCertificate,
@@ -17,6 +18,7 @@ from dssc_jax.proofs.verifier.vehicle.premises import renamed
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
     STARTS,
+    require_count,
     require_entries,
     require_finite,
     require_functions,
@@ -33,6 +35,9 @@ from dssc_jax.proofs.verifier.well_formed import (
 KIND = "vehicle"
 VERSION = 1
 LEAST_ROTORS = 4
+MOST_SAMPLES = 2000
+"""Most samples of a time cell."""
+MOST_TIME_CELLS = 400
 POSITIVE = (
     "sample_time",
     "velocity_gain",
@@ -119,6 +124,24 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
     channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
     for name in CHANNELS:
         require_channel_proof(problem, name, channels[name])
+    if proof["cells"] is not None:
+        require_cells(problem, proof["cells"])
+
+
+def require_cells(problem: VehicleProblem, content: object) -> None:
+    """Reject anything but the time cells of the problem's channels, equally many for every signal."""
+    cells: dict[str, Any] = require_entries(content, CellsProof.__required_keys__, "cells")
+    require_count(cells["samples"], MOST_SAMPLES, "cells.samples", f"is no integer from 1 to {MOST_SAMPLES}")
+    channels = require_entries(cells["bounds"], set(CHANNELS), "cells.bounds")
+    count = None
+    for name in CHANNELS:
+        names = signal_names(name, lagging=problem["rotor_lag"] > 0)
+        for signal, values in require_entries(channels[name], names, f"cells.{name}").items():
+            bounds = require_numbers(values, count, f"cells.{name}.{signal}")
+            count = len(bounds)
+            within = 1 <= count <= MOST_TIME_CELLS
+            require_shape(within, f"cells.{name}.{signal}", f"has no items, or more than {MOST_TIME_CELLS}")
+            require_shape(all(bound > 0 for bound in bounds), f"cells.{name}.{signal}", "is not positive")
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
