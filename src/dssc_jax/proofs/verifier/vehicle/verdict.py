@@ -4,11 +4,21 @@ docs/vehicle_proofs.md states the theorem. The numbers of the certificate are ex
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, maximum, require_premise
+from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
+    bounds_in_cells,
+    cell_place,
+    implied_in_cells,
+    inputs_in_cells,
+    largest_bounds,
+    largest_inputs,
+)
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
 from dssc_jax.proofs.verifier.vehicle.implied import (
@@ -32,6 +42,8 @@ REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
 """The remainder in the slope of sigma."""
 FloatBounds = dict[str, dict[str, float]]
 """Bounds of the signals, rounded up, by channel and name."""
+Envelope = Mapping[str, Mapping[str, list[float]]]
+"""The same in each time cell."""
 
 
 class VehicleVerdict(NamedTuple):
@@ -46,6 +58,8 @@ class VehicleVerdict(NamedTuple):
         settled_tilt: Bound of its upper limit [rad].
         rotor_min: Lower bound of the rotors' commanded thrusts [N].
         rotor_max: Upper bound of them [N].
+        cell: Duration of a time cell [s]; 0 without cells.
+        envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
     """
 
     proved: bool
@@ -56,6 +70,8 @@ class VehicleVerdict(NamedTuple):
     settled_tilt: float
     rotor_min: float
     rotor_max: float
+    cell: float = 0.0
+    envelope: Envelope = MappingProxyType({})
 
 
 def verify_vehicle(content: object) -> VehicleVerdict:
@@ -75,29 +91,34 @@ def verify_vehicle(content: object) -> VehicleVerdict:
 
 def proved_verdict(vehicle: Vehicle) -> VehicleVerdict:
     """(V2) to (V5), and what follows from them."""
-    proofs = vehicle.proof["channels"]
-    bounds = {name: {signal: arb(value) for signal, value in proofs[name]["bounds"].items()} for name in CHANNELS}
-    deviations = deviations_under(vehicle, bounds)
-    inputs = inputs_under(vehicle, bounds, deviations)
-    implied = implied_bounds(vehicle, bounds, inputs, started=True)
+    cells = bounds_in_cells(vehicle.proof)
+    inputs = inputs_in_cells(vehicle, cells)
+    implied = implied_in_cells(vehicle, cells, inputs)
+    for j, bounds in enumerate(cells):
+        for name in CHANNELS:
+            for signal, bound in bounds[name].items():
+                holds = bool(implied[j][name][signal] < bound)
+                place = cell_place(j, len(cells))
+                require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
+    largest = largest_bounds(cells)
+    most = largest_inputs(inputs)
     for name in CHANNELS:
-        for signal, bound in bounds[name].items():
-            holds = bool(implied[name][signal] < bound)
-            require_premise(holds, f"V4: the bound of {name}.{signal} does not imply itself")
-    for name in CHANNELS:
-        require_sliding(vehicle.problem, name, bounds, inputs)
-    settled = settled_bounds(vehicle, bounds)
+        require_sliding(vehicle.problem, name, largest, most)
+    settled = settled_bounds(vehicle, cells[-1])
     gravity = vehicle.ranges.gravity
-    rotors = inputs.remainders.rotors
+    rotors = most.remainders.rotors
+    listed = vehicle.proof["cells"]
     return VehicleVerdict(
         True,
         "",
-        rounded(bounds),
+        rounded(largest),
         rounded(settled),
-        float_above(inputs.remainders.tilt),
+        float_above(most.remainders.tilt),
         float_above((settled["x"]["alpha"] / gravity).upper()),
         math.nextafter(float(rotors.smallest), -math.inf),
         float_above(rotors.largest),
+        0.0 if listed is None else listed["samples"] * vehicle.problem["sample_time"],
+        {} if listed is None else envelope_of(cells),
     )
 
 
@@ -152,3 +173,10 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
 def rounded(bounds: SignalBalls) -> FloatBounds:
     """Bounds in float64, rounded up."""
     return {name: {signal: float_above(y) for signal, y in bounds[name].items()} for name in CHANNELS}
+
+
+def envelope_of(cells: Sequence[SignalBalls]) -> Envelope:
+    """The bounds of each cell in float64, rounded up."""
+    return {
+        name: {signal: [float_above(y[name][signal]) for y in cells] for signal in cells[0][name]} for name in CHANNELS
+    }
