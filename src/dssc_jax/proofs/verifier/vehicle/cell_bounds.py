@@ -88,17 +88,35 @@ def answers_in_cells(
     last = len(bounds) - 1
     shares = np.array([float_above(vector_share(name, signal).upper()) for signal in responses.signals])
     sizes = np.array([input_sizes(name, bounds[j], inputs[j], responses.remainders) for j in range(last + 1)])
-    by_input = np.ones((len(shares), sizes.shape[1]))
-    by_input[:, :OMEGAS] = shares[:, None]
-    windows = responses.windows * by_input
     constant = float_above(inputs[0].remainders.constant)
     deviation = float_above(start_sizes(vehicle, name, inputs[0].deviations[name])[2])
     result = responses.starts + shares * deviation * responses.deviations + constant * responses.constants
-    for j in range(last):
-        result[j] += np.einsum("iru,iu->r", windows[j::-1], sizes[: j + 1])
-    result[last] += np.einsum("iru,iu->r", responses.factors * by_input, sizes[:last])
-    result[last] += (responses.totals * by_input) @ sizes[last]
+    for j in range(last + 1):
+        effects = SUMMED * effects_of(responses, sizes[: j + 1], j == last)
+        result[j] += shares * effects[:, :OMEGAS].sum(axis=1) + effects[:, OMEGAS:].sum(axis=1)
     return SUMMED * result
+
+
+def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np.ndarray:
+    """Bounds of what the inputs of all cells up to one do to the signals in it, (rows, inputs).
+
+    Of two bounds the smaller counts: the sum over the cells i of K_(j-i) times the input's bound there; or that in cell
+    j times the sum of all g_l, plus, for each cell i from which it falls to the next one, the fall times the sum of g_l
+    over l > c (j - i - 1).
+
+    Args:
+        responses: The responses of the channel.
+        sizes: Bounds of the inputs in the cells 0 to j, (j + 1, inputs).
+        is_last: Whether j is the last cell.
+    """
+    j = len(sizes) - 1
+    behind = np.cumsum(responses.parts[j::-1], axis=0)[::-1]
+    falls = np.maximum(sizes[:-1] - sizes[1:], 0.0)[::-1]
+    from_falls = (responses.first + behind[0]) * sizes[j] + np.einsum("iru,iu->ru", behind[:j], falls)
+    if is_last:
+        own = (responses.first + behind[0]) * sizes[j]
+        return np.minimum(own + np.einsum("iru,iu->ru", responses.factors, sizes[:j]), from_falls)
+    return np.minimum(np.einsum("iru,iu->ru", responses.windows[j::-1], sizes), from_falls)
 
 
 def input_sizes(name: str, bounds: SignalBalls, inputs: Inputs, remainders: Sequence[str]) -> list[float]:

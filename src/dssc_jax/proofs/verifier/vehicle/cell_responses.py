@@ -37,7 +37,8 @@ class CellResponses(NamedTuple):
         remainders: The names of the inputs after omega_u and omega_q.
         windows: K_m for m below J, (J, rows, inputs).
         factors: Of each cell before the last one, in the last one, (J, rows, inputs).
-        totals: Of the last cell in itself, (rows, inputs).
+        first: g_0, (rows, inputs).
+        parts: The sums of g_l over l from c j + 1 to c j + c for j < J, and over all l behind, (J + 1, rows, inputs).
         starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
         constants: The largest response to a constant 1 from t = 0 on, (J + 1, rows).
@@ -47,7 +48,8 @@ class CellResponses(NamedTuple):
     remainders: list[str]
     windows: np.ndarray
     factors: np.ndarray
-    totals: np.ndarray
+    first: np.ndarray
+    parts: np.ndarray
     starts: np.ndarray
     deviations: np.ndarray
     constants: np.ndarray
@@ -67,11 +69,9 @@ class WindowSums:
         self.behind = np.zeros((samples, *first.shape))
         self.windows = np.zeros((0, *first.shape))
         self.beyond = np.zeros(first.shape)
-        self.total = first.copy()
 
     def add(self, values: np.ndarray) -> None:
         """Go on with samples, (samples, rows, inputs)."""
-        self.total = self.total + values.sum(axis=0)
         values = np.concatenate([self.rest, values])
         whole = len(values) // self.samples
         self.rest = values[whole * self.samples :].copy()
@@ -113,27 +113,34 @@ def cell_responses(problem: VehicleProblem, name: str, proof: ChannelProof, samp
     added = middles(seen.offsets)
     added_error = ROUNDED * magnitudes(seen.offsets)
     summed_tail = float_above((2 / seen.decay).upper())
-    windows = WindowSums(samples, count, direct_effects(seen, t))
+    first = direct_effects(seen, t)
+    windows = WindowSums(samples, count, first)
+    parts = np.zeros((count + 1, *first.shape))
     peaks = np.zeros((count + 1, len(seen.sights), 3))
     done = 0
     for block in response_blocks(seen.sampled.a, seen.rows, side_by_side(seen.inputs, seen.starts), seen.p):
         sizes = np.abs(block.response[..., :q]) + (block.error + block.lost)[:, :q]
-        windows.add(sizes @ weights)
+        sizes = sizes @ weights
+        windows.add(sizes)
+        reached, places = cells_of(done, len(sizes), samples, count)
+        parts[reached] += np.add.reduceat(sizes, places, axis=0)
         sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
-        add_peaks(peaks, start_responses(sizes, initial), done, samples)
+        peaks[reached] = np.maximum(
+            peaks[reached], np.maximum.reduceat(start_responses(sizes, initial), places, axis=0)
+        )
         done += len(sizes)
         tail = (block.tail[:, :q] * summed_tail) @ weights
         later = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial)
         decaying = start_responses(block.tail[:, q:], initial)
-        ends = np.all(tail <= TAIL_SHARE * windows.total)
+        ends = np.all(tail <= TAIL_SHARE * (first + parts.sum(axis=0)))
         enough = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
         enough[:, :2] = np.maximum(enough[:, :2], peaks[-1, :, :2])
         if done > samples * (count + 1) and ends and np.all(decaying <= enough):
             peaks[-1] = np.maximum(peaks[-1], later)
-            totals = windows.total + tail
+            parts[-1] += tail
             factors = windows.suprema(tail)[::-1]
             signals = [sight.signal for sight in seen.sights]
-            scaled = [SUMMED * part for part in (windows.windows, factors, totals, *np.moveaxis(peaks, 2, 0))]
+            scaled = [SUMMED * part for part in (windows.windows, factors, first, parts, *np.moveaxis(peaks, 2, 0))]
             return CellResponses(signals, list(seen.curved), *scaled)
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 
@@ -143,12 +150,11 @@ def start_responses(sizes: np.ndarray, initial: np.ndarray) -> np.ndarray:
     return np.stack([sizes[..., :2] @ initial, sizes[..., 2], sizes[..., 3]], axis=-1)
 
 
-def add_peaks(peaks: np.ndarray, values: np.ndarray, done: int, samples: int) -> None:
-    """Raise the peaks of the cells to the values of samples that follow ``done`` others."""
-    cells = np.minimum((done + np.arange(len(values))) // samples, len(peaks) - 1)
-    first = np.flatnonzero(np.diff(cells, prepend=-1))
-    reached = cells[first]
-    peaks[reached] = np.maximum(peaks[reached], np.maximum.reduceat(values, first, axis=0))
+def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cells that successive samples after ``done`` others belong to, and the place of the first sample of each."""
+    cells = np.minimum((done + np.arange(length)) // samples, count)
+    places = np.flatnonzero(np.diff(cells, prepend=-1))
+    return cells[places], places
 
 
 def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
