@@ -68,7 +68,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers; ``bounds`` hold from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
+        """The outcome in plain numbers: ``bounds`` from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
         absent = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -98,8 +98,8 @@ class VehicleProved:
         tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
         rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
         return (
-            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never exceeds "
-            f"{plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
+            f"exceeds {plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:

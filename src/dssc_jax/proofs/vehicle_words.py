@@ -18,7 +18,8 @@ def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
         f"thrust over mass {interval_words(problem['thrust'])} of the believed one",
         "inertia": inertia_words(problem),
         "rotors": rotor_words(problem),
-        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, propeller {problem['propeller_drag']} N s^2/(m rad)",
+        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, "
+        f"propeller {problem['propeller_drag']} N s^2/(m rad)",
         "wind": f"any with |w_h| <= {problem['wind'][0]} m/s and |w_z| <= {problem['wind'][1]} m/s",
     }
     names = {"x": "x and y", "z": "z", "psi": "psi"}
@@ -75,7 +76,7 @@ def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
 
 
 def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
-    """The bounds of a verdict, from the start on and settled: by channel [m, m/s, rad, rad/s], tilt [rad], rotors [N]."""
+    """Bounds from the start on and settled: of the channels [m, m/s, rad, rad/s], the tilt [rad] and the rotors [N]."""
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
     pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
     return {

@@ -38,7 +38,7 @@ from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
 """Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
-"""Logarithmic shares of the way from the settled vehicle's |sigma| to the start's, for whose regions slopes are tried."""
+"""Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 EXTRA_CELLS = 20
 """Cells beyond the first ones over which what they cause in the last cell is compared."""
 ITERATIONS = 400
@@ -73,10 +73,10 @@ class Kernels:
     Args:
         response: The channel's response without cells.
         most: Up to the last sample of the cell, (cells, rows, inputs).
-        least: Up to its first sample, (cells, rows, inputs).
+        least: Before its first sample, (cells, rows, inputs).
         whole: In the end, (rows, inputs).
         constant: The largest response to the constant in each cell, the last one included, (cells, rows).
-        starts: The largest responses to e, e' and q_(-1) in each cell: those to the first two together, (cells, rows, 2).
+        starts: The largest responses in each cell to e and e' together, and to q_(-1), (cells, rows, 2).
     """
 
     response: ChannelResponse
@@ -189,7 +189,8 @@ def kernels_of(
     constant = with_last(in_cells(np.abs(series.constant), samples), count)
     whole = response.gains.reshape(axes.size, -1) * factors
     most = sums[samples - 1 :: samples] * factors
-    return Kernels(response, most, sums[::samples] * factors, whole, constant, by_start)
+    least = np.concatenate([sums[:1] * factors, most[:-1]])
+    return Kernels(response, most, least, whole, constant, by_start)
 
 
 def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
