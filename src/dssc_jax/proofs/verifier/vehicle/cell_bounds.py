@@ -86,7 +86,7 @@ def answers_in_cells(
     shares = np.array([float_above(vector_share(name, signal).upper()) for signal in responses.signals])
     sizes = np.array([input_sizes(name, bounds[j], inputs[j], responses.remainders) for j in range(last + 1)])
     constant = float_above(inputs[0].remainders.constant)
-    deviation = float_above(start_sizes(vehicle, name, inputs[0].deviations[name])[2])
+    deviation = float_above(start_sizes(vehicle, name)[2])
     result = responses.starts + shares * deviation * responses.deviations + constant * responses.constants
     for j in range(last + 1):
         effects = effects_of(responses, sizes[: j + 1], j == last)

@@ -36,7 +36,7 @@ class CellResponses(NamedTuple):
         signals: The signal of each row.
         remainders: The names of the inputs after omega_u and omega_q.
         most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
-        least: G_(c m - 1), or g_0 for m = 0, which G_(c m) is not below, if g_l are the bounds that ``most`` sums, (J, rows, inputs).
+        least: G_(c m - 1), or g_0 for m = 0, of the same g_l, from below, (J, rows, inputs).
         whole: Bound of the limit of G, (rows, inputs).
         starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).

@@ -83,7 +83,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
     result = {}
     for name in CHANNELS:
         slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
-        starts = start_sizes(vehicle, name, inputs.deviations[name]) if started else None
+        starts = start_sizes(vehicle, name) if started else None
         result[name] = Balls()
         for signal, phases in vehicle.responses[name].items():
             reached = arb(0)
@@ -126,12 +126,15 @@ def vector_share(name: str, signal: str) -> arb:
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
-def start_sizes(vehicle: Vehicle, name: str, deviations: Deviations) -> list[arb]:
-    """E_0, V_0 and what the first sum q deviates by."""
+def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
+    """E_0, V_0 and what the first sum q deviates by, where |sigma| is at most Sigma_0."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
-    t = arb(vehicle.problem["sample_time"])
-    return [e, e_dot, deviations.of_start(controller["start"], first_sigma(vehicle.problem, name), t)]
+    first = first_sigma(vehicle.problem, name).upper()
+    if first == 0:
+        return [e, e_dot, arb(0)]
+    deviations = deviations_of(vehicle.problem, name, vehicle.middles[name], float_above(first))
+    return [e, e_dot, deviations.of_start(controller["start"], first, arb(vehicle.problem["sample_time"]))]
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:

@@ -161,8 +161,8 @@ def behind_of(
     """What rotors with a lag are behind by; zero without.
 
     In a later cell the part g of :func:`farthest_behind` begins with what it had before. So d is the larger of its
-    value and of that before, if this is at most 4 f_min/(n - 4)^(1/2), which the larger root is not below: then g cannot grow
-    beyond what belongs to d.
+    value and of that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger root is not below: then
+    g cannot grow beyond what belongs to d.
     """
     if problem["rotor_lag"] == 0:
         return Behind(arb(0), arb(0), arb(0), arb(0), arb(0))
