@@ -11,7 +11,12 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.verifier.balls import Rejected
-from dssc_jax.proofs.verifier.vehicle.cell_bounds import effects_of, implied_in_cells, inputs_in_cells
+from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
+    effects_of,
+    implied_in_cells,
+    inputs_in_cells,
+    responses_in_cells,
+)
 from dssc_jax.proofs.verifier.vehicle.cell_responses import cell_responses
 from dssc_jax.proofs.verifier.vehicle.channels import signal_names
 from dssc_jax.proofs.verifier.vehicle.deviations import deviations_in_regions, deviations_of
@@ -31,7 +36,7 @@ LONG = 6000
 def brute_force(content, name, proof, phase, signal):
     """g_l of omega_u, omega_q and each remainder, (LONG, inputs), and the responses to starts, (LONG, 3), at one phase.
 
-    The integrals are midpoint sums over 16 times in a sample.
+    The integrals are Gauss sums over 16 times in a sample, right to within 1e-5.
     """
     a, b_u, b_q, channel, sampled = sampled_numbers(content, name, proof)
     t = content["sample_time"]
@@ -51,12 +56,13 @@ def brute_force(content, name, proof, phase, signal):
         np.append(direct, np.abs(rows[:-1] @ b_u)[:, 0]),
         np.append(t * direct, np.abs(rows[:-1] @ b_q)[:, 0]),
     ]
-    grid = (np.arange(16) + 0.5) / 16
+    points, weights = np.polynomial.legendre.leggauss(16)
+    grid = (points + 1.0) / 2.0
     for column in channel.inputs.values():
         b = middles(column)[:, 0]
         flows = np.array([expm(f * t * r) @ b for r in grid])
-        within = np.abs([row[:n] @ expm(f * s * r) @ b for r in grid]).mean() * s
-        parts.append(np.append(within, t * np.abs(rows[:-1, :n] @ flows.T).mean(axis=1)))
+        within = s / 2.0 * weights @ np.abs([row[:n] @ expm(f * s * r) @ b for r in grid])
+        parts.append(np.append(within, t / 2.0 * np.abs(rows[:-1, :n] @ flows.T) @ weights))
     k_1, k_2, _ = proof["slopes"]
     ratio = {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * t * k_2}[content["channels"][name]["start"]]
     starts = np.zeros((len(a), 3))
@@ -84,7 +90,9 @@ def test_windows_factors_and_starts_bound_brute_force(lag, delay, name):
         k = windows.reshape(-1, SAMPLES, g.shape[1]).max(axis=1)
         pairs = [(k[m], responses.windows[m, i]) for m in range(CELLS)]
         pairs += [(k[CELLS - j :].max(axis=0), responses.factors[j, i]) for j in range(CELLS)]
-        pairs += [(g[0], responses.first[i]), (g.sum(axis=0), (responses.first + responses.parts.sum(axis=0))[i])]
+        pairs += [(g.sum(axis=0), (responses.first + responses.parts.sum(axis=0))[i])]
+        assert np.all(g[0] <= responses.first[i] * (1.0 + 1e-9))
+        assert np.all(responses.first[i] <= 1.1 * g[0] + 1e-14)  # without the sums' peaks, a piece's bend shows
         for j in range(CELLS):
             part = g[1 + SAMPLES * j : 1 + SAMPLES * (j + 1)].sum(axis=0)
             within = starts[SAMPLES * j : SAMPLES * (j + 1)]
@@ -93,8 +101,8 @@ def test_windows_factors_and_starts_bound_brute_force(lag, delay, name):
             pairs += [(within[:, 2].max(), responses.deviations[j, i])]
         pairs += [((starts[SAMPLES * CELLS :, :2] @ initial).max(), responses.starts[-1, i])]
         for reached, bound in pairs:
-            assert np.all(reached <= bound * (1.0 + 1e-6) + 1e-14), signal
-            assert np.all(bound <= 1.01 * reached + 1e-10 + 2e-5 * g.sum(axis=0).max()), signal
+            assert np.all(reached <= bound * (1.0 + 1e-5) + 1e-14), signal
+            assert np.all(bound <= 1.01 * reached + 1e-9), signal
 
 
 def test_responses_to_the_constant_bound_those_of_each_cell():
@@ -128,7 +136,7 @@ def test_responses_to_the_constant_bound_those_of_each_cell():
 
 
 def test_effects_of_random_inputs_bound_the_sum_over_samples():
-    """Inputs that rise, fall and rest: at no sample of any cell the exact sum exceeds the bound."""
+    """Random inputs, falling ones and constant ones: at no sample of any cell the exact sum exceeds the bound."""
     content = problem(0.05, 1.5)
     proof = linear_proof(content, "x", 0.03)
     with ball_precision():
@@ -140,7 +148,8 @@ def test_effects_of_random_inputs_bound_the_sum_over_samples():
     for kind in range(3):
         for _ in range(20):
             sizes = rng.random((CELLS + 1, g.shape[1]))
-            sizes = [sizes, np.sort(sizes, axis=0)[::-1], np.ones(sizes.shape)][kind]
+            falling = sizes[0] * 0.95 ** np.arange(CELLS + 1)[:, None]
+            sizes = [sizes, falling, np.ones(sizes.shape)][kind]
             held = np.repeat(sizes, SAMPLES, axis=0)
             held = np.vstack([held, np.repeat(sizes[-1:], LONG - len(held), axis=0)])
             for u in range(g.shape[1]):
@@ -259,36 +268,41 @@ def test_premises_of_a_cell_are_refused_with_its_number(resting):
 
 
 def test_bounds_of_a_start_away_from_rest_fall_from_cell_to_cell():
-    """Bounds found by repeating F in cells are proved, and end near those without the start."""
+    """Bounds found by repeating F in cells are proved, where one bound for all times does not imply itself."""
     content = problem()
-    content["channels"]["x"]["initial"] = [0.4, 0.1]
+    content["channels"]["x"]["initial"] = [0.1, 0.0]
     dampings = {"x": 0.03, "z": 0.02, "psi": 0.0}
-    samples, count = 60, 25
+    count = 15
     proof = {"channels": {name: linear_proof(content, name, dampings[name]) for name in CHANNELS}}
-    proof["cells"] = {"samples": samples, "bounds": {}}
+    names = {name: signal_names(name, lagging=False) for name in CHANNELS}
+    listed = {name: {signal: [0.0] * count for signal in names[name]} for name in CHANNELS}
+    proof["cells"] = {"samples": 100, "bounds": listed}
     with ball_precision():
         vehicle = vehicle_of(content, proof)
-        y = [
-            {name: dict.fromkeys(signal_names(name, lagging=False), arb("1e-3")) for name in CHANNELS}
-            for _ in range(count + 1)
-        ]
-        for _ in range(25):
-            implied = implied_in_cells(vehicle, y, inputs_in_cells(vehicle, y))
+        responses = responses_in_cells(vehicle)
+        y = [{name: dict.fromkeys(names[name], arb("1e-3")) for name in CHANNELS} for _ in range(count + 1)]
+        for _ in range(16):
+            implied = implied_in_cells(vehicle, y, inputs_in_cells(vehicle, y), responses)
             y = [
-                {name: {signal: (1.003 * bound).upper() for signal, bound in cell[name].items()} for name in CHANNELS}
+                {name: {signal: (1.005 * bound).upper() for signal, bound in cell[name].items()} for name in CHANNELS}
                 for cell in implied
             ]
     for name in CHANNELS:
         proof["channels"][name]["bounds"] = {signal: float(bound) for signal, bound in y[-1][name].items()}
-        listed = {signal: [float(cell[name][signal]) for cell in y[:-1]] for signal in y[0][name]}
-        proof["cells"]["bounds"][name] = listed
+        listed[name] = {signal: [float(cell[name][signal]) for cell in y[:-1]] for signal in names[name]}
     certificate = json.loads(json.dumps({"version": 1, "kind": "vehicle", "problem": content, "proof": proof}))
     verdict = verify_vehicle(certificate)
     assert verdict.proved, verdict.reason
     e = verdict.envelope["x"]["e"]
-    assert e[0] == verdict.bounds["x"]["e"] >= 0.4
-    assert e[-1] < 0.4 * e[0]
-    assert verdict.settled["x"]["e"] <= e[-1]
+    assert max(e) == verdict.bounds["x"]["e"] > 0.1
+    assert np.all(np.diff(e[3:-1]) < 0.0)
+    assert e[-1] < 0.6 * e[0]
+    assert verdict.settled["x"]["e"] < e[-1]
+    with ball_precision(), pytest.raises(Rejected, match="V3: "):
+        vehicle = vehicle_of(content, proof | {"cells": None})
+        y = y[-1:]
+        for _ in range(16):
+            y = implied_in_cells(vehicle, y, inputs_in_cells(vehicle, y), {})
 
 
 MALFORMED = [

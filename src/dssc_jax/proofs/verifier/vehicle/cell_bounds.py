@@ -1,6 +1,6 @@
 """The map F in time cells: the bounds of all signals in every cell that bounds in every cell imply."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from flint import arb
@@ -8,7 +8,7 @@ from flint import arb
 from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum, require_premise
 from dssc_jax.proofs.verifier.impulse_responses import SUMMED
 from dssc_jax.proofs.verifier.vehicle.cell_responses import OMEGAS, CellResponses, cell_responses
-from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProof
+from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, CellsProof, VehicleProof
 from dssc_jax.proofs.verifier.vehicle.channels import EQUIVALENT
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_in_regions, float_above
 from dssc_jax.proofs.verifier.vehicle.implied import (
@@ -30,13 +30,17 @@ def bounds_in_cells(proof: VehicleProof) -> list[SignalBalls]:
     cells = proof["cells"]
     if cells is None:
         return [last]
-    count = len(next(iter(cells["bounds"][CHANNELS[0]].values())))
     listed = cells["bounds"]
     first = [
         {name: {signal: arb(values[j]) for signal, values in listed[name].items()} for name in CHANNELS}
-        for j in range(count)
+        for j in range(number_of_cells(cells))
     ]
     return [*first, last]
+
+
+def number_of_cells(cells: CellsProof) -> int:
+    """J."""
+    return len(next(iter(cells["bounds"][CHANNELS[0]].values())))
 
 
 def cell_place(j: int, count: int) -> str:
@@ -63,21 +67,37 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
     return result
 
 
-def implied_in_cells(
-    vehicle: Vehicle, bounds: Sequence[SignalBalls], inputs: Sequence[Inputs]
-) -> list[dict[str, Balls]]:
-    """F of bounds of the signals in each cell."""
+def responses_in_cells(vehicle: Vehicle) -> dict[str, CellResponses]:
+    """The responses of the channels in cells; empty without cells."""
     cells = vehicle.proof["cells"]
     if cells is None:
+        return {}
+    proofs = vehicle.proof["channels"]
+    count = number_of_cells(cells)
+    return {name: cell_responses(vehicle.problem, name, proofs[name], cells["samples"], count) for name in CHANNELS}
+
+
+def implied_in_cells(
+    vehicle: Vehicle,
+    bounds: Sequence[SignalBalls],
+    inputs: Sequence[Inputs],
+    responses: Mapping[str, CellResponses],
+) -> list[dict[str, Balls]]:
+    """F of bounds of the signals in each cell.
+
+    Args:
+        vehicle: The channels.
+        bounds: Bounds of the signals in each cell.
+        inputs: What they allow in each cell.
+        responses: Those of :func:`responses_in_cells`.
+    """
+    if not responses:
         return [implied_bounds(vehicle, bounds[0], inputs[0], started=True)]
-    count = len(bounds)
     result: list[dict[str, Balls]] = [{} for _ in bounds]
     for name in CHANNELS:
-        proof = vehicle.proof["channels"][name]
-        responses = cell_responses(vehicle.problem, name, proof, cells["samples"], count - 1)
-        answers = answers_in_cells(vehicle, name, bounds, inputs, responses)
-        for j in range(count):
-            result[j][name] = with_slopes(vehicle, name, bounds[j], inputs[j], responses.signals, answers[j])
+        answers = answers_in_cells(vehicle, name, bounds, inputs, responses[name])
+        for j, y in enumerate(bounds):
+            result[j][name] = with_slopes(vehicle, name, y, inputs[j], responses[name].signals, answers[j])
     return result
 
 

@@ -18,6 +18,7 @@ from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
     inputs_in_cells,
     largest_bounds,
     largest_inputs,
+    responses_in_cells,
 )
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
@@ -93,7 +94,7 @@ def proved_verdict(vehicle: Vehicle) -> VehicleVerdict:
     """(V2) to (V5), and what follows from them."""
     cells = bounds_in_cells(vehicle.proof)
     inputs = inputs_in_cells(vehicle, cells)
-    implied = implied_in_cells(vehicle, cells, inputs)
+    implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle))
     for j, bounds in enumerate(cells):
         for name in CHANNELS:
             for signal, bound in bounds[name].items():
