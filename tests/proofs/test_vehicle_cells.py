@@ -92,7 +92,7 @@ def test_windows_factors_and_starts_bound_brute_force(lag, delay, name):
         pairs += [(k[CELLS - j :].max(axis=0), responses.factors[j, i]) for j in range(CELLS)]
         pairs += [(g.sum(axis=0), (responses.first + responses.parts.sum(axis=0))[i])]
         assert np.all(g[0] <= responses.first[i] * (1.0 + 1e-9))
-        assert np.all(responses.first[i] <= 1.1 * g[0] + 1e-14)  # without the sums' peaks, a piece's bend shows
+        assert np.all(responses.first[i] <= 1.01 * g[0] + 1e-9)
         for j in range(CELLS):
             part = g[1 + SAMPLES * j : 1 + SAMPLES * (j + 1)].sum(axis=0)
             within = starts[SAMPLES * j : SAMPLES * (j + 1)]
@@ -159,7 +159,7 @@ def test_effects_of_random_inputs_bound_the_sum_over_samples():
                     cell = slice(SAMPLES * j, SAMPLES * (j + 1) if j < CELLS else None)
                     assert sums[cell].max() <= bound * (1.0 + 1e-6)
                     tightest[kind] = min(tightest[kind], sums[cell].max() / bound)
-    assert tightest[1] > 0.9
+    assert tightest[1] > 0.85
     assert tightest[2] > 0.98
 
 
@@ -267,6 +267,17 @@ def test_premises_of_a_cell_are_refused_with_its_number(resting):
     assert verify_vehicle(certificate).reason == "V5: the equivalent control of x may exceed rho"
 
 
+def repeated(vehicle, bounds, responses):
+    """F of bounds in cells again and again, each time with some room."""
+    for _ in range(16):
+        implied = implied_in_cells(vehicle, bounds, inputs_in_cells(vehicle, bounds), responses)
+        bounds = [
+            {name: {signal: (1.005 * y).upper() for signal, y in cell[name].items()} for name in CHANNELS}
+            for cell in implied
+        ]
+    return bounds
+
+
 def test_bounds_of_a_start_away_from_rest_fall_from_cell_to_cell():
     """Bounds found by repeating F in cells are proved, where one bound for all times does not imply itself."""
     content = problem()
@@ -279,14 +290,8 @@ def test_bounds_of_a_start_away_from_rest_fall_from_cell_to_cell():
     proof["cells"] = {"samples": 100, "bounds": listed}
     with ball_precision():
         vehicle = vehicle_of(content, proof)
-        responses = responses_in_cells(vehicle)
         y = [{name: dict.fromkeys(names[name], arb("1e-3")) for name in CHANNELS} for _ in range(count + 1)]
-        for _ in range(16):
-            implied = implied_in_cells(vehicle, y, inputs_in_cells(vehicle, y), responses)
-            y = [
-                {name: {signal: (1.005 * bound).upper() for signal, bound in cell[name].items()} for name in CHANNELS}
-                for cell in implied
-            ]
+        y = repeated(vehicle, y, responses_in_cells(vehicle))
     for name in CHANNELS:
         proof["channels"][name]["bounds"] = {signal: float(bound) for signal, bound in y[-1][name].items()}
         listed[name] = {signal: [float(cell[name][signal]) for cell in y[:-1]] for signal in names[name]}
@@ -298,11 +303,10 @@ def test_bounds_of_a_start_away_from_rest_fall_from_cell_to_cell():
     assert np.all(np.diff(e[3:-1]) < 0.0)
     assert e[-1] < 0.6 * e[0]
     assert verdict.settled["x"]["e"] < e[-1]
-    with ball_precision(), pytest.raises(Rejected, match="V3: "):
-        vehicle = vehicle_of(content, proof | {"cells": None})
-        y = y[-1:]
-        for _ in range(16):
-            y = implied_in_cells(vehicle, y, inputs_in_cells(vehicle, y), {})
+    with ball_precision():
+        alone = vehicle_of(content, proof | {"cells": None})
+        with pytest.raises(Rejected, match="V3: "):
+            repeated(alone, y[-1:], {})
 
 
 MALFORMED = [
