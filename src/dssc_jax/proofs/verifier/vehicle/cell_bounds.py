@@ -1,6 +1,6 @@
 """The map F in time cells: the bounds of all signals in every cell that bounds in every cell imply."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from flint import arb
@@ -30,13 +30,18 @@ def bounds_in_cells(proof: VehicleProof) -> list[SignalBalls]:
     cells = proof["cells"]
     if cells is None:
         return [last]
-    count = len(next(iter(cells["bounds"][CHANNELS[0]].values())))
+    count = number_of_cells(cells)
     listed = cells["bounds"]
     first = [
         {name: {signal: arb(values[j]) for signal, values in listed[name].items()} for name in CHANNELS}
         for j in range(count)
     ]
     return [*first, last]
+
+
+def number_of_cells(cells: CellsProof) -> int:
+    """Number J of the cells before the last one."""
+    return len(next(iter(cells["bounds"][CHANNELS[0]].values())))
 
 
 def cell_place(j: int, count: int) -> str:
@@ -62,19 +67,37 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
     return result
 
 
-def implied_in_cells(
-    vehicle: Vehicle, cells: CellsProof | None, bounds: Sequence[SignalBalls], inputs: Sequence[Inputs]
-) -> list[dict[str, Balls]]:
-    """F of bounds of the signals in each cell."""
+def responses_in_cells(vehicle: Vehicle, cells: CellsProof | None) -> dict[str, CellResponses]:
+    """The responses of the channels in cells; empty without cells."""
     if cells is None:
+        return {}
+    count = number_of_cells(cells)
+    return {
+        name: cell_responses(vehicle.problem, name, vehicle.middles[name], cells["samples"], count) for name in CHANNELS
+    }
+
+
+def implied_in_cells(
+    vehicle: Vehicle,
+    bounds: Sequence[SignalBalls],
+    inputs: Sequence[Inputs],
+    responses: Mapping[str, CellResponses],
+) -> list[dict[str, Balls]]:
+    """F of bounds of the signals in each cell.
+
+    Args:
+        vehicle: The channels.
+        bounds: Bounds of the signals in each cell.
+        inputs: What they allow in each cell.
+        responses: Those of :func:`responses_in_cells`.
+    """
+    if not responses:
         return [implied_bounds(vehicle, bounds[0], inputs[0], started=True)]
-    count = len(bounds)
     result: list[dict[str, Balls]] = [{} for _ in bounds]
     for name in CHANNELS:
-        responses = cell_responses(vehicle.problem, name, vehicle.middles[name], cells["samples"], count - 1)
-        answers = answers_in_cells(vehicle, name, bounds, inputs, responses)
-        for j in range(count):
-            result[j][name] = with_slopes(vehicle, name, bounds[j], inputs[j], responses.signals, answers[j])
+        answers = answers_in_cells(vehicle, name, bounds, inputs, responses[name])
+        for j, y in enumerate(bounds):
+            result[j][name] = with_slopes(vehicle, name, y, inputs[j], responses[name].signals, answers[j])
     return result
 
 

@@ -95,7 +95,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     listed = proof["cells"]
     cells = bounds_in_cells(proof)
     inputs = inputs_in_cells(vehicle, cells)
-    implied = implied_in_cells(vehicle, listed, cells, inputs)
+    implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, listed))
     for j, bounds in enumerate(cells):
         for name in CHANNELS:
             for signal, bound in bounds[name].items():
