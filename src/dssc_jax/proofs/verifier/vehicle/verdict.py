@@ -18,6 +18,7 @@ from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
     inputs_in_cells,
     largest_bounds,
     largest_inputs,
+    responses_in_cells,
 )
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem, VehicleProof
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
