@@ -154,14 +154,8 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
 
 def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
     """The numbers that leave their ranges if the laws are widened, in words."""
-    violations = []
-    for name, column in columns.items():
-        widened = study.laws[name].spread(column, spread)
-        low, high = float(widened.min()), float(widened.max())
-        rule = study.quantities[name].violated_by(low, high)
-        if rule:
-            violations.append(f"{name} {rule}, got [{low:.4g}, {high:.4g}]")
-    return violations
+    widened = {name: study.laws[name].spread(column, spread) for name, column in columns.items()}
+    return [f"{name} {rule}" for name, rule in study.violations(widened).items()]
 
 
 def number_margins(
