@@ -40,8 +40,8 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, low: np.ndarray | float, high: np.ndarray | float) -> "Interval":
         """The interval between two ends; unbounded ends are the largest numbers."""
-        ends = np.broadcast_arrays(np.clip(low, -LARGEST, LARGEST), np.clip(high, -LARGEST, LARGEST))
-        return cls(*ends, np.ones(ends[0].shape, bool))
+        lowest, highest = np.broadcast_arrays(np.clip(low, -LARGEST, LARGEST), np.clip(high, -LARGEST, LARGEST))
+        return cls(lowest, highest, np.ones(lowest.shape, bool))
 
 
 Function: TypeAlias = Callable[..., Interval]

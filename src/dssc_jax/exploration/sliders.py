@@ -9,6 +9,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study import Study
+from dssc_jax.study.expressions import is_expression
 from dssc_jax.study.laws import Law
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import Expression
@@ -72,7 +73,7 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     sliders = []
     for name in dict.fromkeys([*study.axes, *ordered, CLOCK_SLIDER]):
         sliders += sliders_of_number(study, name)
-    if len(sliders) > MOST_SLIDERS:
+    if len(sliders) > MOST_SLIDERS:  # the last is the clock's
         sliders = [*sliders[: MOST_SLIDERS - 1], sliders[-1]]
     return sliders
 
@@ -106,7 +107,7 @@ def is_movable(number: Number) -> bool:
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
     """One slider of a number, two of a law; none if it cannot be moved."""
     if name == CLOCK_SLIDER:
-        return [sample_time_slider(study)]
+        return [] if is_expression(study.table["loop"]["sample_time"]) else [sample_time_slider(study)]
     number = study.numbers[name]
     if not number.quantity.law or isinstance(number.value, Expression):
         return []

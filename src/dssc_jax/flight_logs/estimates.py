@@ -98,7 +98,7 @@ class Fitted:
             return Law("lognormal", (mean, std))
         quantity = self.study.numbers[name].quantity
         bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)
-        if all(bound is None for bound in bounds) and name not in self.study.parameters:
+        if all(bound is None for bound in bounds) and name not in self.study.parameter_names:
             return Law("normal", (mean, std))
         return Law("truncated_normal", (mean, std, *truncation(quantity, mean, std)))
 
@@ -131,7 +131,7 @@ class Fitted:
                 list_name, entries = enclosing
                 if not has_dotted(table, list_name):
                     set_dotted(table, list_name, copy.deepcopy(entries))
-            elif name in self.study.parameters:  # keeps its unit and meaning
+            elif name in self.study.parameter_names:  # keeps its unit and meaning
                 short = name.partition(".")[2]
                 set_dotted(table, name, copy.deepcopy(self.study.table[PARAMETERS][short]))
             set_dotted(table, name, {law.kind: list(law.arguments)})

@@ -18,7 +18,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.correlation import matrix, paired, require_correlation
-from dssc_jax.study.expressions import Numeric
+from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
 from dssc_jax.study.numbers import Number
@@ -146,13 +146,13 @@ class Study:
 
     def followers(self, name: str) -> tuple[str, ...]:
         """Dotted names of the loop's numbers that a number decides: itself, or those that follow from a parameter."""
-        if name not in self.parameters:
+        if name not in self.parameter_names:
             return (name,)
         found = (number.name for number in self.numbers.values() if name in number.sources)
-        return tuple(follower for follower in found if follower not in self.parameters)
+        return tuple(follower for follower in found if follower not in self.parameter_names)
 
     @property
-    def parameters(self) -> tuple[str, ...]:
+    def parameter_names(self) -> tuple[str, ...]:
         """Dotted names of the study's parameters."""
         return tuple(f"{PARAMETERS}.{name}" for name in self.config.parameters)
 
@@ -160,7 +160,22 @@ class Study:
         """Dotted names of the parameters that nothing in the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
         named = {f"{PARAMETERS}.{name}" for name in named_in(content)}
-        return tuple(name for name in self.parameters if name not in named)
+        return tuple(name for name in self.parameter_names if name not in named)
+
+    def require_free(self, name: str) -> None:
+        """Require that a number has a value of its own, and does not follow from parameters.
+
+        Raises:
+            ConfigError: It follows from them.
+        """
+        number = self.numbers.get(name)
+        if number and number.expression:
+            raise ConfigError(name, number.follows)
+        slot, _, field = name.partition(".")
+        table = self.table.get(slot)
+        written = table.get(field) if isinstance(table, Mapping) else None
+        if is_expression(written):
+            raise ConfigError(name, f"is the expression {written!r} in this study; give it a number of its own first")
 
     def derived(self, values: Mapping[str, Numeric]) -> dict[str, Numeric]:
         """The numbers that follow from parameters with the given values, by dotted name; an array for arrays.

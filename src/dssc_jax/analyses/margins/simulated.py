@@ -197,8 +197,9 @@ def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: Progre
     """Critical sample times on the grid: the clock is fixed before tracing, so each value needs a separate program.
 
     Raises:
-        ConfigError: two values of the grid fall on the same number of samples.
+        ConfigError: two values of the grid fall on the same number of samples, or it follows from parameters.
     """
+    study.require_free(CLOCK)
     if len(set(walk.grid)) < walk.points:
         rule = f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds"
         raise ConfigError(CLOCK, rule)
