@@ -323,7 +323,7 @@ def described(name: str, value: object) -> tuple[object, Quantity]:
         unknown = [key for key in content if key != "value" and key not in LAWS]
         if unknown:
             valid = nearest(unknown[0], ["value", *DESCRIPTION, *LAWS])
-            raise ConfigError(f"{place}.{unknown[0]}", f"unknown name; {valid}")
+            raise ConfigError(f"{place}.{unknown[0]}", f"is no entry of a parameter; {valid}")
         if list(content) != ["value"]:
             raise ConfigError(place, f"must be {FORMS}; got {value!r}")
     try:
