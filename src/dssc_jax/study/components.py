@@ -9,7 +9,6 @@ import inspect
 import types
 import typing
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Literal
@@ -17,7 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.contracts import Plant, Preset, as_given
-from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, close_names, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
@@ -130,7 +129,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     errors = error.errors()
     missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
     unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt = [problem for problem in unknown if get_close_matches(str(problem["loc"][-1]), missing)]
+    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
     first = misspelt[0] if misspelt else errors[0]
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")

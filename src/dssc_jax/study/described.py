@@ -94,7 +94,7 @@ class Unloaded:
         raise self.error
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Described(Study):
     """A study from its description, which can be read like any other but not simulated or changed.
 

@@ -2,9 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
@@ -22,10 +24,14 @@ from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
 from dssc_jax.study.numbers import Number
+from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, named_in
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import PARAMETERS, changed, read_toml
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 
 
 def hash_of(table: Mapping[str, object]) -> str:
@@ -33,7 +39,7 @@ def hash_of(table: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Study:
     """A validated study.
 
@@ -58,6 +64,12 @@ class Study:
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
+
+    def __repr__(self) -> str:
+        return f"<Study {self.name!r}: {self.config.draws} draws, {len(self.laws)} uncertain, {len(self.axes)} swept>"
+
+    def __str__(self) -> str:
+        return overview(self)
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
@@ -221,3 +233,15 @@ class Study:
         return tree.unflatten(
             known.get(names.get(path, path), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
         )
+
+
+def takes_file(
+    function: Callable[Concatenate[Study, Arguments], Answer],
+) -> Callable[Concatenate[Study | str | Path, Arguments], Answer]:
+    """Let a function of a study also take the study's file, or the name of a packaged study."""
+
+    @wraps(function)
+    def loading(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:
+        return function(study if isinstance(study, Study) else Study.load(study), *arguments, **options)
+
+    return loading

@@ -18,7 +18,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 
 SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
@@ -26,6 +26,7 @@ CriticalDraws: TypeAlias = tuple[Critical, Arrays]
 """Critical values of draws, and the drawn numbers by name."""
 
 
+@takes_file
 def margin(
     study: Study,
     *,
@@ -46,7 +47,7 @@ def margin(
     non-finite.
 
     Args:
-        study: The study; its own sweep is ignored.
+        study: The study, or its file; its own sweep is ignored.
         over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
             tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
         bounds: The safe end, where draws are expected to pass, then the other end, which may be the smaller one.
