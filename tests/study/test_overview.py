@@ -23,7 +23,7 @@ PAGE = """small: a mass under PID
 loop
   plant       normal_form  k_p = 1/m, a_p = 1, initial.0 = 1, initial.1 = 0
   reference   zero
-  controller  pid          k_p = 4, k_i = 0.5, k_d = 2, filter = 0, proportional_weight = 1, derivative_weight = 0, ...
+  controller  pid          k_p = 4, k_i = 0.5, k_d = 2, filter = 0, proportional_weight = 1, derivative_weight = 0 ...
 
 uncertain
   parameters.m  uniform(0.8, 1.25)  kg  mass
@@ -32,7 +32,7 @@ follows from parameters
   plant.k_p  = 1/m  0.8 to 1.25 1/s
 
 swept
-  controller.k_p  3 to 4, 2 values  s/m  proportional gain
+  controller.k_p  3 to 4, 2 values  1/s  proportional gain
 
 required
   error_max <= 2 m"""
