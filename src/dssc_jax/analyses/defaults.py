@@ -27,3 +27,6 @@ LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
+
+LIMIT = 0.05
+"""Laws: largest failure probability allowed."""

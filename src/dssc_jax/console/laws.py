@@ -1,0 +1,104 @@
+"""Print how wrong the laws may be."""
+
+from pathlib import Path
+
+from rich.markup import escape
+
+from dssc_jax.analyses.laws.answer import LawErrorsAnswer
+from dssc_jax.analyses.laws.law_errors import LawErrors
+from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.statistics import rounded_probability
+from dssc_jax.statistics.divergence_balls import BALLS
+
+NOT_REACHED = "not reached"
+
+
+def show_laws(errors: LawErrors, files: list[Path]) -> None:
+    """Print how far the laws may be wrong together, each law alone, and what follows from stated amounts."""
+    answer = errors.answer
+    console = output()
+    required = escape("; ".join(answer.requirements))
+    console.print(f"[bold]{escape(errors.study.name)}[/bold]  required: {required}")
+    failure = answer.failure
+    interval = interval_text(failure.interval)
+    console.print(
+        f"{failure.failures} failures in {answer.draws} draws: failure probability in {interval} "
+        f"({100 * answer.confidence:g} % {failure.interval_method})",
+        markup=False,
+        soft_wrap=True,
+    )
+    show_all_laws(answer)
+    for name, weights in answer.weights.items():
+        if weights.reason:
+            console.print(f"weights for {name.replace('_', ' ')}: {weights.reason}", markup=False, soft_wrap=True)
+    show_each_law(answer)
+    show_stated(answer)
+    show_fresh(answer)
+    show_files(files)
+
+
+def show_all_laws(answer: LawErrorsAnswer) -> None:
+    """Print how far all laws together may be wrong."""
+    rows = []
+    for name, ball in BALLS.items():
+        estimate = getattr(answer.estimates, name)
+        rows.append((ball.title, f"{getattr(answer, name):.4g}", f"{estimate:.4g}", ""))
+    shift = answer.estimates.mean_shift
+    widening = answer.estimates.widening
+    wide = answer.guaranteed.widening
+    shifted = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
+    widened = ("factor on the width of all laws", f"{answer.widening:.3g}", known_text(widening))
+    rows.append((*shifted, f"{answer.guaranteed.mean_shift:.3g}"))
+    rows.append((*widened, "none, correlated" if wide is None else f"{wide:.3g}"))
+    head = (
+        f"at most {100 * answer.limit:g} % fail up to",
+        f"{100 * answer.confidence:g} % confidence",
+        "estimate",
+        "whatever draws fail",
+    )
+    show_table(head, rows)
+
+
+def show_each_law(answer: LawErrorsAnswer) -> None:
+    """Print how far each law alone may be wrong, the most important one first."""
+    laws = sorted(answer.by_law.items(), key=lambda entry: (entry[1].mean_shift_estimate or 1e9, entry[1].mean_shift))
+    rows = []
+    for name, law in laws:
+        shift = (f"{law.mean_shift:.3g}", known_text(law.mean_shift_estimate), law.towards)
+        rows.append((name, *shift, f"{law.widening:.3g}", known_text(law.widening_estimate)))
+    head = ("one law alone", "shift of its mean", "estimate", "failing values", "factor on its width", "estimate")
+    show_table(head, rows)
+
+
+def show_stated(answer: LawErrorsAnswer) -> None:
+    """Print the interval of the failure probability for each stated amount."""
+    rows = []
+    for stated in answer.stated:
+        weighted = interval_text(stated.weighted_interval) if stated.weighted_interval else ""
+        always = interval_text(stated.interval) if stated.interval else "none, correlated"
+        rows.append((f"{stated.kind.replace('_', ' ')} up to {stated.amount:g}", always, weighted))
+    if rows:
+        show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
+
+
+def show_fresh(answer: LawErrorsAnswer) -> None:
+    """Print what new draws say."""
+    if answer.fresh is None:
+        return
+    rows = []
+    for name, limit in answer.fresh.changes.items():
+        row = (name.replace("_", " "), f"{limit.bound:.3g}", known_text(limit.estimate), interval_text(limit.interval))
+        rows.append(row)
+    head = (f"{answer.fresh.draws} new draws", "with confidence", "estimate", "failure probability there")
+    show_table(head, rows, "along the worst direction")
+
+
+def known_text(value: float | None) -> str:
+    """An amount as text, or that it was not reached."""
+    return NOT_REACHED if value is None else f"{value:.3g}"
+
+
+def interval_text(interval: tuple[float, float]) -> str:
+    """An interval of a probability as text."""
+    low, high = map(rounded_probability, interval)
+    return f"[{low}, {high}]"
