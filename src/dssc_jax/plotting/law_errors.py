@@ -13,6 +13,7 @@ from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, label, style
 from dssc_jax.study import Study
 
 ROW_GAP = 0.14  # of the two points of a law
+ROOM = 1.08  # of the axis of shifts, beyond the largest
 
 
 class PlottedLawErrors(Protocol):
@@ -75,9 +76,10 @@ def law_panel(ax: Axes, data: xr.Dataset) -> None:
     ax.plot(bound[order], rows + ROW_GAP, "o", color=BLUE, label="with confidence")
     ax.plot(estimate[order], rows - ROW_GAP, "D", color=GREY, label="estimate")
     for row in rows[np.isnan(estimate[order])]:
-        ax.annotate("limit not reached", (bound[order][row], row - ROW_GAP), color=GREY, fontsize=10, va="center")
+        place = (bound[order][row], row - ROW_GAP)
+        ax.annotate("limit not reached", place, color=GREY, fontsize=10, va="center", ha="right")
     ax.set_yticks(rows, [str(name) for name in data["number"].values[order]])
     ax.set_ylim(len(order) - 0.5, -0.5)
-    ax.set_xlim(left=0.0)
+    ax.set_xlim(0.0, ROOM * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
     ax.set_xlabel("shift of one mean alone [standard deviations]")
     ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
