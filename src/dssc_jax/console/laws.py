@@ -1,10 +1,11 @@
 """Print how wrong the laws may be."""
 
+import math
 from pathlib import Path
 
 from rich.markup import escape
 
-from dssc_jax.analyses.laws.answer import LawErrorsAnswer
+from dssc_jax.analyses.laws.answer import LawError, LawErrorsAnswer
 from dssc_jax.analyses.laws.law_errors import LawErrors
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.statistics import rounded_probability
@@ -31,7 +32,7 @@ def show_laws(errors: LawErrors, files: list[Path]) -> None:
     for name, weights in answer.weights.items():
         if weights.reason:
             console.print(f"weights for {name.replace('_', ' ')}: {weights.reason}", markup=False, soft_wrap=True)
-    show_each_law(answer)
+    show_each_law(errors)
     show_stated(answer)
     show_fresh(answer)
     show_files(files)
@@ -59,15 +60,18 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
     show_table(head, rows)
 
 
-def show_each_law(answer: LawErrorsAnswer) -> None:
+def show_each_law(errors: LawErrors) -> None:
     """Print how far each law alone may be wrong, the most important one first."""
-    laws = sorted(answer.by_law.items(), key=lambda entry: (entry[1].mean_shift_estimate or 1e9, entry[1].mean_shift))
+    laws = sorted(errors.answer.by_law.items(), key=lambda entry: importance(entry[1]))
+    quantities = errors.study.quantities
     rows = []
     for name, law in laws:
-        shift = (f"{law.mean_shift:.3g}", known_text(law.mean_shift_estimate), law.towards)
+        unit = "" if quantities[name].unit in ("", "1") else f" {quantities[name].unit}"
+        median = "" if law.shifted_median is None else f"{law.median:.4g} to {law.shifted_median:.4g}{unit}"
+        shift = (f"{law.mean_shift:.3g}", known_text(law.mean_shift_estimate), median, law.towards)
         rows.append((name, *shift, f"{law.widening:.3g}", known_text(law.widening_estimate)))
-    head = ("one law alone", "shift of its mean", "estimate", "failing values", "factor on its width", "estimate")
-    show_table(head, rows)
+    head = ("shift of its mean", "estimate", "its median", "failing values", "factor on its width", "estimate")
+    show_table(("one law alone", *head), rows)
 
 
 def show_stated(answer: LawErrorsAnswer) -> None:
@@ -91,6 +95,12 @@ def show_fresh(answer: LawErrorsAnswer) -> None:
         rows.append(row)
     head = (f"{answer.fresh.draws} new draws", "with confidence", "estimate", "failure probability there")
     show_table(head, rows, "along the worst direction")
+
+
+def importance(law: LawError) -> tuple[float, float]:
+    """The place of a law in the order of the table: the smallest shift first."""
+    estimate = law.mean_shift_estimate
+    return (math.inf if estimate is None else estimate, law.mean_shift)
 
 
 def known_text(value: float | None) -> str:

@@ -75,6 +75,8 @@ def test_shift_and_widening_are_those_of_the_half_space(found):
     alone = answer.by_law[INITIAL]
     assert alone.mean_shift_estimate == pytest.approx(shift, rel=0.1)
     assert alone.towards == "larger"
+    assert alone.median == 2.0
+    assert alone.shifted_median == pytest.approx(2.0 + 0.1 * alone.mean_shift)
     assert alone.in_worst_shift == pytest.approx(answer.estimates.mean_shift, rel=1e-3)
     assert answer.by_law["plant.k_p"].mean_shift_estimate is None
     assert answer.by_law["plant.k_p"].mean_shift > 1.0

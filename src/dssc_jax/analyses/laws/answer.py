@@ -78,6 +78,10 @@ class LawError:
     towards: Annotated[str, Quantity("", "which values fail more often: larger, smaller, or not clear")]
     widening: Annotated[float, Quantity("1", "factor on its width, with confidence")]
     widening_estimate: Annotated[float | None, Quantity("1", "the same without the draws' uncertainty")]
+    median: Annotated[float, Quantity("that of the number", "median of its law")]
+    shifted_median: Annotated[
+        float | None, Quantity("that of the number", "its median after the shift, with confidence; None: not clear")
+    ]
     in_worst_shift: Annotated[float, Quantity(DEVIATIONS, "its part in the worst shift of all means")]
 
 

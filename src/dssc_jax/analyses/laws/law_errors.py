@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy import special
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import LIMIT
@@ -136,14 +137,19 @@ class LawErrors(Analysis):
     def by_law(self) -> dict[str, LawError]:
         """How wrong each law may be alone."""
         rows = {}
-        for name in self.dataset[TABLE].values:
+        for name in map(str, self.dataset[TABLE].values):
             row = self.dataset.sel({TABLE: name})
-            rows[str(name)] = LawError(
-                mean_shift=float(row["shift"]),
+            shift = float(row["shift"])
+            towards = int(row["towards"])
+            law = self.study.laws[name]
+            rows[name] = LawError(
+                mean_shift=shift,
                 mean_shift_estimate=known_value(float(row["shift_estimate"])),
-                towards=in_words(int(row["towards"])),
+                towards=in_words(towards),
                 widening=float(row["widening"]),
                 widening_estimate=known_value(float(row["widening_estimate"])),
+                median=law.median,
+                shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
                 in_worst_shift=float(row["worst_shift"]),
             )
         return rows
