@@ -49,7 +49,7 @@ def interval_of(draws: WeightedDraws) -> tuple[float, float]:
 
 def radii(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool:
     """No radius is larger than the one at which the limit is reached."""
-    _, high = interval_of(shifts)
+    high = interval_of(shifts)[1]
     return all(ball.largest_radius(high, limit) <= ball.largest_radius(p, limit) for ball in BALLS.values())
 
 
@@ -154,7 +154,7 @@ def vehicle() -> bool:
         rows.append(f"| {ball.title} | {getattr(answer, name):.3g} | {getattr(answer.estimates, name):.3g} | | |")
     for name, text in (
         ("mean_shift", "shift of all means, in standard deviations"),
-        ("widening", "factor on all widths"),
+        ("widening", "relative width of all laws"),
     ):
         weights = found.weights[name]
         estimate = "not reached" if weights.estimate is None else f"{weights.estimate:.3g}"

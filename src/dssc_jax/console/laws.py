@@ -48,7 +48,7 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
     widening = answer.estimates.widening
     wide = answer.guaranteed.widening
     shifted = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
-    widened = ("factor on the width of all laws", f"{answer.widening:.3g}", known_text(widening))
+    widened = ("relative width of all laws", f"{answer.widening:.3g}", known_text(widening))
     rows.append((*shifted, f"{answer.guaranteed.mean_shift:.3g}"))
     rows.append((*widened, "none, correlated" if wide is None else f"{wide:.3g}"))
     head = (
@@ -70,7 +70,7 @@ def show_each_law(errors: LawErrors) -> None:
         median = "" if law.shifted_median is None else f"{law.median:.4g} to {law.shifted_median:.4g}{unit}"
         shift = (f"{law.mean_shift:.3g}", known_text(law.mean_shift_estimate), median, law.towards)
         rows.append((name, *shift, f"{law.widening:.3g}", known_text(law.widening_estimate)))
-    head = ("shift of its mean", "estimate", "its median", "failing values", "factor on its width", "estimate")
+    head = ("shift of its mean", "estimate", "its median", "failing values", "relative width", "estimate")
     show_table(("one law alone", *head), rows)
 
 

@@ -40,7 +40,7 @@ def law_errors(errors: PlottedLawErrors) -> Figure:
     numbers = data.sizes["number"]
     figure = Figure(figsize=(SLIDE[0] + 4.0, max(SLIDE[1], 2.6 + 0.36 * numbers)), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    for ax, prefix, dimension in ((left, "shifted", "size"), (middle, "widened", "factor")):
+    for ax, prefix, dimension in ((left, "shifted", "size"), (middle, "widened", "width")):
         change_panel(ax, data, prefix, dimension, errors.limit)
     left.set_ylabel("failure probability")
     handles, labels = left.get_legend_handles_labels()

@@ -50,26 +50,26 @@ def largest_distance(p: float, limit: float) -> float:
     return max(0.0, float(special.ndtri(limit) - special.ndtri(p)))
 
 
-def worst_when_widened(p: float, factor: float, numbers: int) -> float:
+def worst_when_widened(p: float, width: float, numbers: int) -> float:
     """The largest probability of a set of probability p once the widths of all scores are multiplied.
 
     Args:
         p: Probability of the set, in [0, 1].
-        factor: k >= 1, by which each width is multiplied at most.
+        width: k >= 1, the largest relative width of each score.
         numbers: n >= 1, number of scores that are widened.
 
     Raises:
-        ValueError: The factor is below 1.
+        ValueError: The width is below 1.
     """
     require_probability(p=p)
-    if not factor >= 1.0:
-        raise ValueError(f"factor must be at least 1, got {factor!r}")
+    if not width >= 1.0:
+        raise ValueError(f"width must be at least 1, got {width!r}")
     half = 0.5 * numbers
-    return float(special.gammaincc(half, special.gammainccinv(half, p) / factor**2))
+    return float(special.gammaincc(half, special.gammainccinv(half, p) / width**2))
 
 
-def largest_factor(p: float, limit: float, numbers: int) -> float:
-    """Up to which factor no set of probability p can become more probable than the limit, if all scores are widened.
+def largest_width(p: float, limit: float, numbers: int) -> float:
+    """Up to which relative width of all scores no set of probability p can become more probable than the limit.
 
     Returns:
         1 if p is above the limit; infinity if p is 0.

@@ -83,7 +83,7 @@ def test_shift_and_widening_are_those_of_the_half_space(found):
 
 
 def test_a_study_with_the_changed_law_fails_as_often(study, found):
-    """The shift and the factor as a user writes them into the study file."""
+    """The shift and the width as a user writes them into the study file."""
     estimates = found.answer.estimates
     shifted = probability(study, {"normal": [2.0 + 0.1 * estimates.mean_shift, 0.1]})
     widened = probability(study, {"normal": [2.0, 0.1 * estimates.widening]})

@@ -28,7 +28,7 @@ class Guaranteed:
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, with confidence")]
     widening: Annotated[
-        float | None, Quantity("1", "factor on the width of all laws, with confidence; None: laws are correlated")
+        float | None, Quantity("1", "relative width of all laws, with confidence; None: laws are correlated")
     ]
 
 
@@ -40,7 +40,7 @@ class Estimates:
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]
     chi_square: Annotated[float, Quantity("1", "chi-square divergence; None: no draw fails")]
     mean_shift: Annotated[float | None, Quantity(DEVIATIONS, "shift of all means; None: not reached by the weights")]
-    widening: Annotated[float | None, Quantity("1", "factor on all widths; None: not reached by the weights")]
+    widening: Annotated[float | None, Quantity("1", "relative width of all laws; None: not reached by the weights")]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class LawError:
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of its mean, with confidence")]
     mean_shift_estimate: Annotated[float | None, Quantity(DEVIATIONS, "the same without the draws' uncertainty")]
     towards: Annotated[str, Quantity("", "which values fail more often: larger, smaller, or not clear")]
-    widening: Annotated[float, Quantity("1", "factor on its width, with confidence")]
+    widening: Annotated[float, Quantity("1", "relative width, with confidence")]
     widening_estimate: Annotated[float | None, Quantity("1", "the same without the draws' uncertainty")]
     median: Annotated[float, Quantity("that of the number", "median of its law")]
     shifted_median: Annotated[
@@ -98,7 +98,7 @@ class LawErrorsAnswer:
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence of the true law, with confidence")]
     chi_square: Annotated[float, Quantity("1", "chi-square divergence of the true law, with confidence")]
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, in the worst direction, with confidence")]
-    widening: Annotated[float, Quantity("1", "factor on the width of all laws, with confidence")]
+    widening: Annotated[float, Quantity("1", "relative width of all laws, with confidence")]
     guaranteed: Guaranteed
     estimates: Estimates
     weights: dict[str, WeightedAnswer]

@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.statistics.normal_moves import (
     largest_distance,
-    largest_factor,
+    largest_width,
     worst_when_moved,
     worst_when_widened,
 )
@@ -40,8 +40,8 @@ class AnyFailures:
         return largest_distance(self.interval[1], limit) / self.distance(free)
 
     def largest_widening(self, free: np.ndarray, limit: float) -> float | None:
-        """The factor on these widths up to which at most the limit fails; None if the laws are correlated."""
-        return largest_factor(self.interval[1], limit, int(free.sum())) if self.uncorrelated(free) else None
+        """The relative width of these laws up to which at most the limit fails; None if the laws are correlated."""
+        return largest_width(self.interval[1], limit, int(free.sum())) if self.uncorrelated(free) else None
 
     def shifted(self, free: np.ndarray, shift: float) -> tuple[float, float]:
         """The interval of the failure probability if these means may be wrong by a shift."""
@@ -49,10 +49,10 @@ class AnyFailures:
         low, high = self.interval
         return worst_when_moved(low, -distance), worst_when_moved(high, distance)
 
-    def widened(self, free: np.ndarray, factor: float) -> tuple[float, float] | None:
-        """The interval of the failure probability if these laws may be wider by a factor; None if correlated."""
+    def widened(self, free: np.ndarray, width: float) -> tuple[float, float] | None:
+        """The interval of the failure probability up to this relative width of these laws; None if correlated."""
         if not self.uncorrelated(free):
             return None
         low, high = self.interval
         numbers = int(free.sum())
-        return 1.0 - worst_when_widened(1.0 - low, factor, numbers), worst_when_widened(high, factor, numbers)
+        return 1.0 - worst_when_widened(1.0 - low, width, numbers), worst_when_widened(high, width, numbers)

@@ -27,7 +27,7 @@ class Change(ABC):
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """What a size is called in answers: a shift in standard deviations, or a factor."""
+        """What a size is called in answers: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:
@@ -116,7 +116,7 @@ class Widening(Change):
     name = "widening"
 
     def amount(self, size: float) -> float:
-        """The factor exp(size)."""
+        """The relative width exp(size)."""
         return math.exp(size)
 
     def limits(self, size: float) -> tuple[float, float]:
@@ -142,7 +142,7 @@ class Widening(Change):
         return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(remaining)[1] - self._log_determinant()))
 
     def corner(self, size: float, free: np.ndarray) -> float:
-        """That of the common factor."""
+        """That of the same width of all."""
         return self.log_second_moment(size * free)
 
     def changed(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

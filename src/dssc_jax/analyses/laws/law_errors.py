@@ -50,7 +50,7 @@ class LawErrors(Analysis):
     The dataset has along ``number``, the numbers whose laws can be changed: ``shift`` and ``widening``, how far the
     number's own law may be wrong with 95 % confidence; ``shift_estimate`` and ``widening_estimate``, the same without
     the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
-    shift within the worst shift of all means. Along ``size``, of a shift of all means, and ``factor``, on all widths,
+    shift within the worst shift of all means. Along ``size``, of a shift of all means, and ``width``, of all laws,
     it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
     ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
     ``widened_guaranteed``).
@@ -178,7 +178,7 @@ def laws(
         within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted:
             ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
         shift: The same for a shift of all means, >= 0 [standard deviations].
-        widening: The same for the widths of all laws: the factor, >= 1.
+        widening: The same for the relative width of all laws, >= 1.
         fresh: Number of new draws that are simulated under each changed law; 0: none.
         progress: Called with the simulations done.
 

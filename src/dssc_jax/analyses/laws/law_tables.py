@@ -28,19 +28,19 @@ def dataset_of(
         limit: Largest failure probability allowed.
     """
     sizes, shifted = shift.curves()
-    log_factors, widened = widening.curves()
+    log_widths, widened = widening.curves()
     worst = dict(zip(draws.result.study.laws, shift.found.worst.amounts, strict=True))
     columns: dict[str, tuple[object, ...]] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns["worst_shift"] = (TABLE, part, deviations("part in the worst shift of all means"))
-    for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "factor")):
+    for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
         columns[prefix] = (dimension, curve[:, 0], share("worst failure probability"))
         columns[f"{prefix}_limit"] = (dimension, curve[:, 1], share("its upper limit"))
         columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], share("upper limit whatever draws fail"))
     coordinates = {
         TABLE: (TABLE, np.array(draws.names), {"long_name": "uncertain number"}),
         "size": ("size", sizes, deviations("shift of all means")),
-        "factor": ("factor", np.exp(log_factors), share("factor on all widths")),
+        "width": ("width", np.exp(log_widths), share("relative width of all laws")),
     }
     return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.result.study.name})
 
@@ -63,8 +63,8 @@ def law_columns(
         "shift": (TABLE, table[:, 0], deviations("shift of the mean, with confidence")),
         "shift_estimate": (TABLE, table[:, 1], deviations("shift of the mean, estimate")),
         "towards": (TABLE, table[:, 2].astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
-        "widening": (TABLE, table[:, 3], share("factor on the width, with confidence")),
-        "widening_estimate": (TABLE, table[:, 4], share("factor on the width, estimate")),
+        "widening": (TABLE, table[:, 3], share("relative width, with confidence")),
+        "widening_estimate": (TABLE, table[:, 4], share("relative width, estimate")),
     }
 
 

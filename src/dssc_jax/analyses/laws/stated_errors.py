@@ -37,7 +37,7 @@ class StatedAmounts:
     Args:
         within: Radii by the names of :data:`dssc_jax.statistics.divergence_balls.BALLS`.
         shift: Of all means [standard deviations].
-        widening: Factor on all widths.
+        widening: Relative width of all laws.
 
     Raises:
         ConfigError: An amount is out of range.
