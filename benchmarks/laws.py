@@ -168,6 +168,16 @@ def vehicle() -> bool:
         unit = study.quantities[name].unit
         median = f"{law.shifted_median:.3g} {unit} instead of {law.median:.3g}" if law.shifted_median else ""
         rows.append(f"| `{name}` | {law.mean_shift:.3g} | {law.mean_shift_estimate:.3g} | {median} |")
+    rows += ["", "| known to a tenth of its law | variance removed | decision changes |", "|---|---|---|"]
+    for name, law in answer.by_law.items():
+        knowledge = law.knowledge
+        if knowledge is None or knowledge.removed_interval[0] <= 0.0:
+            continue
+        low, high = knowledge.removed_interval
+        removed = f"{100 * knowledge.removed:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+        low, high = knowledge.changes_interval
+        changes = f"{100 * knowledge.changes:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
+        rows.append(f"| `{name}` | {removed} | {changes} |")
     others = len(answer.by_law) - len(reached)
     rows += ["", f"The means of the other {others} numbers do not lead to the limit as far as the weights tell."]
     for stated_error in answer.stated:

@@ -33,6 +33,7 @@ def show_laws(errors: LawErrors, files: list[Path]) -> None:
         if weights.reason:
             console.print(f"weights for {name.replace('_', ' ')}: {weights.reason}", markup=False, soft_wrap=True)
     show_each_law(errors)
+    show_knowledge(errors)
     show_stated(answer)
     show_fresh(answer)
     show_files(files)
@@ -72,6 +73,36 @@ def show_each_law(errors: LawErrors) -> None:
         rows.append((name, *shift, f"{law.widening:.3g}", known_text(law.widening_estimate)))
     head = ("shift of its mean", "estimate", "its median", "failing values", "relative width", "estimate")
     show_table(("one law alone", *head), rows)
+
+
+def show_knowledge(errors: LawErrors) -> None:
+    """Print what knowing each number is worth, the most valuable one first, and where it lies in failed draws."""
+    known = [(name, law.knowledge, law.failing) for name, law in errors.answer.by_law.items()]
+    rows = []
+    for name, knowledge, failing in sorted(known, key=lambda entry: -entry[1].removed if entry[1] else 0.0):
+        if knowledge is None or failing is None:
+            continue
+        low, middle, high = failing
+        removed = share_text(knowledge.removed, knowledge.removed_interval)
+        changes = share_text(knowledge.changes, knowledge.changes_interval)
+        rows.append((name, removed, changes, f"{low:.4g}", f"{middle:.4g}", f"{high:.4g}"))
+    if rows:
+        parts = max(law.knowledge.parts for law in errors.answer.by_law.values() if law.knowledge)
+        head = (
+            f"known to 1/{parts} of its law",
+            "variance removed",
+            "another decision",
+            "failing: 5 %",
+            "median",
+            "95 %",
+        )
+        show_table(head, rows)
+
+
+def share_text(value: float, interval: tuple[float, float]) -> str:
+    """A share with its interval in percent."""
+    low, high = interval
+    return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def show_stated(answer: LawErrorsAnswer) -> None:

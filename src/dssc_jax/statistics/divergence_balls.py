@@ -9,7 +9,7 @@ Both the worst probability and the radius that a limit allows are monotone in p.
 gives a bound with the confidence of that interval.
 
 References:
-    I. Csiszar, Studia Scientiarum Mathematicarum Hungarica 2 (1967) 299-318: a divergence does not grow when a draw is
+    I. Csiszár, Studia Scientiarum Mathematicarum Hungarica 2 (1967) 299-318: a divergence does not grow when a draw is
     reduced to its outcome.
     A. Ben-Tal, D. den Hertog, A. De Waegenaere, B. Melenberg, G. Rennen, Management Science 59 (2013) 341-357: the
     worst case over such balls.
@@ -74,7 +74,7 @@ class DivergenceBall(ABC):
 
         Example:
             >>> round(KullbackLeibler().largest_radius(0.01, 0.05), 6)
-            0.041289
+            0.041291
         """
         require_probability(p=p)
         if not 0.0 < limit < 1.0:

@@ -92,6 +92,23 @@ def test_a_study_with_the_changed_law_fails_as_often(study, found):
     assert probability(study, {"normal": [2.0 + 0.1 * found.answer.mean_shift, 0.1]}) < 0.1
 
 
+def test_what_to_measure_next(found, result):
+    """Only the initial value decides; failures are its upper tail."""
+    answer = found.answer
+    assert answer.measure_next == INITIAL
+    knowledge = answer.by_law[INITIAL].knowledge
+    p = stats.norm.sf(EDGE)
+    assert knowledge.parts == 10
+    low, high = knowledge.removed_interval
+    assert low < p / (1.0 - p) * 9.0 < high  # all failures lie in the last tenth: (10 - 1) p / (1 - p)
+    assert knowledge.changes == pytest.approx(0.1)
+    assert knowledge.changes_interval[0] <= 0.1 <= knowledge.changes_interval[1]
+    failing = result.dataset[INITIAL].values[result.failed.values]
+    np.testing.assert_allclose(answer.by_law[INITIAL].failing, np.quantile(failing, [0.05, 0.5, 0.95]), rtol=1e-3)
+    other = answer.by_law["plant.k_p"].knowledge
+    assert other.removed_interval[0] < 0.0 < other.removed_interval[1]
+
+
 def test_new_draws_agree(found):
     fresh = found.answer.fresh
     assert fresh is not None

@@ -70,6 +70,17 @@ class WeightedAnswer:
 
 
 @dataclass(frozen=True)
+class Knowledge:
+    """What it is worth to know in which part of its law one number lies; the law has parts of equal probability."""
+
+    parts: Annotated[int, Quantity("1", "number of parts")]
+    removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]
+    removed_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    changes: Annotated[float, Quantity("1", "probability that the decision about the limit changes")]
+    changes_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+
+
+@dataclass(frozen=True)
 class LawError:
     """How wrong the law of one number may be while all others are right."""
 
@@ -83,6 +94,11 @@ class LawError:
         float | None, Quantity("that of the number", "its median after the shift, with confidence; None: not clear")
     ]
     in_worst_shift: Annotated[float, Quantity(DEVIATIONS, "its part in the worst shift of all means")]
+    failing: Annotated[
+        tuple[float, float, float] | None,
+        Quantity("that of the number", "5 %, 50 % and 95 % quantile among failed draws; None: no draw fails"),
+    ]
+    knowledge: Annotated[Knowledge | None, Quantity("", "what knowing the number is worth; None: too few failures")]
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,9 @@ class LawErrorsAnswer:
     estimates: Estimates
     weights: dict[str, WeightedAnswer]
     most_important: Annotated[str | None, Quantity("", "the number whose mean may be least wrong; None: not reached")]
+    measure_next: Annotated[
+        str | None, Quantity("", "the number whose knowledge removes most variance; None: none is known to do so")
+    ]
     by_law: dict[str, LawError]
     stated: list[StatedError]
     fresh: FreshLimits | None

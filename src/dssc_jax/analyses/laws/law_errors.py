@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 from scipy import special
 
@@ -21,6 +22,7 @@ from dssc_jax.analyses.laws.answer import (
     Estimates,
     FailureShare,
     Guaranteed,
+    Knowledge,
     LawError,
     LawErrorsAnswer,
     WeightedAnswer,
@@ -28,7 +30,7 @@ from dssc_jax.analyses.laws.answer import (
 from dssc_jax.analyses.laws.any_failures import AnyFailures
 from dssc_jax.analyses.laws.changes import Shift, Widening
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits, fresh_limits
-from dssc_jax.analyses.laws.law_tables import TABLE, AllChanges, dataset_of, in_words
+from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, TABLE, AllChanges, dataset_of, in_words
 from dssc_jax.analyses.laws.scored_draws import FreshDraws, ScoredDraws
 from dssc_jax.analyses.laws.stated_errors import StatedAmounts, StatedError
 from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
@@ -41,6 +43,7 @@ from dssc_jax.runs.run import run
 from dssc_jax.statistics import CONFIDENCE, Replicated
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.study import Study
+from dssc_jax.study.laws import Law
 
 
 @dataclass(eq=False)
@@ -50,7 +53,9 @@ class LawErrors(Analysis):
     The dataset has along ``number``, the numbers whose laws can be changed: ``shift`` and ``widening``, how far the
     number's own law may be wrong with 95 % confidence; ``shift_estimate`` and ``widening_estimate``, the same without
     the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
-    shift within the worst shift of all means. Along ``size``, of a shift of all means, and ``width``, of all laws,
+    shift within the worst shift of all means. ``removed`` and ``changes``, with ``_low`` and ``_high``, say what it is
+    worth to know in which of ``parts`` parts of its law the number lies; ``failing_low``, ``failing_median`` and
+    ``failing_high`` where it lies in failed draws. Along ``size``, of a shift of all means, and ``width``, of all laws,
     it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
     ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
     ``widened_guaranteed``).
@@ -123,6 +128,7 @@ class LawErrors(Analysis):
             estimates=Estimates(**estimated, mean_shift=shift.estimate, widening=widening.estimate),
             weights=self.weights,
             most_important=self.most_important(),
+            measure_next=self.measure_next(),
             by_law=self.by_law(),
             stated=self.stated,
             fresh=self.fresh,
@@ -133,6 +139,11 @@ class LawErrors(Analysis):
         """The number whose mean may be least wrong, by the estimates; None if none of them reaches the limit."""
         shifts = self.dataset["shift_estimate"].values
         return None if np.isnan(shifts).all() else str(self.dataset[TABLE].values[np.nanargmin(shifts)])
+
+    def measure_next(self) -> str | None:
+        """The number whose knowledge removes most of the variance of failure; None if none is known to remove any."""
+        removed = np.where(self.dataset["removed_low"].values > 0.0, self.dataset["removed"].values, -np.inf)
+        return str(self.dataset[TABLE].values[removed.argmax()]) if np.isfinite(removed).any() else None
 
     def by_law(self) -> dict[str, LawError]:
         """How wrong each law may be alone."""
@@ -151,6 +162,8 @@ class LawErrors(Analysis):
                 median=law.median,
                 shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
                 in_worst_shift=float(row["worst_shift"]),
+                failing=failing_values(law, row),
+                knowledge=knowledge_in(row),
             )
         return rows
 
@@ -158,6 +171,22 @@ class LawErrors(Analysis):
 def known_value(value: float) -> float | None:
     """None for NaN."""
     return None if np.isnan(value) else value
+
+
+def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | None:
+    """Quantiles of a number among the failed draws; None if no draw fails."""
+    low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
+    return None if np.isnan(middle) else (low, middle, high)
+
+
+def knowledge_in(row: xr.Dataset) -> Knowledge | None:
+    """What knowing a number is worth; None if too few draws failed."""
+    parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
+        float(row[name]) for name in KNOWLEDGE
+    )
+    if parts == 0.0:
+        return None
+    return Knowledge(int(parts), removed, (removed_low, removed_high), changes, (changes_low, changes_high))
 
 
 def laws(

@@ -1,16 +1,36 @@
 """The dataset of how wrong the laws may be: a table of the laws, and curves over changes of all of them."""
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 import xarray as xr
+from scipy import special
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
 from dssc_jax.analyses.laws.any_failures import AnyFailures
 from dssc_jax.analyses.laws.scored_draws import ScoredDraws
 from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.statistics.partition import known_part
 
 TABLE = "number"
+KNOWLEDGE = {
+    "parts": "parts of equal probability of a law",
+    "removed": "share of the variance of failure that knowing the part removes",
+    "removed_low": "its lower limit",
+    "removed_high": "its upper limit",
+    "changes": "probability that knowing the part changes the decision",
+    "changes_low": "its lower limit",
+    "changes_high": "its upper limit",
+}
+"""Columns of what knowing a number is worth, with their meanings."""
+
+FAILING = {"failing_low": 0.05, "failing_median": 0.5, "failing_high": 0.95}
+"""Columns of levels in failed draws, with the quantile of each."""
+
+Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
+"""Dimension, values and attributes of a variable."""
+
 CLEAR = 2.0  # standard deviations of a mean score that could also be 0
 DEVIATIONS = "standard deviations"
 
@@ -30,8 +50,9 @@ def dataset_of(
     sizes, shifted = shift.curves()
     log_widths, widened = widening.curves()
     worst = dict(zip(draws.result.study.laws, shift.found.worst.amounts, strict=True))
-    columns: dict[str, tuple[object, ...]] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
+    columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
+    columns |= knowledge_columns(draws, shift.draws.confidence, limit)
     columns["worst_shift"] = (TABLE, part, deviations("part in the worst shift of all means"))
     for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
         columns[prefix] = (dimension, curve[:, 0], share("worst failure probability"))
@@ -47,7 +68,7 @@ def dataset_of(
 
 def law_columns(
     draws: ScoredDraws, shifts: WeightedDraws, widenings: WeightedDraws, bounds: AnyFailures, limit: float
-) -> dict[str, tuple[object, ...]]:
+) -> dict[str, Column]:
     """How wrong each law may be while all others are right."""
     table = np.empty((len(draws.names), 5))
     for row, name in zip(table, draws.names, strict=True):
@@ -66,6 +87,27 @@ def law_columns(
         "widening": (TABLE, table[:, 3], share("relative width, with confidence")),
         "widening_estimate": (TABLE, table[:, 4], share("relative width, estimate")),
     }
+
+
+def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
+    """What it is worth to know each number, and where it lies in failed draws."""
+    laws = list(draws.result.study.laws)
+    columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING)}
+    for name in draws.names:
+        levels = special.ndtr(draws.scores[:, laws.index(name)])
+        part = known_part(levels, draws.failed, limit, confidence)
+        numbers = (0, *[np.nan] * 6)
+        if part is not None:
+            numbers = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
+        failing = levels[draws.failed]
+        quantiles = np.quantile(failing, list(FAILING.values())) if failing.size else [np.nan] * len(FAILING)
+        for column, number in zip(columns.values(), (*numbers, *quantiles), strict=True):
+            column.append(float(number))
+    described = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
+    for name, quantile in FAILING.items():
+        meaning = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
+        described[name] = (TABLE, np.array(columns[name]), share(meaning))
+    return described
 
 
 def direction(shifts: WeightedDraws, free: np.ndarray) -> int:
