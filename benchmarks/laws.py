@@ -31,7 +31,7 @@ DRAWS = (256, 1024, 4096)
 PART = np.array([2.0, 1.0, 0.0]) / np.sqrt(5.0)
 """How three numbers take part in the failure; the last one does not."""
 STATED = 0.15
-VEHICLE_DRAWS, VEHICLE_LIMIT, NEW_DRAWS = 8192, 0.1, 2048
+VEHICLE_DRAWS, VEHICLE_LIMIT, NEW_DRAWS = 8192, 0.1, 1024
 Statement = Callable[[WeightedDraws, WeightedDraws, float, float], bool | None]
 """(draws weighted for shifts, and for widenings, p, limit) -> whether a statement holds; None: refused."""
 
