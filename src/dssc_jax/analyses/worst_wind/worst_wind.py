@@ -62,10 +62,10 @@ class WorstWindAnswer:
 class WorstWind(Analysis):
     """The worst wind found for each signal of a flight.
 
-    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and the
-    value of each uncertain number. Along ``signal`` and ``time`` it has the wind as
-    ``wind_x``, ``wind_y`` and ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot
-    of a cubic spline. :meth:`flight` is the study that flies it.
+    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and
+    the value of each uncertain number. Along ``signal`` and ``time`` it has the wind as ``wind_x``, ``wind_y`` and
+    ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot of a cubic spline.
+    :meth:`flight` is the study that flies it.
 
     Args:
         units: Unit of each signal.
