@@ -92,6 +92,19 @@ def test_winds_of_a_wrong_shape_are_refused(hover):
         dj.fly_winds(hover, np.zeros((2, 300, 3)))
 
 
+@pytest.mark.parametrize("rate", [None, 2.0])
+def test_random_winds_of_a_study_fly_within_its_bounds(hover, rate):
+    """None of many random winds is worse than the one that the search finds."""
+    study = hover if rate is None else hover.override({"wind.rate": rate})
+    winds = dj.switching_winds(study, 500, segments=20)
+    assert_within(winds, Limits(5.0, 2.5, rate), 0.5)
+    flown = dj.fly_winds(study, winds, smooth=rate is not None)
+    found = dj.worst_wind(study, signals=["error_max_x", "sigma_max_z"], segments=20, rounds=4)
+    for answer in found.answer.signals:
+        random = float(flown[answer.signal].max())
+        assert 0.3 * answer.worst < random <= answer.worst
+
+
 @pytest.mark.parametrize("rate", [None, 1.5])
 def test_candidates_stay_within_the_bounds(rate):
     limits = Limits(4.0, 1.0, rate)
