@@ -62,10 +62,10 @@ class WorstWindAnswer:
 class WorstWind(Analysis):
     """The worst wind found for each signal of a flight.
 
-    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and the
-    value of each uncertain number. Along ``signal`` and ``time`` it has the wind as
-    ``wind_x``, ``wind_y`` and ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot
-    of a cubic spline. :meth:`flight` is the study that flies it.
+    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and
+    the value of each uncertain number. Along ``signal`` and ``time`` it has the wind as ``wind_x``, ``wind_y`` and
+    ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot of a cubic spline.
+    :meth:`flight` is the study that flies it.
 
     Args:
         units: Unit of each signal.
@@ -183,8 +183,9 @@ def worst_wind(
     """Find the wind within the bounds of a study's wind that drives each signal to its worst value.
 
     Candidates are winds that swing along a line with a period, which resonate with the loop, and winds that switch to
-    random extremes. From the two worst of them for each signal, a climb steps towards the extreme wind of the signal's
-    gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its value.
+    random extremes. From the two worst of either kind for each signal, a climb steps towards the extreme wind of the
+    signal's gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its
+    value.
 
     Args:
         study: The study. Its wind declares its bounds; those of ``kind = "bounded"`` are its parameters. Its own sweep
@@ -235,6 +236,35 @@ def worst_wind(
         slopes=ascent.differentiated,
         seconds=time.perf_counter() - began,
     )
+
+
+def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed: int = 0) -> np.ndarray:
+    """Random winds within the bounds of a study's wind, for :func:`dssc_jax.fly_winds`.
+
+    Each one switches at random times to random extremes. The mean time between two switches is random, too, from one
+    part of the flight to all of it.
+
+    Args:
+        study: The study, whose wind declares its bounds.
+        count: Number of winds.
+        segments: Parts of the flight, of whole samples; a wind may change between two.
+        seed: Seed of the winds.
+
+    Returns:
+        The winds [m/s], shape (count, vectors, 3). Where the rate is bounded, they are the knots of splines, which
+        ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
+
+    Raises:
+        ConfigError: The wind has no known bounds or uncertain ones, or never blows.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> dj.switching_winds(dj.Study.load("studies/hover_wind.toml"), 7).shape
+        (7, 100, 3)
+    """
+    limits = limits_of(study)
+    grid = WindGrid.of(study, segments, limits.rate is not None)
+    return WindSet(limits, grid).switching(count, np.random.default_rng(seed))
 
 
 def limits_of(study: Study) -> Limits:
