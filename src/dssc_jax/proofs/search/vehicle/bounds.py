@@ -56,6 +56,10 @@ WORTH = 0.995
 """Improvement of the bound of |e| for which the search goes on."""
 
 
+Slopes = tuple[float, float, float]
+"""k_1, k_2 and k_n of the straight lines in place of a channel's functions."""
+
+
 @dataclass(frozen=True)
 class ChannelDeviations:
     """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
@@ -67,7 +71,7 @@ class ChannelDeviations:
         steepest: Largest K_P, K_I and tau_av.
     """
 
-    slopes: tuple[float, float, float]
+    slopes: Slopes
     distance: tuple[float, float, float]
     ratio: tuple[float, float, float]
     steepest: tuple[float, float, float]
@@ -84,7 +88,7 @@ class VehicleBounds:
         rotors: Bounds of the rotors.
     """
 
-    slopes: dict[str, tuple[float, float, float]]
+    slopes: dict[str, Slopes]
     damping: tuple[float, float]
     bounds: Signals
     rotors: Rotors
@@ -105,7 +109,7 @@ def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
 
 
-def best_slopes(points: GainPoints) -> tuple[float, float, float]:
+def best_slopes(points: GainPoints) -> Slopes:
     """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2."""
     size = np.abs(points.sigma)
     columns = points.columns
@@ -128,7 +132,7 @@ def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
     return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
 
 
-def deviations_of(points: GainPoints, slopes: tuple[float, float, float]) -> ChannelDeviations:
+def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     """What the functions deviate by from straight lines with these slopes."""
     size = np.abs(points.sigma)
     columns = points.columns
@@ -143,7 +147,7 @@ def deviations_of(points: GainPoints, slopes: tuple[float, float, float]) -> Cha
 
 
 def all_deviations(
-    problem: VehicleProblem, y: Signals, slopes: dict[str, tuple[float, float, float]]
+    problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]
 ) -> dict[str, ChannelDeviations]:
     """The deviations of every channel under the bounds of its sigma."""
     return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
@@ -243,7 +247,7 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> Veh
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
     regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
     regions = {name: max(region, 1e-3) for name, region in regions.items()}
-    slopes: dict[str, tuple[float, float, float]] = {}
+    slopes: dict[str, Slopes] = {}
     responses: dict[str, ChannelResponse] = {}
     chosen: dict[str, float] = {}
     for _ in range(ROUNDS):
@@ -270,7 +274,7 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> Veh
 def grown(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
-    slopes: dict[str, tuple[float, float, float]],
+    slopes: dict[str, Slopes],
     start: Signals,
     damping: tuple[float, float],
     regions: dict[str, float],
@@ -305,7 +309,7 @@ def inflated(signal: str, bound: float) -> float:
 def accepted(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
-    slopes: dict[str, tuple[float, float, float]],
+    slopes: dict[str, Slopes],
     y: Signals,
     damping: tuple[float, float],
 ) -> VehicleBounds | str:

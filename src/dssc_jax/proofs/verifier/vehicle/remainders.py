@@ -14,6 +14,8 @@ from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.drag import DragRegion, plane_drag, vertical_drag
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
+LEAST_ROTORS = 4
+"""Of these, net thrust and moments determine the thrusts."""
 SignalBalls = Mapping[str, Mapping[str, arb]]
 """Bounds of the signals, by channel and name."""
 
@@ -141,14 +143,7 @@ def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude) -> Rotors:
 
 
 def behind_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, rotors: Rotors) -> Behind:
-    """What rotors with a lag are behind by; zero without.
-
-    f_ci - f_i has a part d_4 that belongs to net thrust and moments. With more than four rotors it has another one, g,
-    in the null space of the allocation: f_c has none, so g' = -g/tau - N rho, with the orthogonal projection N on that
-    space. Its rows have the norm ((n - 4)/n)^(1/2) and the sum 0, and rho_i is within rho/2 of rho/2. So |g_i| is at
-    most tau (n - 4)^(1/2) rho/2, where rho is at most d^2/(4 tau f_min). As g is continuous and begins at 0, d is at
-    most the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
-    """
+    """What rotors with a lag are behind by; zero without."""
     if problem["rotor_lag"] == 0:
         return Behind(arb(0), arb(0), arb(0), arb(0))
     n = arb(problem["rotors"])
@@ -162,12 +157,23 @@ def behind_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: At
     d = arb(problem["believed_mass"]) * bounds["z"]["behind"] * body.secant / n
     d = d + 2 * at.believed_h * (bounds["x"]["behind"] + r_mh) / (g * n * arb(problem["arm"]))
     d = d + at.believed_z * (bounds["psi"]["behind"] + r_mz) / (n * arb(problem["torque_coefficient"]))
-    bent = (n - 4).sqrt() * d / (2 * rotors.smallest)
-    require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
-    d = 2 * d / (1 + (1 - bent).sqrt())
+    d = farthest_behind(n, d, rotors.smallest)
     rho = d * d / (4 * lag * rotors.smallest)
     slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
     return Behind(r_mh, r_mz, rho.upper(), (n * d / (2 * lag * slowest)).upper())
+
+
+def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
+    """(V3) A bound of |f_ci - f_i|, where ``d_4`` bounds the part of it that belongs to net thrust and moments.
+
+    With more than four rotors f_i has a part g_i in the null space of the allocation, too. f_c has none, so g' = -g/tau
+    - N rho with the orthogonal projection N on that space. Its rows have the norm ((n - 4)/n)^(1/2) and the sum 0, and
+    each rho_i is within rho/2 of rho/2. So |g_i| is at most tau (n - 4)^(1/2) rho/2, where rho is at most d^2/(4 tau
+    f_min). As g is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+    """
+    bent = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
+    require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - bent).sqrt())).upper()
 
 
 def drag_of(

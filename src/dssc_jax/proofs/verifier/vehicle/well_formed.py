@@ -14,6 +14,7 @@ from dssc_jax.proofs.verifier.vehicle.certificate import (
 )
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
 from dssc_jax.proofs.verifier.vehicle.premises import renamed
+from dssc_jax.proofs.verifier.vehicle.remainders import LEAST_ROTORS
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
     STARTS,
@@ -32,7 +33,6 @@ from dssc_jax.proofs.verifier.well_formed import (
 
 KIND = "vehicle"
 VERSION = 1
-LEAST_ROTORS = 4
 POSITIVE = (
     "sample_time",
     "velocity_gain",
