@@ -31,8 +31,8 @@ RANDOM = 24
 WALKS = (("hover_wind", (1.0, 14.0), None), (HOVER, (1.0, 14.0), None), (HOVER, (1.0, 14.0), 0.03))
 """Study, range of the wind [m/s], and lag of the rotors [s]."""
 GAINS = {
-    "controller.functions.kappa_o": {"logspace": [5.0, 100.0, 7]},
-    "controller.l0": {"logspace": [0.1, 3.0, 7]},
+    "controller.functions.kappa_o": {"logspace": [5.0, 100.0, 6]},
+    "controller.l0": {"logspace": [0.1, 3.0, 6]},
 }
 
 
