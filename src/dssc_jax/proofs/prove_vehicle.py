@@ -4,8 +4,10 @@ import json
 import math
 import time
 from dataclasses import dataclass
+from typing import ClassVar
 
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.claims import VEHICLE_CLAIM, Claim
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
 from dssc_jax.proofs.search.vehicle.cells import cell_bounds, cells_proof_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
@@ -38,6 +40,7 @@ class VehicleProved:
     verdict: VehicleVerdict | None
     failure: str
     seconds: float
+    claim: ClassVar[Claim] = VEHICLE_CLAIM
 
     @property
     def complete(self) -> bool:

@@ -59,8 +59,16 @@ class ProvedReach:
             "reason": self.reason or None,
             "tried": [{"value": value, "proved": proved} for value, proved in self.values],
             "error": None if self.last is None else self.last.error,
+            **({} if self.last is None else last_words(self.last)),
             "statement": self.statement(),
         }
+
+
+def last_words(proof: AnyProved) -> JsonObject:
+    """What the proof at the last proved value covers, and the bounds of a vehicle's signals there."""
+    summary = proof.summary()
+    bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
+    return {"covered": proof.claim.covered, **bounds}
 
 
 def proved_up_to(

@@ -18,7 +18,8 @@ class Margin(OutputOptions, DrawsOptions, WalkOptions):
 
     Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
     without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
-    With --prove, it also tells how far the sampled loop is proved, for all plants of the laws at once.
+    With --prove, it also tells how far the sampled loop is proved, for all plants of the laws, or all winds within the
+    bounds, at once.
     """
 
     controllers: Annotated[
@@ -33,7 +34,8 @@ class Theory(OutputOptions, DrawsOptions, WalkOptions):
 
     Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
     simulated margin. They answer different questions; where one of them does not apply, the answer says why. With
-    --prove, also how far the sampled loop is proved, for all plants of the laws at once.
+    --prove, also how far the sampled loop is proved, for all plants of the laws, or all winds within the bounds, at
+    once.
     """
 
     prove: Prove = False
