@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise notebooks pages screenshots exploring pareto docs clean
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise notebooks pages screenshots exploring pareto wind docs clean
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -69,6 +69,9 @@ exploring: $(VENV)/test  ## regenerate the measured part of docs/explore.md
 
 pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py
+
+wind: $(VENV)/test  ## regenerate the measured part of docs/wind.md: the worst winds found
+	$(BIN)/python -m benchmarks.wind
 
 $(VENV)/run: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -20,7 +20,11 @@ from dssc_jax.analyses.region.safe_region import RegionAxis as RegionAxis, SafeR
 from dssc_jax.analyses.sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
 from dssc_jax.analyses.tuning import Tuned as Tuned, tune as tune
 from dssc_jax.analyses.worst_wind.flights import fly_winds as fly_winds
-from dssc_jax.analyses.worst_wind.worst_wind import WorstWind as WorstWind, worst_wind as worst_wind
+from dssc_jax.analyses.worst_wind.worst_wind import (
+    WorstWind as WorstWind,
+    switching_winds as switching_winds,
+    worst_wind as worst_wind,
+)
 from dssc_jax.core.errors import ConfigError as ConfigError
 from dssc_jax.engine.integration import IntegrationError as IntegrationError, integration_error as integration_error
 from dssc_jax.engine.pure_functions import lane as lane, stepper as stepper

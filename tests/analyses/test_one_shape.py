@@ -41,6 +41,15 @@ PAIR = (dj.RegionAxis("unmodelled.mu", 0.02, 1.0, True), dj.RegionAxis("plant.k_
 TIMES = np.arange(75) * 0.02
 LOG = dj.FlightLog("sine", {name: Column(TIMES, np.sin(TIMES)) for name in ("y", "y_dot", "u_total")}, 0.0)
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
+HOVER = {
+    "name": "shape",
+    "seed": 2,
+    "loop": {"duration": 2.0, "sample_time": 0.02},
+    "plant": {"kind": "uav", "vehicle": {"kind": "m600_quadrotor", "mass": {"uniform": [10.5, 11.5]}}},
+    "controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 0.1},
+    "wind": {"kind": "bounded", "speed": 4.0},
+}
+"""What flies, for analyses that need a wind."""
 RUN = {
     "margin": lambda study: dj.margin(study, **WALK),
     "loop": lambda study: dj.loop_margins(study),
@@ -52,6 +61,7 @@ RUN = {
     "rare": lambda study: dj.rare(study, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),
+    "worst-wind": lambda study: dj.worst_wind(dj.Study.from_table(HOVER), segments=4, rounds=1),
     "theory": lambda study: dj.theory.assess(study, **WALK, rivals={"pi": study}),
 }
 """Each kind of analysis, as small as it can be."""

@@ -76,6 +76,42 @@ def test_compare(study, capsys):
     assert "McNemar" in capsys.readouterr().out
 
 
+HOVER = """
+name = "hover"
+loop = { duration = 2.0, sample_time = 0.02 }
+plant = { kind = "uav" }
+controller = { kind = "pi", l0 = 1.0, k_p = 1.0, k_i = 0.1 }
+wind = { kind = "bounded", speed = 4.0 }
+"""
+
+
+def test_worst_wind(study, capsys):
+    """Its worst flight, written as a study, has the worst value again; its wind as CSV can be a record."""
+    study.write_text(HOVER)
+    arguments = ["worst-wind", str(study), "--segments", "4", "--rounds", "1", "--signal", "error_max_x", "--out", "w"]
+    assert guarded([*arguments, "--json"]) == 0
+    found = last_json(capsys)
+    (answer,) = found["signals"]
+    assert answer["signal"] == "error_max_x"
+    assert found["flights"] > 500
+    folder = study.parent / "w"
+    for name in ("worst-wind.json", "figures/worst-wind.png", "flights/error_max_x.toml", "flights/error_max_x.csv"):
+        assert (folder / name).exists()
+    replayed = dj.simulate(dj.Study.load(folder / "flights" / "error_max_x.toml"))
+    assert abs(replayed["x_e"].values).max() == pytest.approx(answer["worst"], rel=1e-9)
+    columns = 'file = "w/flights/error_max_x.csv", columns = ["x", "y", "z"], interpolation = "hold"'
+    study.write_text(HOVER.replace('"bounded", speed = 4.0', f'"record", {columns}'))
+    recorded = dj.simulate(dj.Study.load(study))
+    assert abs(recorded["x_e"].values).max() == pytest.approx(answer["worst"], rel=1e-2)
+    study.write_text(HOVER)
+    assert guarded(arguments) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"error_max_x +[0-9.]+ +[0-9.]+ +m", shown)
+    assert "|w_h| <= 4 m/s, |w_z| <= 2 m/s, it may jump" in shown
+    assert guarded([*arguments[:-4], "--signal", "error_max_w"]) == 2
+    assert "unknown signal 'error_max_w'; did you mean" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

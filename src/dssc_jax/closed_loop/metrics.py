@@ -25,8 +25,8 @@ class Sample(NamedTuple):
     """The signals of one channel at a sample instant, for metrics.
 
     ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``sigma_measured`` is what the controller sees.
-    ``u`` is the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the draw's
-    own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
+    ``u`` is the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the
+    draw's own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
     """
 
     k: Scalar

@@ -47,8 +47,10 @@ def worst_wind(found: PlottedWorstWind) -> Figure:
         ax.set_title(f"{answer['signal']}: {reached.removesuffix(' 1')}", fontsize="medium")
     for ax in panels[len(answers) :]:
         ax.remove()
-    figure.supxlabel("time [s]")
-    figure.supylabel("wind [m/s]")
+    for ax in panels[max(0, len(answers) - columns) : len(answers)]:
+        ax.set_xlabel("time [s]")
+        ax.tick_params(labelbottom=True)
+    figure.supylabel("wind [m/s]", fontsize="medium")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     config = found.study.config

@@ -224,7 +224,7 @@ def fly_winds(
         >>> winds = np.zeros((2, 10, 3))
         >>> winds[1, :, 0] = 5.0
         >>> dj.fly_winds(study, winds)["error_max_x"].values.round(3).tolist()
-        [0.0, 0.206]
+        [0.0, 0.317]
     """
     shape = np.shape(winds)
     if len(shape) != 3 or shape[2] != 3 or shape[1] <= BEYOND * smooth:

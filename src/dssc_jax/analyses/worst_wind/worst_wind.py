@@ -62,10 +62,10 @@ class WorstWindAnswer:
 class WorstWind(Analysis):
     """The worst wind found for each signal of a flight.
 
-    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and the
-    value of each uncertain number. Along ``signal`` and ``time`` it has the wind as
-    ``wind_x``, ``wind_y`` and ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot
-    of a cubic spline. :meth:`flight` is the study that flies it.
+    The dataset has along ``signal``: ``worst``, the worst value; ``candidate``, that among the first candidates; and
+    the value of each uncertain number. Along ``signal`` and ``time`` it has the wind as ``wind_x``, ``wind_y`` and
+    ``wind_z``: a vector holds until the next time, or where the rate is bounded, is the knot of a cubic spline.
+    :meth:`flight` is the study that flies it.
 
     Args:
         units: Unit of each signal.
@@ -235,6 +235,35 @@ def worst_wind(
         slopes=ascent.differentiated,
         seconds=time.perf_counter() - began,
     )
+
+
+def switching_winds(study: Study, count: int, *, segments: int = SEGMENTS, seed: int = 0) -> np.ndarray:
+    """Random winds within the bounds of a study's wind, for :func:`dssc_jax.fly_winds`.
+
+    Each one switches at random times to random extremes. The mean time between two switches is random, too, from one
+    part of the flight to all of it.
+
+    Args:
+        study: The study, whose wind declares its bounds.
+        count: Number of winds.
+        segments: Parts of the flight, of whole samples; a wind may change between two.
+        seed: Seed of the winds.
+
+    Returns:
+        The winds [m/s], shape (count, vectors, 3). Where the rate is bounded, they are the knots of splines, which
+        ``smooth=True`` of :func:`dssc_jax.fly_winds` flies.
+
+    Raises:
+        ConfigError: The wind has no known bounds or uncertain ones, or never blows.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> dj.switching_winds(dj.Study.load("studies/hover_wind.toml"), 7).shape
+        (7, 100, 3)
+    """
+    limits = limits_of(study)
+    grid = WindGrid.of(study, segments, limits.rate is not None)
+    return WindSet(limits, grid).switching(count, np.random.default_rng(seed))
 
 
 def limits_of(study: Study) -> Limits:

@@ -39,7 +39,7 @@ def run(options: WorstWindOptions) -> int:
     files.make_folder(flights, folder)
     for signal in found.signals:
         write_flight(found, signal, flights)
-    print_analysis(found, figures, options, show_worst_wind, {"result": folder, "flights": flights})
+    print_analysis(found, figures, options, show_worst_wind, {"result": folder, "worst_flights": flights})
     return DONE
 
 

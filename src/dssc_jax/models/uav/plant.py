@@ -3,8 +3,6 @@
 import math
 from typing import Annotated, NamedTuple
 
-import jax.numpy as jnp
-
 from dssc_jax.core.contracts import Plant, Preset
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot, root_abs
@@ -171,7 +169,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     """Attitude and limits at a sample."""
     rotation = state.attitude.matrix()
     inner, thrusts = demanded_thrusts(params, state, drive)
-    tilt = atan2(jnp.sqrt(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)
+    tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = thrusts.limited, inner.bounded
     rotors = thrusts.commanded, params.vehicle.thrust_limit
     return UavInfo(*euler_of(rotation), tilt, inner.thrust, *limits, *rotors, drive.wind)
