@@ -5,9 +5,10 @@ compiled once for each structure of a loop, and takes every number of it from th
 """
 
 import dataclasses
+import json
 from collections.abc import Callable
 from enum import IntEnum
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -129,7 +130,7 @@ def wind_at(gust: Gust, state: UavState, held: Vec3, t: Scalar, dt: float, key: 
     swing_z = sign_of(jnp.sin(2.0 * jnp.pi * (t / gust.period_z + gust.phase_z)))
     swing = jnp.where(gust.policy == Policy.TURNED, turned_sign(gust.flips, t), swing)
     swing_z = gust.side * jnp.where(gust.policy == Policy.TURNED, turned_sign(gust.flips_z, t), swing_z)
-    motion = state.velocity + gust.weight * state.position
+    motion = state.position * gust.weight + state.velocity
     length = root_abs(motion.x**2 + motion.y**2)
     moves = length > 0.0
     along = jnp.where(moves, motion.x / jnp.where(moves, length, 1.0), 1.0)
@@ -154,8 +155,10 @@ def gust_names() -> list[str]:
 
 def gust_of(values: dict[str, jax.Array]) -> Gust:
     """A lane's gust."""
-    single = [values[f"gust.{name}"] for name in Gust._fields[:-2]]
-    return Gust(*single, *(tuple(values[f"gust.{name}.{i}"] for i in range(FLIPS)) for name in Gust._fields[-2:]))
+    numbers: dict[str, Any] = {name: values[f"gust.{name}"] for name in Gust._fields[:-2]}
+    for name in Gust._fields[-2:]:
+        numbers[name] = tuple(values[f"gust.{name}.{place}"] for place in range(FLIPS))
+    return Gust(**numbers)
 
 
 def parameters_of(study: dj.Study) -> tuple[dict[str, float], Any, list[str]]:
@@ -220,11 +223,13 @@ def engine_of(study: dj.Study) -> Engine:
     return ENGINES[structure]
 
 
-def response_times(study: dj.Study) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Times of the extrema of horizontal and of vertical signals after a gust that stays [s].
+@lru_cache(maxsize=64)
+def response_times(problem: str, duration: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Times of the extrema of horizontal and of vertical signals after a gust that stays [s], of a problem as JSON.
 
     A wind with changes of sign at these times before its end is the worst one of a linear loop.
     """
+    study = study_of(json.loads(problem), duration)
     speed, vertical = study.table["wind"]["speed"], study.table["wind"]["vertical"]
     constant = {"kind": "constant", "x": speed, "y": 0.0, "z": vertical}
     flown = dj.simulate(study.override({"wind": constant}))
@@ -240,10 +245,12 @@ def extrema(t: np.ndarray, signal: np.ndarray) -> np.ndarray:
     return t[1:-1][np.sign(slope[1:]) != np.sign(slope[:-1])]
 
 
-def random_gusts(study: dj.Study, count: int, rng: np.random.Generator) -> Columns:
-    """Gusts of every policy."""
+def random_gusts(
+    study: dj.Study, times: tuple[list[np.ndarray], list[np.ndarray]], count: int, rng: np.random.Generator
+) -> Columns:
+    """Gusts of every policy; see :func:`response_times`."""
     duration = study.loop.steps * study.loop.sample_time
-    plane, height = response_times(study)
+    plane, height = times
     policy = rng.choice(len(Policy), count, p=[0.2, 0.3, 0.25, 0.25])
     against = policy == Policy.AGAINST
     quarter = 0.5 * np.pi * rng.integers(0, 4, count) + np.where(rng.random(count) < 0.3, rng.normal(0, 0.3, count), 0)
@@ -268,9 +275,9 @@ def random_gusts(study: dj.Study, count: int, rng: np.random.Generator) -> Colum
         near = rng.choice(found, count) * rng.uniform(0.7, 1.4, count)
         columns[name] = np.where(resonates & (policy == Policy.SWING), near, columns[name])
     gusts = {f"gust.{name}": column for name, column in columns.items()}
-    for name, times in (("flips", plane), ("flips_z", height)):
-        table = np.stack([flips_before(each, duration) for each in times])
-        rows = table[rng.integers(0, len(times), count)]
+    for name, found in (("flips", plane), ("flips_z", height)):
+        table = np.stack([flips_before(each, duration) for each in found])
+        rows = table[rng.integers(0, len(found), count)]
         gusts |= {f"gust.{name}.{place}": rows[:, place] for place in range(FLIPS)}
     return gusts
 
@@ -308,7 +315,9 @@ class Flown(NamedTuple):
         return outside
 
 
-def fly(problem: JsonObject, bounds: JsonObject, count: int, seconds: float, seed: int) -> Flown:
+def fly(
+    problem: JsonObject, bounds: JsonObject, count: int, seconds: float, seed: int, like: JsonObject | None = None
+) -> Flown:
     """Fly vehicles of a problem in adversarial winds.
 
     Args:
@@ -318,6 +327,7 @@ def fly(problem: JsonObject, bounds: JsonObject, count: int, seconds: float, see
         count: Number of flights.
         seconds: Length of each.
         seed: Of vehicles, starts and winds.
+        like: The problem whose resonances the winds use; None: the problem itself.
     """
     rng = np.random.default_rng(seed)
     study = study_of(problem, seconds)
@@ -325,7 +335,8 @@ def fly(problem: JsonObject, bounds: JsonObject, count: int, seconds: float, see
     leaves, _, paths = parameters_of(study)
     columns = {path: np.full(count, leaves[path], float) for path in free(paths)}
     columns |= random_vehicles(problem, count, rng) | random_starts(problem, count, rng)
-    columns |= random_gusts(study, count, rng)
+    times = response_times(json.dumps(like or problem), seconds)
+    columns |= random_gusts(study, times, count, rng)
     results = evaluate(engine, columns, rng.integers(0, 2**31, count))
     return Flown(shares_of(problem, bounds, results), outside_of(results), columns)
 

@@ -114,7 +114,7 @@ def vehicle_numbers(problem: JsonObject, chosen: Columns) -> Columns:
 
 
 def random_vehicles(problem: JsonObject, count: int, rng: np.random.Generator) -> Columns:
-    """Vehicles within a problem's intervals: half of the numbers at an end of theirs, every nu_i within its interval."""
+    """Vehicles within a problem's intervals, every nu_i within its own; half of the numbers are at an end of theirs."""
     intervals = intervals_of(problem)
     chosen = {name: np.full(count, np.nan) for name in intervals}
     open_places = np.arange(count)
