@@ -179,6 +179,10 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
     behind = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
     behind += mass * y["z"]["behind"] * at.secant / n
+    bent = math.sqrt(n - 4) * behind / (2.0 * smallest)
+    if bent >= 1.0:
+        raise OutOfRange
+    behind = 2.0 * behind / (1.0 + math.sqrt(1.0 - bent))
     defect = behind**2 / (4.0 * problem.rotor_lag * smallest)
     spin_up = n * behind / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
     return Rotors(smallest, largest, spread, total, defect, spin_up)
