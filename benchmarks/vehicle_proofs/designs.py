@@ -22,7 +22,7 @@ FASTEST_WIND = 10.0  # m/s
 SLOWEST_MOTOR = 0.05  # s
 LONGEST_DELAY = 4.0  # samples
 MASS_SPREAD, INERTIA_SPREAD = 0.02, 0.05
-PROCESSES = 2
+PROCESSES = 3
 GAINS = ("l0", "functions.kappa_o", "functions.kappa_m", "functions.tau_av", "rho")
 
 
@@ -52,6 +52,14 @@ def law(rng: np.random.Generator, middle: float, spread: float) -> dict[str, lis
     return {"uniform": [middle - half, middle + half]}
 
 
+def inertia_laws(rng: np.random.Generator, inertia: tuple[float, ...]) -> list[dict[str, list[float]]]:
+    """Laws of the body's inertia; I_z is at most the sum of the others, as the triangle inequality demands."""
+    laws = [law(rng, value, INERTIA_SPREAD) for value in inertia]
+    x, y, z = (entry["uniform"] for entry in laws)
+    z[1] = min(z[1], x[0] + y[0])
+    return laws
+
+
 def random_changes(rng: np.random.Generator) -> dict[str, object]:
     """Changes of the tuned study: wind, gains, lag, delay, laws, rotors and starts."""
     speed = rng.uniform(1.0, FASTEST_WIND)
@@ -79,7 +87,7 @@ def random_changes(rng: np.random.Generator) -> dict[str, object]:
     if rng.random() < 0.5:
         changes["plant.vehicle.mass"] = law(rng, vehicle.mass, MASS_SPREAD)
     if rng.random() < 0.5:
-        changes["plant.vehicle.body_inertia"] = [law(rng, value, INERTIA_SPREAD) for value in vehicle.body_inertia]
+        changes["plant.vehicle.body_inertia"] = inertia_laws(rng, vehicle.body_inertia)
     if rng.random() < 0.4:
         changes |= {"plant.vehicle.rotor_angles": list(ring(6)), "plant.vehicle.spins": list(alternating(6))}
     if rng.random() < 0.3:
@@ -101,5 +109,5 @@ def design_of(seed: int) -> Design | str:
 def designs(tries: int) -> tuple[list[Design], list[str]]:
     """The proved ones of so many random loops, and why the others are not."""
     with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
-        found = pool.map(design_of, range(tries), chunksize=1)
+        found = list(pool.imap(design_of, range(tries)))
     return [each for each in found if isinstance(each, Design)], [each for each in found if isinstance(each, str)]
