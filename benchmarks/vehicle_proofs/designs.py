@@ -32,12 +32,10 @@ class Design(NamedTuple):
     Args:
         certificate: Its certificate.
         bounds: Bounds of its signals, see :func:`bounds_of`.
-        seconds: Time of search and verification [s].
     """
 
     certificate: JsonObject
     bounds: JsonObject
-    seconds: float
 
 
 def bounds_of(verdict: VehicleVerdict) -> JsonObject:
@@ -102,7 +100,7 @@ def design_of(seed: int) -> Design | str:
     proved = prove_vehicle(vehicle_problem_of(study))
     if not proved.complete or proved.verdict is None:
         return proved.reason
-    return Design(proved.certificate(), bounds_of(proved.verdict), proved.seconds)
+    return Design(proved.certificate(), bounds_of(proved.verdict))
 
 
 @cache

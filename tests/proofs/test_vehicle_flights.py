@@ -42,7 +42,7 @@ def design(request) -> Design:
     proved = prove_vehicle(vehicle_problem_of(dj.Study.load("hover_wind_tuned").override(CHANGES[request.param])))
     assert proved.complete, proved.reason
     assert proved.verdict is not None
-    return Design(plain(proved.certificate()), bounds_of(proved.verdict), proved.seconds)
+    return Design(plain(proved.certificate()), bounds_of(proved.verdict))
 
 
 def test_the_study_that_flies_is_that_of_the_certificate(design):
