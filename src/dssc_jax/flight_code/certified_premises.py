@@ -66,7 +66,6 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
         controller = problem["channels"][name]
         bounds = verdict.bounds[name]
         far, fast = controller["initial"]
-        units = study.units[i]
         channels.append(
             ChannelPremises(
                 label=labels[i],
@@ -79,7 +78,7 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
                 slides=True,
                 start=None if i < PLANE else ((-far, far), (-fast, fast)),
                 disturbance=None,
-                units=(units.output, units.command),
+                units=study.units[i],
             )
         )
     wind_h, wind_z = problem["wind"]
@@ -92,7 +91,7 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
         rotors=(verdict.rotor_min, verdict.rotor_max),
         rotor_count=problem["rotors"],
         statement=f"a hover in every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s",
-        unwatched="The wind, the vehicle's mass and its inertia are not measured: only what they do to the flight is seen.",
+        unwatched="Wind, mass and inertia are not measured: the monitor sees only what they do to the flight.",
     )
 
 
@@ -129,7 +128,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
         slides=problem["rho"] is not None,
         start=(tuple(e), tuple(e_dot)),
         disturbance=seen,
-        units=(units.output, units.command),
+        units=units,
     )
     return Premises(
         sample_time=problem["sample_time"],
@@ -138,7 +137,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
         tilt=None,
         rotors=None,
         rotor_count=0,
-        statement=f"one axis with |d| <= {level:g} {units.command} and |d'| <= {slope:g} {units.command}/s",
+        statement=f"one axis with |d| <= {level:g} {units.of('u')} and |d'| <= {slope:g} {units.of('u/s')}",
         unwatched=f"The disturbance is not seen: {unseen}." if unseen else "",
     )
 

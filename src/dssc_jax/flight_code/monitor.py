@@ -1,13 +1,14 @@
 """The monitor of a flight: a pure step function that tells which premise of a certificate the flight has left.
 
-``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one sample. Both are
-traced and written as C by the emitter of the controllers. A number that is not finite is a number that is not known: it
-raises no flag, and clears none that is latched.
+``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one sample. The
+emitter of the controllers writes it as C. A number that is not finite is a number that is not known: it raises no flag,
+and clears none that is latched.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.numerics import turned_near
@@ -68,9 +69,9 @@ class MonitorState(NamedTuple):
         channels: Memories of the channels.
     """
 
-    latched: Scalar
-    sample: Scalar
-    first: tuple[Scalar, ...]
+    latched: jax.Array
+    sample: jax.Array
+    first: tuple[jax.Array, ...]
     started: Scalar
     channels: tuple[ChannelMemory, ...]
 
@@ -82,7 +83,7 @@ class Deviation(NamedTuple):
     e_dot: Scalar
     sigma: Scalar
     rounding: Scalar
-    known: Scalar
+    known: jax.Array
 
 
 def initial_monitor(premises: Premises) -> MonitorState:
@@ -97,7 +98,7 @@ def initial_monitor(premises: Premises) -> MonitorState:
     return MonitorState(none, jnp.zeros((), jnp.int32), first, 0.0, tuple(memories))
 
 
-def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Scalar]:
+def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
     """One sample.
 
     Args:
@@ -122,8 +123,8 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
         raised.append(exceeds(sample.tilt, premises.tilt))
     if premises.rotors is not None:
         low, high = premises.rotors
-        raised.append(any_of([is_finite(rotor) & (rotor < low) for rotor in sample.rotor]))
-        raised.append(any_of([is_finite(rotor) & (rotor > high) for rotor in sample.rotor]))
+        raised.append(any_of([is_finite(rotor) & jnp.less(rotor, low) for rotor in sample.rotor]))
+        raised.append(any_of([is_finite(rotor) & jnp.greater(rotor, high) for rotor in sample.rotor]))
     current = flag_word(raised)
     first = []
     for flag, earlier in zip(raised, state.first, strict=True):
@@ -142,8 +143,8 @@ def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
     return Deviation(error.e, y_dot - y_ref_dot, error.sigma, roundings() * sizes, known)
 
 
-def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, Scalar]:
-    """Whether the start was compared, and whether it is outside: at the first sample at which every channel is known."""
+def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, jax.Array]:
+    """Whether the start was compared, and whether it is outside: at the first sample that has every channel."""
     outside = []
     for channel, at in zip(premises.channels, deviations, strict=True):
         if channel.start is not None:
@@ -154,54 +155,54 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
         x, y = deviations[:2]
         l0 = premises.channels[0].l0
         far, fast = premises.plane_start
-        outside.append(plane_norm(x.e, y.e) > far + (x.rounding + y.rounding) / l0)
-        outside.append(plane_norm(x.e_dot, y.e_dot) > fast + (x.rounding + y.rounding))
+        outside.append(jnp.greater(plane_norm(x.e, y.e), far + (x.rounding + y.rounding) / l0))
+        outside.append(jnp.greater(plane_norm(x.e_dot, y.e_dot), fast + (x.rounding + y.rounding)))
     known = deviations[0].known
     for at in deviations[1:]:
         known = known & at.known
-    begins = known & (state.started == 0.0)
+    begins = known & jnp.equal(state.started, 0.0)
     return jnp.where(begins, 1.0, state.started), begins & any_of(outside)
 
 
 def channel_flags(
     premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, at: Deviation
-) -> tuple[ChannelMemory, list[Scalar]]:
+) -> tuple[ChannelMemory, list[jax.Array]]:
     """The next memory of a channel, and its flags in the order of ``channel.flags()``."""
-    flags = [at.known & (jnp.abs(at.e) > channel.e)]
+    begun = jnp.greater(memory.gap, 0.0)
+    flags = [at.known & jnp.greater(jnp.abs(at.e), channel.e)]
     if channel.e_dot is not None:
-        flags.append(at.known & (jnp.abs(at.e_dot) > channel.e_dot))
-    flags.append(at.known & (jnp.abs(at.sigma) > channel.sigma))
+        flags.append(at.known & jnp.greater(jnp.abs(at.e_dot), channel.e_dot))
+    flags.append(at.known & jnp.greater(jnp.abs(at.sigma), channel.sigma))
     if channel.sigma_slope is not None:
         allowed = channel.sigma_slope * premises.sample_time * memory.gap + 2.0 * at.rounding
         change = jnp.abs(at.sigma - memory.sigma)
-        flags.append(at.known & (memory.gap > 0.0) & (change > allowed))
+        flags.append(at.known & begun & jnp.greater(change, allowed))
     if channel.slides:
-        flags.append(is_finite(sample.sliding_margin) & (sample.sliding_margin < 0.0))
+        flags.append(is_finite(sample.sliding_margin) & jnp.less(sample.sliding_margin, 0.0))
     seen = memory.seen
     if channel.disturbance is not None:
         seen, beyond = see(
             channel.disturbance, memory.seen, sample.y, sample.y_dot, at.known, sample.u_p, premises.sample_time
         )
         flags += [beyond.level, beyond.slope]
-    begun = memory.gap > 0.0
     gap = jnp.where(at.known, 1.0, jnp.where(begun, memory.gap + 1.0, 0.0))
     return ChannelMemory(jnp.where(at.known, at.sigma, memory.sigma), gap, seen), flags
 
 
-def is_finite(number: Scalar) -> Scalar:
+def is_finite(number: Scalar) -> jax.Array:
     """Whether a number is known: neither infinite nor NaN."""
-    return jnp.abs(number) <= float(jnp.finfo(jnp.result_type(float)).max)
+    return jnp.less_equal(jnp.abs(number), float(jnp.finfo(jnp.result_type(float)).max))
 
 
-def exceeds(number: Scalar, bound: float) -> Scalar:
+def exceeds(number: Scalar, bound: float) -> jax.Array:
     """Whether a known number is beyond a bound."""
-    return is_finite(number) & (jnp.abs(number) > bound)
+    return is_finite(number) & jnp.greater(jnp.abs(number), bound)
 
 
-def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> Scalar:
+def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Array:
     """Whether a number is outside of an interval."""
     low, high = interval
-    return (number < low - rounding) | (number > high + rounding)
+    return jnp.less(number, low - rounding) | jnp.greater(number, high + rounding)
 
 
 def plane_norm(x: Scalar, y: Scalar) -> Scalar:
@@ -209,7 +210,7 @@ def plane_norm(x: Scalar, y: Scalar) -> Scalar:
     return jnp.sqrt(x * x + y * y)
 
 
-def any_of(flags: Sequence[Scalar]) -> Scalar:
+def any_of(flags: Sequence[jax.Array]) -> jax.Array:
     """Whether at least one flag is raised."""
     raised = flags[0]
     for flag in flags[1:]:
@@ -217,7 +218,7 @@ def any_of(flags: Sequence[Scalar]) -> Scalar:
     return raised
 
 
-def flag_word(flags: Sequence[Scalar]) -> Scalar:
+def flag_word(flags: Sequence[jax.Array]) -> jax.Array:
     """The flags as the bits of a number, the first one lowest."""
     word = jnp.zeros((), jnp.uint32)
     for bit, flag in enumerate(flags):

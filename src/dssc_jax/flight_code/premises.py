@@ -5,6 +5,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from dssc_jax.core.units import ChannelUnits
+
 Interval: TypeAlias = tuple[float, float]
 """Both ends of an interval."""
 
@@ -67,26 +69,26 @@ class ChannelPremises:
     slides: bool
     start: tuple[Interval, Interval] | None
     disturbance: DisturbancePremises | None
-    units: tuple[str, str]
+    units: ChannelUnits
 
     def flags(self) -> list[Flag]:
         """The channel's flags, in the order of their bits."""
-        y, u = self.units
+        y, rate, change = (self.units.of(symbol) for symbol in ("y", "y/s", "y/s^2"))
         place = f" of {self.label}" if self.label else ""
         found = [Flag("e", f"|e|{place} exceeds {self.e:.4g} {y}, the certificate's bound.")]
         if self.e_dot is not None:
-            found.append(Flag("e_dot", f"|e'|{place} exceeds {self.e_dot:.4g} {y}/s, the certificate's bound."))
-        found.append(Flag("sigma", f"|sigma|{place} exceeds {self.sigma:.4g} {y}/s, the certificate's bound."))
+            found.append(Flag("e_dot", f"|e'|{place} exceeds {self.e_dot:.4g} {rate}, the certificate's bound."))
+        found.append(Flag("sigma", f"|sigma|{place} exceeds {self.sigma:.4g} {rate}, the certificate's bound."))
         if self.sigma_slope is not None:
-            bound = f"{self.sigma_slope:.4g} {y}/s^2"
+            bound = f"{self.sigma_slope:.4g} {change}"
             text = f"sigma{place} changes faster than {bound}: what acts on the channel is too large or too sudden."
             found.append(Flag("sigma_slope", text))
         if self.slides:
             text = f"The equivalent control{place} exceeds rho: the clip is active, and the loop does not slide."
             found.append(Flag("sliding", text))
         if self.disturbance is not None:
-            level = f"{self.disturbance.level:.4g} {u}"
-            slope = f"{self.disturbance.slope:.4g} {u}/s"
+            level = f"{self.disturbance.level:.4g} {self.units.of('u')}"
+            slope = f"{self.disturbance.slope:.4g} {self.units.of('u/s')}"
             found.append(Flag("disturbance", f"The disturbance{place} that the plant shows exceeds {level}."))
             found.append(Flag("disturbance_slope", f"The disturbance{place} changes faster than {slope}."))
         prefix = f"{self.label}_" if self.label else ""
@@ -100,7 +102,7 @@ class Premises:
     Args:
         sample_time: T_s [s].
         channels: One for each channel of the loop.
-        plane_start: Bounds of the norms of (e_x, e_y) [m] and (e_x', e_y') [m/s] at the first sample; None: of one axis.
+        plane_start: Bounds of the norms of (e_x, e_y) [m] and (e_x', e_y') [m/s] at the first sample, or None.
         tilt: Bound of the tilt [rad]; None: there is none.
         rotors: Interval of the rotors' commanded thrusts [N]; None: there is none.
         rotor_count: Number of rotors.

@@ -4,26 +4,30 @@ Over a sample, y'' = -a_p y' + k_p (v + d) gives exactly
 
     mean d = ((y'_k - y'_(k-1)) + a_p (y_k - y_(k-1)))/(k_p T_s) - mean v
 
-where v is the command after delay or lag. k_p, a_p and the lag's time constant are known in intervals only. So is v, hence
-d: the interval below holds the mean of d for every plant of the certificate. In the settled loop v = -u_av + u_n is nearly
-constant, the interval is narrow, and d = u_av - u_n.
+where v is the command after delay or lag. k_p, a_p and the lag's time constant are known in intervals only. So is v,
+hence d: the interval below holds the mean of d for every plant of the certificate. In the settled loop v = -u_av + u_n
+is nearly constant, the interval is narrow, and d = u_av - u_n.
 
-Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values that F_(k-1) averages are tau + T_s
-older than d_k in the mean. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
+Let F be the low-pass F_k = F_(k-1) + w (d_k - F_(k-1)), w = T_s/(tau + T_s). The values that F_(k-1) averages are
+tau + T_s older than d_k in the mean. So |d'| <= D implies |d_k - F_(k-1)| <= (tau + T_s) D.
 """
 
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.signals import Scalar
-from dssc_jax.flight_code.premises import DisturbancePremises
+from dssc_jax.flight_code.premises import DisturbancePremises, Interval
 
 LAGS_AVERAGED = 10
 """tau in time constants of all lags, and at least in samples."""
 UNKNOWN = 1e30
 """End of the interval of a command that is not known."""
+PASSED_MEAN_AT = 1.7933
+PASSED_MEAN_PEAK = 0.29843
+"""Where (1 - exp(-h) (1 + h))/h has its peak, and a bound of it."""
 
 
 class Enclosed(NamedTuple):
@@ -60,8 +64,8 @@ class SeenDisturbance(NamedTuple):
 class SeenFlags(NamedTuple):
     """Whether the disturbance is beyond its bound, and beyond that of its slope, for every plant."""
 
-    level: Scalar
-    slope: Scalar
+    level: jax.Array
+    slope: jax.Array
 
 
 def roundings() -> float:
@@ -86,7 +90,7 @@ def see(
     state: SeenDisturbance,
     y: Scalar,
     y_dot: Scalar,
-    measured: Scalar,
+    measured: jax.Array,
     command: Scalar,
     dt: float,
 ) -> tuple[SeenDisturbance, SeenFlags]:
@@ -101,20 +105,20 @@ def see(
         command: The command that acts from now on.
         dt: T_s [s].
     """
-    between = measured & (state.fresh > 0.0)
+    resumed = measured & jnp.greater(state.fresh, 0.0)
     seen = mean_disturbance(premises, state, y, y_dot, dt)
-    averaged = between & (state.averaging > 0.0)
+    averaged = resumed & jnp.greater(state.averaging, 0.0)
     weight = dt / (averaging_time(premises, dt) + dt)
     allowed = dt / weight * premises.slope + roundings() / weight * (jnp.abs(seen.low) + jnp.abs(seen.high))
-    rises = seen.low - state.average.high > allowed
-    falls = seen.high - state.average.low < -allowed
+    rises = jnp.greater(seen.low - state.average.high, allowed)
+    falls = jnp.less(seen.high - state.average.low, -allowed)
     flags = SeenFlags(
-        between & ((seen.low > premises.level) | (seen.high < -premises.level)),
+        resumed & (jnp.greater(seen.low, premises.level) | jnp.less(seen.high, -premises.level)),
         averaged & (rises | falls),
     )
     low = jnp.where(averaged, state.average.low + weight * (seen.low - state.average.low), seen.low)
     high = jnp.where(averaged, state.average.high + weight * (seen.high - state.average.high), seen.high)
-    average = Enclosed(jnp.where(between, low, state.average.low), jnp.where(between, high, state.average.high))
+    average = Enclosed(jnp.where(resumed, low, state.average.low), jnp.where(resumed, high, state.average.high))
     commands, lags, acting = acting_command(premises, state, command, dt)
     after = SeenDisturbance(
         y=jnp.where(measured, y, state.y),
@@ -124,7 +128,7 @@ def see(
         lags=lags,
         acting=acting,
         average=average,
-        averaging=jnp.where(between, 1.0, 0.0),
+        averaging=jnp.where(resumed, 1.0, 0.0),
     )
     return after, flags
 
@@ -144,34 +148,68 @@ def mean_disturbance(
     damping = max(map(abs, premises.a_p))
     sizes = jnp.abs(y_dot) + jnp.abs(state.y_dot) + damping * (jnp.abs(y) + jnp.abs(state.y))
     held = jnp.abs(state.acting.low) + jnp.abs(state.acting.high)
-    rounding = roundings() / (premises.k_p[0] * dt) * sizes + roundings() * held
+    memory = 1.0 + premises.lag_order * premises.mu[1] / dt  # samples over which roundings of the lags add up
+    rounding = roundings() / (premises.k_p[0] * dt) * sizes + memory * roundings() * held
     return Enclosed(lowest - state.acting.high - rounding, highest - state.acting.low + rounding)
 
 
 def acting_command(
     premises: DisturbancePremises, state: SeenDisturbance, command: Scalar, dt: float
 ) -> tuple[tuple[Enclosed, ...], tuple[Enclosed, ...], Enclosed]:
-    """Delayed commands, lags at the end of the sample that begins, and what acts on the plant until then.
-
-    The input of a lag stays within an interval I, its output x begins in an interval X. Within the sample x lies in the hull
-    of X and I; it ends at I + a (X - I), with a = exp(-T_s/mu) between its two ends.
-    """
+    """Delayed commands, lags at the end of the sample that begins, and the mean of what acts until then."""
     known = jnp.abs(command) < UNKNOWN
     newest = Enclosed(jnp.where(known, command, -UNKNOWN), jnp.where(known, command, UNKNOWN))
     ages = (newest, *state.commands)
     weights = premises.delay_weights
-    acting = Enclosed(
+    held = Enclosed(
         sum(weight * aged.low for weight, aged in zip(weights, ages, strict=True)),
         sum(weight * aged.high for weight, aged in zip(weights, ages, strict=True)),
     )
-    lags = []
-    for lag in state.lags:
-        slowest = math.exp(-dt / premises.mu[1])
-        fastest = math.exp(-dt / premises.mu[0])
-        above = lag.high - acting.high
-        below = lag.low - acting.low
-        highest = acting.high + jnp.maximum(slowest * above, fastest * above)
-        lowest = acting.low + jnp.minimum(slowest * below, fastest * below)
-        lags.append(Enclosed(lowest, highest))
-        acting = Enclosed(jnp.minimum(lag.low, acting.low), jnp.maximum(lag.high, acting.high))
-    return ages[:-1], tuple(lags), acting
+    if not state.lags:
+        return ages[:-1], (), held
+    ratios = lag_ratios(premises, dt)
+    first = state.lags[0]
+    if len(state.lags) == 1:
+        return ages[:-1], (between(held, (first, ratios.decay)),), between(held, (first, ratios.mean))
+    second = state.lags[1]
+    ends = (between(held, (first, ratios.decay)), between(held, (second, ratios.decay), (first, ratios.passed)))
+    return ages[:-1], ends, between(held, (second, ratios.mean), (first, ratios.passed_mean))
+
+
+def between(held: Enclosed, *parts: tuple[Enclosed, Interval]) -> Enclosed:
+    """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x."""
+    low = held.low
+    high = held.high
+    for x, (smallest, largest) in parts:
+        below = x.low - held.low
+        above = x.high - held.high
+        low = low + jnp.minimum(smallest * below, largest * below)
+        high = high + jnp.maximum(smallest * above, largest * above)
+    return Enclosed(low, high)
+
+
+class LagRatios(NamedTuple):
+    """Intervals of the ratios of a lag over a sample with the input v held, for h = T_s/mu.
+
+    One lag x' = (v - x)/mu ends at v + decay (x - v), and its mean is v + mean (x - v). A second one behind it, z, ends
+    at v + decay (z - v) + passed (x - v), and its mean is v + mean (z - v) + passed_mean (x - v).
+    """
+
+    decay: Interval  # exp(-h)
+    mean: Interval  # (1 - exp(-h))/h
+    passed: Interval  # h exp(-h)
+    passed_mean: Interval  # (1 - exp(-h) (1 + h))/h
+
+
+def lag_ratios(premises: DisturbancePremises, dt: float) -> LagRatios:
+    """The intervals of the ratios; the first two fall with h, the others rise to a single peak."""
+    ends = (dt / premises.mu[1], dt / premises.mu[0])
+    decay = tuple(math.exp(-h) for h in ends)
+    mean = tuple(-math.expm1(-h) / h for h in ends)
+    passed = tuple(h * math.exp(-h) for h in ends)
+    passed_mean = tuple((-math.expm1(-h) - h * math.exp(-h)) / h for h in ends)
+    highest = 1.0 / math.e if ends[0] < 1.0 < ends[1] else max(passed)
+    highest_mean = PASSED_MEAN_PEAK if ends[0] < PASSED_MEAN_AT < ends[1] else max(passed_mean)
+    return LagRatios(
+        (min(decay), max(decay)), (min(mean), max(mean)), (min(passed), highest), (min(passed_mean), highest_mean)
+    )

@@ -1,6 +1,7 @@
 """The monitor of a study's flight, traced: what its C is written from, and what its bits are compared with."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ from dssc_jax.flight_code.controller import FlightCode, TracedFunction
 from dssc_jax.flight_code.monitor import ChannelSample, MonitorSample, MonitorState, initial_monitor, monitor
 from dssc_jax.flight_code.premises import Premises
 from dssc_jax.lanes.tracing.origins import translate_with_origins
+
+Tree = TypeVar("Tree", MonitorState, MonitorSample)
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,12 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
         if leaf.dtype.kind == "f"
     ]
     return TracedMonitor(
-        rounded, f"{code.name}_monitor", tuple(inputs), tuple(memories), TracedFunction(program, origins), code.precision
+        rounded,
+        f"{code.name}_monitor",
+        tuple(inputs),
+        tuple(memories),
+        TracedFunction(program, origins),
+        code.precision,
     )
 
 
@@ -77,20 +85,24 @@ def typed(state: MonitorState) -> MonitorState:
 
 def monitor_state(premises: Premises) -> MonitorState:
     """Shapes and types of the state; to be called in the arithmetic of the monitor."""
-    state = typed(initial_monitor(premises))
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((), leaf.dtype), state)
+    return shapes(typed(initial_monitor(premises)))
+
+
+def shapes(tree: Tree) -> Tree:
+    """The tree with the shape and type of each scalar in its place."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((), leaf.dtype), tree)
 
 
 def sample_shape(premises: Premises) -> MonitorSample:
     """Shapes and types of a sample; to be called in the arithmetic of the monitor."""
-    number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+    number = jnp.zeros((), jnp.result_type(float))
     channels = []
     for channel in premises.channels:
         command = () if channel.disturbance is None else number
         margin = number if channel.slides else ()
         channels.append(ChannelSample(number, number, number, number, command, margin))
     tilt = () if premises.tilt is None else number
-    return MonitorSample(tuple(channels), tilt, (number,) * premises.rotor_count)
+    return shapes(MonitorSample(tuple(channels), tilt, (number,) * premises.rotor_count))
 
 
 def member_names_of(tree: MonitorState | MonitorSample, labels: list[str]) -> list[str]:
