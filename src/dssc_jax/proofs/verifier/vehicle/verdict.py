@@ -59,6 +59,7 @@ class VehicleVerdict(NamedTuple):
         settled_tilt: Bound of its upper limit [rad].
         rotor_min: Lower bound of the rotors' commanded thrusts [N].
         rotor_max: Upper bound of them [N].
+        slopes: Bounds of abs(sigma') between the samples, by channel. Empty if not proved.
         cell: Duration of a time cell [s]; 0 without cells.
         envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
     """
@@ -71,6 +72,7 @@ class VehicleVerdict(NamedTuple):
     settled_tilt: float
     rotor_min: float
     rotor_max: float
+    slopes: dict[str, float]
     cell: float = 0.0
     envelope: Envelope = MappingProxyType({})
 
@@ -87,7 +89,7 @@ def verify_vehicle(content: object) -> VehicleVerdict:
             return proved_verdict(certificate["problem"], certificate["proof"])
         except Rejected as rejected:
             infinite = float("inf")
-            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite)
+            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite, {})
 
 
 def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
@@ -122,9 +124,16 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
         float_above((settled["x"]["alpha"] / gravity).upper()),
         math.nextafter(float(rotors.smallest), -math.inf),
         float_above(rotors.largest),
+        {name: float_above(sigma_slope(name, largest, most).upper()) for name in CHANNELS},
         0.0 if listed is None else listed["samples"] * problem["sample_time"],
         {} if listed is None else envelope_of(cells),
     )
+
+
+def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
+    """A bound of abs(sigma') of a channel."""
+    slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
+    return slope + inputs.remainders.constant if name == "z" else slope
 
 
 def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inputs: Inputs) -> None:
@@ -134,9 +143,7 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     rho = arb(controller["rho"])
     y = bounds[name]
     law = inputs.deviations[name]
-    slope = y["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
-    if name == "z":
-        slope = slope + inputs.remainders.constant
+    slope = sigma_slope(name, bounds, inputs)
     before = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
     wanted = before + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
     require_premise(bool(wanted <= rho), f"V5: the equivalent control of {name} may exceed rho")
