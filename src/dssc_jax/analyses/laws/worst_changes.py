@@ -7,7 +7,7 @@ draws that fail form a convex set, it is concave in a shift and has one maximum 
 **What the limits claim.** For one change that is fixed in advance, the upper limit U of the weighted mean is above the
 true probability with its confidence. The worst change is such a change, although it is unknown. The largest U over all
 changes is not below U there, hence it bounds the worst probability with the same confidence. The lower limit of the
-best change follows in the same way.
+best change follows in the same way. It is taken where the weighted probability is largest, and U nearly so.
 """
 
 from collections.abc import Callable
