@@ -147,7 +147,7 @@ def vehicle() -> bool:
         f"{answer.failure.failures:,} of {answer.draws:,} vehicles fail: [{low:.3g}, {high:.3g}]. At most "
         f"{100 * answer.limit:g} % fail up to",
         "",
-        "| | with 95 % confidence | estimate | whatever draws fail | new draws |",
+        f"| | with 95 % confidence | estimate | whatever draws fail | {NEW_DRAWS:,} new draws |",
         "|---|---|---|---|---|",
     ]
     for name, ball in BALLS.items():
@@ -168,6 +168,8 @@ def vehicle() -> bool:
         unit = study.quantities[name].unit
         median = f"{law.shifted_median:.3g} {unit} instead of {law.median:.3g}" if law.shifted_median else ""
         rows.append(f"| `{name}` | {law.mean_shift:.3g} | {law.mean_shift_estimate:.3g} | {median} |")
+    others = len(answer.by_law) - len(reached)
+    rows += ["", f"The means of the other {others} numbers do not lead to the limit as far as the weights tell."]
     rows += ["", "| known to a tenth of its law | variance removed | decision changes |", "|---|---|---|"]
     for name, law in answer.by_law.items():
         knowledge = law.knowledge
@@ -178,8 +180,7 @@ def vehicle() -> bool:
         low, high = knowledge.changes_interval
         changes = f"{100 * knowledge.changes:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
         rows.append(f"| `{name}` | {removed} | {changes} |")
-    others = len(answer.by_law) - len(reached)
-    rows += ["", f"The means of the other {others} numbers do not lead to the limit as far as the weights tell."]
+    rows.append("")
     for stated_error in answer.stated:
         ends = stated_error.weighted_interval or stated_error.interval
         assert ends is not None  # the vehicle's laws are not correlated

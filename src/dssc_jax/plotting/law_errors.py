@@ -81,5 +81,5 @@ def law_panel(ax: Axes, data: xr.Dataset) -> None:
     ax.set_yticks(rows, [str(name) for name in data["number"].values[order]])
     ax.set_ylim(len(order) - 0.5, -0.5)
     ax.set_xlim(0.0, ROOM * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
-    ax.set_xlabel("shift of one mean alone [standard deviations]")
+    ax.set_xlabel("shift of one mean alone\n[standard deviations]")
     ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))

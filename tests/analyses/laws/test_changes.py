@@ -36,13 +36,14 @@ def test_weights_are_ratios_of_densities(change, scores):
     np.testing.assert_allclose(change.log_weights(np.zeros(3), scores), 0.0, atol=1e-12)
 
 
-def test_slopes_are_derivatives(change, scores):
-    slopes = change.slopes(AMOUNTS, scores)
+def test_mean_slopes_are_derivatives(change, scores):
+    shares = np.random.default_rng(6).dirichlet(np.ones(len(scores)))
+    slope = change.mean_slope(AMOUNTS, scores, shares)
     for number in range(3):
         step = np.zeros(3)
         step[number] = 1e-6
         difference = change.log_weights(AMOUNTS + step, scores) - change.log_weights(AMOUNTS - step, scores)
-        np.testing.assert_allclose(slopes[:, number], difference / 2e-6, atol=1e-7)
+        assert slope[number] == pytest.approx(shares @ difference / 2e-6, abs=1e-7)
 
 
 def test_changed_scores_have_the_changed_law(change):

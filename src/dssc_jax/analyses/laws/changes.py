@@ -46,8 +46,17 @@ class Change(ABC):
         """
 
     @abstractmethod
-    def slopes(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
-        """Derivatives of :meth:`log_weights` with respect to the amounts, shape (n, numbers)."""
+    def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
+        """Mean of the derivatives of :meth:`log_weights` with respect to the amounts.
+
+        Args:
+            amounts: Shape (numbers,).
+            scores: Shape (n, numbers).
+            shares: Share of each draw in the mean, with the sum 1, shape (n,).
+
+        Returns:
+            Shape (numbers,).
+        """
 
     @abstractmethod
     def log_second_moment(self, amounts: np.ndarray) -> float:
@@ -89,9 +98,9 @@ class Shift(Change):
         solved = self.precision @ amounts
         return scores @ solved - 0.5 * amounts @ solved
 
-    def slopes(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""
-        return (scores - amounts) @ self.precision
+        return (shares @ scores - amounts) @ self.precision
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """d' R^-1 d."""
@@ -128,10 +137,11 @@ class Widening(Change):
         shrunk = scores * np.exp(-amounts)
         return -amounts.sum() - 0.5 * (self._squares(shrunk) - self._squares(scores))
 
-    def slopes(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""
         shrunk = scores * np.exp(-amounts)
-        return shrunk * (shrunk @ self.precision) - 1.0
+        moments = (shrunk * shares[:, None]).T @ shrunk
+        return np.sum(self.precision * moments, axis=1) - 1.0
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""

@@ -7,7 +7,7 @@ draws that fail form a convex set, it is concave in a shift and has one maximum 
 **What the limits claim.** For one change that is fixed in advance, the upper limit U of the weighted mean is above the
 true probability with its confidence. The worst change is such a change, although it is unknown. The largest U over all
 changes is not below U there, hence it bounds the worst probability with the same confidence. The lower limit of the
-best change follows in the same way.
+best change follows in the same way. It is taken where the weighted probability is largest, and U nearly so.
 """
 
 from collections.abc import Callable
@@ -110,7 +110,7 @@ class WeightedDraws:
             largest = logarithms.max()
             weights = np.exp(logarithms - largest)
             value = float(largest + np.log(weights.sum()))
-            slope = weights @ self.change.slopes(amounts, failing) / weights.sum()
+            slope = self.change.mean_slope(amounts, failing, weights / weights.sum())
             return -sign * value, -sign * slope * self.free
 
         found = []
@@ -122,8 +122,9 @@ class WeightedDraws:
         """No change, and corners: towards the mean of the failing draws, and towards some of them."""
         towards = [failing.mean(axis=0), *failing[np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)]]
         corners = [np.where(sign * direction > 0.0, high, low) for direction in towards]
-        slope = sign * self.change.slopes(np.zeros(failing.shape[1]), failing).mean(axis=0)
-        return [np.zeros(failing.shape[1]), np.where(slope > 0.0, high, low), *corners]
+        still = np.zeros(failing.shape[1])
+        slope = sign * self.change.mean_slope(still, failing, np.full(len(failing), 1.0 / len(failing)))
+        return [still, np.where(slope > 0.0, high, low), *corners]
 
 
 @dataclass(frozen=True)
