@@ -9,6 +9,7 @@ from typing import ClassVar
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.claims import VEHICLE_CLAIM, Claim
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
+from dssc_jax.proofs.search.vehicle.cells import cell_bounds, cells_proof_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.proofs.vehicle_words import stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
@@ -70,7 +71,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers; ``bounds`` hold from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
+        """The outcome in plain numbers: ``bounds`` from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
         absent = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -100,8 +101,8 @@ class VehicleProved:
         tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
         rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
         return (
-            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never exceeds "
-            f"{plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
+            f"exceeds {plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:
@@ -131,10 +132,19 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
     began = time.perf_counter()
-    found = best_bounds(problem)
-    if isinstance(found, str):
-        return VehicleProved(problem, None, None, found, time.perf_counter() - began)
-    proof = proof_of(problem, found)
+    proof = found_proof(problem)
+    if isinstance(proof, str):
+        return VehicleProved(problem, None, None, proof, time.perf_counter() - began)
     verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
     failure = "" if verdict.proved else "verifier"
     return VehicleProved(problem, proof, verdict, failure, time.perf_counter() - began)
+
+
+def found_proof(problem: VehicleProblem) -> JsonObject | str:
+    """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
+    if any(any(channel.initial) for channel in problem.channels.values()):
+        in_cells = cell_bounds(problem)
+        if not isinstance(in_cells, str):
+            return cells_proof_of(problem, in_cells)
+    found = best_bounds(problem)
+    return found if isinstance(found, str) else proof_of(problem, found)

@@ -94,11 +94,13 @@ def proved_up_to(
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
-        ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
+        ConfigError: The bounds agree, a logarithmic scale has a bound that is not positive, or the number follows from
+            parameters.
     """
     safe, end = bounds
     if safe == end or (log and min(bounds) <= 0.0):
         raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
+    study.require_free(name)
     single = study.without_sweep()
     proofs: dict[float, tuple[float, AnyProved]] = {}
 

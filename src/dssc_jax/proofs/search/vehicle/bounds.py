@@ -146,9 +146,7 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     return ChannelDeviations(slopes, distance, share, (steepest, float(np.max(columns["k_i"])), reach))  # type: ignore[arg-type]
 
 
-def all_deviations(
-    problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]
-) -> dict[str, ChannelDeviations]:
+def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]) -> dict[str, ChannelDeviations]:
     """The deviations of every channel under the bounds of its sigma."""
     return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
@@ -339,16 +337,21 @@ def best_bounds(problem: VehicleProblem) -> VehicleBounds | str:
 
 def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
     """The proof as a certificate holds it."""
+    channels = middle_of(problem, found)
+    for name in CHANNELS:
+        channels[name]["bounds"] = found.bounds[name]
+    return {"channels": channels, "cells": None, "settled": None}
+
+
+def middle_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
+    """Slopes, damping of drag, lambda and P of each channel, as a certificate holds them."""
     linear = linear_channels(problem, found.damping)
-    channels = {}
+    channels: JsonObject = {}
     for name, damping in zip(CHANNELS, (*found.damping, 0.0), strict=True):
         step = sampled(problem, problem.channels[name], linear[name], found.slopes[name])
         falls, p = decay_of(step.a)
+        rate = falls / problem.sample_time
         channels[name] = {
-            "slopes": list(found.slopes[name]),
-            "drag_damping": damping,
-            "rate": falls / problem.sample_time,
-            "p": p.tolist(),
-            "bounds": found.bounds[name],
-        }
-    return {"channels": channels}
+            "slopes": list(found.slopes[name]), "drag_damping": damping, "rate": rate, "p": p.tolist(),
+        }  # fmt: skip
+    return channels

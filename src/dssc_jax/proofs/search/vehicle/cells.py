@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.vehicle.bounds import (
     ChannelDeviations,
     Slopes,
@@ -18,7 +19,9 @@ from dssc_jax.proofs.search.vehicle.bounds import (
     deviations_of,
     inflated,
     linear_channels,
+    middle_of,
     points_of,
+    proof_of,
     slides,
 )
 from dssc_jax.proofs.search.vehicle.channels import (
@@ -32,19 +35,16 @@ from dssc_jax.proofs.search.vehicle.channels import (
 from dssc_jax.proofs.search.vehicle.remainders import OutOfRange, Rotors, Signals, remainders_of, slopes_of
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
-CELL_SECONDS = 0.2
-HORIZONS = (10.0, 20.0, 40.0)
-"""Times [s] at which the last cell may begin; the first that closes is taken."""
+LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
+"""Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
-"""Logarithmic shares of the way from the settled vehicle's |sigma| to the start's, for whose regions slopes are tried."""
+"""Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 EXTRA_CELLS = 20
 """Cells beyond the first ones over which what they cause in the last cell is compared."""
-ITERATIONS = 60
+ITERATIONS = 400
 LARGEST_GROWTH = 100.0
 SETTLED = 1e-4
-REGION_ROOM = 1.06
-"""Widening of |sigma| in the regions of the functions, for the steps of the verifier's."""
-TABLE_RATIO = 1.1
+TABLE_RATIO = 1.005
 """Ratio of the regions at which the deviations are tabulated."""
 SMALLEST_REGION = 1e-7
 
@@ -55,31 +55,33 @@ class CellBounds:
 
     Args:
         last: The bounds of the last cell, all the time after the others, with slopes and damping.
+        settled: Those of the vehicle that starts at rest, with slopes and damping for upper limits.
         samples: Number of samples of the other cells.
         cells: Bounds of the signals in each of these.
     """
 
     last: VehicleBounds
+    settled: VehicleBounds
     samples: int
     cells: list[Signals]
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """What inputs of size 1 throughout a cell cause in a channel, by the number of cells between.
+    """What inputs of size 1 from some cell on cause in a channel, by the number of cells since.
 
     Args:
         response: The channel's response without cells.
-        between: K_m, (cells, rows, inputs).
-        later: The largest K_m from m on, (cells, rows, inputs).
-        whole: The sum over all samples, (rows, inputs).
+        most: Up to the last sample of the cell, (cells, rows, inputs).
+        least: Before its first sample, (cells, rows, inputs).
+        whole: In the end, (rows, inputs).
         constant: The largest response to the constant in each cell, the last one included, (cells, rows).
-        starts: The largest responses to e, e' and q_(-1) in each cell: those to the first two together, (cells, rows, 2).
+        starts: The largest responses in each cell to e and e' together, and to q_(-1), (cells, rows, 2).
     """
 
     response: ChannelResponse
-    between: np.ndarray
-    later: np.ndarray
+    most: np.ndarray
+    least: np.ndarray
     whole: np.ndarray
     constant: np.ndarray
     starts: np.ndarray
@@ -97,7 +99,7 @@ class DeviationTable:
 
     def at(self, sigma: float) -> ChannelDeviations:
         """The deviations in the smallest tabulated region that holds |sigma|."""
-        step = math.ceil(math.log(max(REGION_ROOM * sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
+        step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
         if step not in self.known:
             region = TABLE_RATIO**step
             self.known[step] = deviations_of(points_of(self.problem, self.name, region), self.slopes)
@@ -110,12 +112,12 @@ def cell_bounds(problem: VehicleProblem) -> CellBounds | str:
     settled = best_bounds(replace(problem, channels=resting))
     if isinstance(settled, str):
         return settled
-    samples = max(1, round(CELL_SECONDS / problem.sample_time))
     found: CellBounds | str = "gain"
-    for horizon in HORIZONS:
+    for duration, horizon in LAYOUTS:
+        samples = max(1, round(duration / problem.sample_time))
         for share in REGION_SHARES:
             slopes = {name: slopes_between(problem, name, settled.bounds[name]["sigma"], share) for name in CHANNELS}
-            found = marched(problem, replace(settled, slopes=slopes), samples, round(horizon / CELL_SECONDS))
+            found = marched(problem, settled, slopes, samples, round(horizon / duration))
             if not isinstance(found, str):
                 return found
     return found
@@ -129,23 +131,25 @@ def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: floa
     return best_slopes(points_of(problem, name, region))
 
 
-def marched(problem: VehicleProblem, settled: VehicleBounds, samples: int, count: int) -> CellBounds | str:
+def marched(
+    problem: VehicleProblem, settled: VehicleBounds, slopes: dict[str, Slopes], samples: int, count: int
+) -> CellBounds | str:
     """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
     linear = linear_channels(problem, settled.damping)
     kernels = {}
     for name in CHANNELS:
         channel = problem.channels[name]
-        response = channel_response(problem, channel, linear[name], settled.slopes[name])
+        response = channel_response(problem, channel, linear[name], slopes[name])
         if response is None:
             return "gain"
         length = samples * (count + EXTRA_CELLS)
-        series = channel_series(problem, channel, linear[name], settled.slopes[name], length)
+        series = channel_series(problem, channel, linear[name], slopes[name], length)
         kernels[name] = kernels_of(problem, name, response, series, samples, count)
-    tables = {name: DeviationTable(problem, name, settled.slopes[name]) for name in CHANNELS}
+    tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
     cells: list[Signals] = []
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in CHANNELS}
     rotors: Rotors | None = None
-    y = settled.bounds
+    y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
         closed = closed_cell(problem, kernels, tables, inputs, settled.damping, y, rotors, last=len(cells) == count)
         if closed is None:
@@ -157,7 +161,16 @@ def marched(problem: VehicleProblem, settled: VehicleBounds, samples: int, count
     if not slides_in_all(problem, tables, cells, settled.damping):
         return "sliding"
     assert rotors is not None
-    return CellBounds(replace(settled, bounds=cells[-1], rotors=rotors), samples, cells[:-1])
+    return CellBounds(VehicleBounds(slopes, settled.damping, cells[-1], rotors), settled, samples, cells[:-1])
+
+
+def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
+    """The proof as a certificate holds it."""
+    bounds = {
+        name: {key: [cell[name][key] for cell in found.cells] for key in found.cells[0][name]} for name in CHANNELS
+    }
+    cells = {"samples": found.samples, "bounds": bounds}
+    return proof_of(problem, found.last) | {"cells": cells, "settled": middle_of(problem, found.settled)}
 
 
 def kernels_of(
@@ -168,18 +181,16 @@ def kernels_of(
     together = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
     starts = np.stack([together, np.abs(series.starts[..., 2])], axis=-1)
     sums = np.cumsum(series.effects, axis=0)
-    windows = sums.copy()
-    windows[samples:] -= sums[:-samples]
-    between = in_cells(windows, samples)
-    later = np.maximum.accumulate(between[::-1], axis=0)[::-1]
     axes = axes_of(name, response)
-    factors = np.ones((axes.size, between.shape[-1]))
+    factors = np.ones((axes.size, sums.shape[-1]))
     factors[:, :2] = axes[:, None]  # the deviations of both axes as one vector
     by_start = with_last(in_cells(starts, samples), count)
     by_start[..., 1] *= axes
     constant = with_last(in_cells(np.abs(series.constant), samples), count)
     whole = response.gains.reshape(axes.size, -1) * factors
-    return Kernels(response, between * factors, later * factors, whole, constant, by_start)
+    most = sums[samples - 1 :: samples] * factors
+    least = np.concatenate([sums[:1] * factors, most[:-1]])
+    return Kernels(response, most, least, whole, constant, by_start)
 
 
 def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
@@ -210,11 +221,13 @@ def closed_cell(
     *,
     last: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
-    """Bounds of a cell that imply themselves, what they allow, and the rotors; None if there are none."""
+    """Bounds of a cell that imply themselves, what they allow, and the rotors; None if there are none.
+
+    The search for the fixed point begins at the bounds of the cell before: in the last cell, smaller bounds are not
+    better ones, since earlier inputs exceed them by more.
+    """
     base = {name: begun(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
-    y: Signals = {
-        name: {key: 1e-9 for key in kernels[name].response.names} for name in CHANNELS
-    }  # the least fixed point
+    y = start
     for _ in range(ITERATIONS):
         try:
             remainders, rotors = remainders_of(problem, y, damping, earlier)
@@ -226,19 +239,17 @@ def closed_cell(
         for name in CHANNELS:
             kernel = kernels[name]
             sizes[name] = sizes_of(kernel.response, tables[name], y[name]["sigma"], remainders[name])
-            caused = in_last_cell if last else in_cell
-            rows = base[name] + caused(kernel, inputs[name], sizes[name])
+            rows = base[name] + caused(kernel, inputs[name], sizes[name], last=last)
             bound = rows.reshape(kernel.response.gains.shape[:2]).max(axis=0)
             eighth = problem.sample_time / 8.0
             reached[name] = {
-                key: max(inflated(key, float(bound[i]) + eighth * slopes[name][key]), y[name][key])
+                key: inflated(key, float(bound[i]) + eighth * slopes[name][key])
                 for i, key in enumerate(kernel.response.names)
             }
-        growth = max(reached[name][key] / y[name][key] for name in CHANNELS for key in reached[name])
+        changes = [abs(reached[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in reached[name]]
         y = reached
-        if growth <= 1.0 + SETTLED:
+        if max(changes) <= SETTLED:
             return y, sizes, rotors
-    del start
     return None
 
 
@@ -252,19 +263,20 @@ def sizes_of(
     return np.array([by_u, by_q, *(remainders[key] for key in response.remainders)])
 
 
-def in_cell(kernel: Kernels, inputs: list[np.ndarray], now: np.ndarray) -> np.ndarray:
-    """What the inputs of earlier cells, and those of this one, cause in it, (rows,)."""
+def caused(kernel: Kernels, inputs: list[np.ndarray], now: np.ndarray, *, last: bool) -> np.ndarray:
+    """What the inputs of earlier cells, and those of this one, cause in it, (rows,).
+
+    An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
+    """
     sizes = np.array([*inputs, now])
-    return np.einsum("cri,ci->r", kernel.between[: len(sizes)][::-1], sizes)
-
-
-def in_last_cell(kernel: Kernels, inputs: list[np.ndarray], now: np.ndarray) -> np.ndarray:
-    """The same in the last cell: inputs of its size at all times, and by what those of earlier cells exceed them."""
-    result = kernel.whole @ now
-    if inputs:
-        excess = np.maximum(np.array(inputs) - now, 0.0)
-        result = result + np.einsum("cri,ci->r", kernel.later[1 : len(inputs) + 1][::-1], excess)
-    return result
+    changes = np.diff(sizes, axis=0)
+    count = len(changes)
+    if last:
+        result = kernel.whole @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
+    else:
+        result = kernel.most[count] @ sizes[0]
+        result = result + np.einsum("cri,ci->r", kernel.most[:count][::-1], np.maximum(changes, 0.0))
+    return result - np.einsum("cri,ci->r", kernel.least[:count][::-1], np.maximum(-changes, 0.0))
 
 
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:

@@ -167,9 +167,7 @@ def share_of_moments(problem: VehicleProblem, plane: float, yaw: float) -> float
     return 2.0 * max(j_x, j_y) * plane / (n * problem.arm) + j_z * yaw / (n * problem.torque_coefficient)
 
 
-def rotors_of(
-    problem: VehicleProblem, y: Signals, at: Attitude, moments: Moments, earlier: Rotors | None
-) -> Rotors:
+def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moments, earlier: Rotors | None) -> Rotors:
     """Bounds of the rotors; those of the cells before count with a lag.
 
     Raises:

@@ -1,0 +1,1 @@
+"""Regenerate the measured parts of docs/vehicle_proofs.md: ``make vehicle-proofs``."""
