@@ -59,7 +59,23 @@ def draw_flights(ax: Axes, study: dj.Study, proved: VehicleProved) -> float:
     limit = 1.15 * bound
     ax.set(xlim=(-limit, limit), ylim=(-limit, limit))
     ax.set_title(f"hover in any wind up to {proved.problem.wind[0]:g} m/s")
-    ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+    return found
+
+
+def draw(result: dj.Result, hover: dj.Study, proved: VehicleProved) -> float:
+    """Draw the figure: flights within the proved bound, and the map; the worst |e_x| found [m]."""
+    with rc_context(plotting.STYLE):
+        figure = Figure(figsize=(plotting.SLIDE[0], plotting.SLIDE[1] + 0.8), layout="constrained")
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
+        found = draw_flights(left, hover, proved)
+        plotting.standing(result, right)
+        handles, _ = left.get_legend_handles_labels()
+        legend = right.get_legend()
+        assert legend is not None
+        handles += legend.legend_handles
+        legend.remove()
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+        plotting.write(figure, DOCS / "figures" / "hover_wind.png")
     return found
 
 
@@ -73,12 +89,7 @@ def map_text() -> str:
     hover = dj.Study.load(HOVER)
     proved = dj.prove(hover)
     assert isinstance(proved, VehicleProved)
-    with rc_context(plotting.STYLE):
-        figure = Figure(figsize=(plotting.SLIDE[0], plotting.SLIDE[1] + 0.8), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        found = draw_flights(left, hover, proved)
-        plotting.standing(result, right)
-        plotting.write(figure, DOCS / "figures" / "hover_wind.png")
+    found = draw(result, hover, proved)
     share = result.failed.mean("draw").values
     kinds = standing_of(proofs.proved, share)
     counts = [f"{np.count_nonzero(kinds == kind)} ({text})" for kind, (_, text) in enumerate(STANDINGS)]
