@@ -136,7 +136,10 @@ def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> t
 def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
     """The errors of a channel; 0 where a measurement or a reference is not finite."""
     known = is_finite(seen.y) & is_finite(seen.y_dot) & is_finite(seen.y_ref) & is_finite(seen.y_ref_dot)
-    y, y_dot, y_ref, y_ref_dot = (jnp.where(known, number, 0.0) for number in seen[:4])
+    y = jnp.where(known, seen.y, 0.0)
+    y_dot = jnp.where(known, seen.y_dot, 0.0)
+    y_ref = jnp.where(known, seen.y_ref, 0.0)
+    y_ref_dot = jnp.where(known, seen.y_ref_dot, 0.0)
     desired = turned_near(y_ref, y) if channel.angle else y_ref
     error = tracking_error(Measurement(y, y_dot), ReferencePoint(desired, y_ref_dot, 0.0), channel.l0)
     sizes = jnp.abs(y_dot) + jnp.abs(y_ref_dot) + channel.l0 * (jnp.abs(y) + jnp.abs(desired))

@@ -16,7 +16,7 @@ INPUT_MEANINGS = {
     "y_ref": "the reference",
     "y_ref_dot": "its rate",
     "u_p": "the command of the controller",
-    "sliding_margin": "that of the controller's telemetry",
+    "sliding_margin": "that of the controller's telemetry; NAN if its step returned a flag",
     "tilt": "rad: angle between body z and the vertical",
     "rotor": "N: commanded thrust of a rotor",
 }

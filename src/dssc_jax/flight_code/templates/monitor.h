@@ -28,7 +28,7 @@ typedef struct {
     } memory;
 } @{name};
 
-/* No flag. To be called where the controllers are initialised or reset. */
+/* No flag, nothing seen. To be called where the controllers are initialised or reset. */
 void @{name}_init(@{name} *monitor);
 
 /* One sample, once the controllers have made theirs. Returns the flags that it raises. */
