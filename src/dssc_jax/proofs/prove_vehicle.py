@@ -16,6 +16,8 @@ from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehi
 
 VEHICLE_VERSION = 1
 VEHICLE_KIND = "vehicle"
+ROOMS = (1.0, 10.0)
+"""Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
 VEHICLE_REASONS = {
     "gain": "no bounds of the signals imply themselves",
     "sliding": "the equivalent control may exceed rho",
@@ -132,19 +134,26 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
     began = time.perf_counter()
-    proof = found_proof(problem)
-    if isinstance(proof, str):
-        return VehicleProved(problem, None, None, proof, time.perf_counter() - began)
-    verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
-    failure = "" if verdict.proved else "verifier"
-    return VehicleProved(problem, proof, verdict, failure, time.perf_counter() - began)
+    proof: JsonObject | str = "gain"
+    verdict: VehicleVerdict | None = None
+    for room in ROOMS:
+        proof = found_proof(problem, room)
+        if isinstance(proof, str):
+            break
+        verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
+        if verdict.proved:
+            return VehicleProved(problem, proof, verdict, "", time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    if isinstance(proof, str) and verdict is None:
+        return VehicleProved(problem, None, None, proof, seconds)
+    return VehicleProved(problem, None, verdict, "verifier", seconds)
 
 
-def found_proof(problem: VehicleProblem) -> JsonObject | str:
+def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
     """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
     if any(any(channel.initial) for channel in problem.channels.values()):
-        in_cells = cell_bounds(problem)
+        in_cells = cell_bounds(problem, room)
         if not isinstance(in_cells, str):
             return cells_proof_of(problem, in_cells)
-    found = best_bounds(problem)
+    found = best_bounds(problem, room)
     return found if isinstance(found, str) else proof_of(problem, found)

@@ -30,11 +30,11 @@ from dssc_jax.proofs.search.vehicle.remainders import (
 )
 from dssc_jax.proofs.vehicle_problem import CHANNELS, ChannelProblem, VehicleProblem
 
-INFLATION = 1.0 + 2e-3
-"""How much larger than F(Y) a bound in Y is, for what the verifier's balls and tails add."""
+INFLATION = 2e-3
+"""By how much a bound in Y is larger than F(Y), as a share, for what the verifier's balls and tails add."""
 FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
-FAST_INFLATION = 1.0 + 1.5e-2
+FAST_INFLATION = 1.5e-2
 SMALLEST_BOUND = 1e-12
 DISTANCE_ROOM = 1.01
 """Widening of a distance, for the verifier's enclosure."""
@@ -239,8 +239,11 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
     return True
 
 
-def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> VehicleBounds | str:
-    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``."""
+def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float], room: float) -> VehicleBounds | str:
+    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``.
+
+    ``room`` multiplies the room for the verifier.
+    """
     linear = linear_channels(problem, damping)
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
     regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
@@ -258,7 +261,7 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> Veh
             if response is None:
                 return "gain"
             responses[name] = response
-        found = grown(problem, responses, slopes, y, damping, chosen)
+        found = grown(problem, responses, slopes, y, damping, chosen, room)
         if found is None:
             return "gain"
         reached, closed = found
@@ -276,6 +279,7 @@ def grown(
     start: Signals,
     damping: tuple[float, float],
     regions: dict[str, float],
+    room: float,
 ) -> tuple[Signals, bool] | None:
     """The bounds after F is applied from small ones on, and whether they have become a fixed point.
 
@@ -289,7 +293,7 @@ def grown(
             reached, _, _ = applied(problem, responses, deviations, y, damping)
         except OutOfRange:
             return None
-        wider = {name: {key: inflated(key, value) for key, value in reached[name].items()} for name in CHANNELS}
+        wider = {name: {key: inflated(key, value, room) for key, value in reached[name].items()} for name in CHANNELS}
         growth = max(wider[name][key] / y[name][key] for name in CHANNELS for key in wider[name])
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
@@ -299,9 +303,10 @@ def grown(
     return None
 
 
-def inflated(signal: str, bound: float) -> float:
-    """A bound with room for the verifier."""
-    return max((FAST_INFLATION if signal in FAST else INFLATION) * bound, SMALLEST_BOUND)
+def inflated(signal: str, bound: float, room: float) -> float:
+    """A bound with so many times the usual room for the verifier."""
+    share = FAST_INFLATION if signal in FAST else INFLATION
+    return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 
 
 def accepted(
@@ -319,15 +324,18 @@ def accepted(
     return VehicleBounds(dict(slopes), damping, y, rotors)
 
 
-def best_bounds(problem: VehicleProblem) -> VehicleBounds | str:
-    """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none."""
+def best_bounds(problem: VehicleProblem, room: float = 1.0) -> VehicleBounds | str:
+    """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none.
+
+    ``room`` multiplies the room for the verifier.
+    """
     wind_h, wind_z = problem.wind
     k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
     speed = math.hypot(wind_h, wind_z)
     damping = (DAMPING_SHARE * k_h * speed, DAMPING_SHARE * k_z * speed)
-    best = vehicle_bounds(problem, damping)
+    best = vehicle_bounds(problem, damping, room)
     for step in DAMPING_STEPS:
-        trial = vehicle_bounds(problem, (step * damping[0], damping[1]))
+        trial = vehicle_bounds(problem, (step * damping[0], damping[1]), room)
         if isinstance(trial, str):
             continue
         if isinstance(best, str) or trial.bounds["x"]["e"] < best.bounds["x"]["e"]:

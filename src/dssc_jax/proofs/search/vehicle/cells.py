@@ -106,10 +106,10 @@ class DeviationTable:
         return self.known[step]
 
 
-def cell_bounds(problem: VehicleProblem) -> CellBounds | str:
-    """Bounds in cells of time, or why there are none."""
+def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
+    """Bounds in cells of time, or why there are none; ``room`` multiplies the room for the verifier."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    settled = best_bounds(replace(problem, channels=resting))
+    settled = best_bounds(replace(problem, channels=resting), room)
     if isinstance(settled, str):
         return settled
     found: CellBounds | str = "gain"
@@ -117,7 +117,7 @@ def cell_bounds(problem: VehicleProblem) -> CellBounds | str:
         samples = max(1, round(duration / problem.sample_time))
         for share in REGION_SHARES:
             slopes = {name: slopes_between(problem, name, settled.bounds[name]["sigma"], share) for name in CHANNELS}
-            found = marched(problem, settled, slopes, samples, round(horizon / duration))
+            found = marched(problem, settled, slopes, samples, round(horizon / duration), room)
             if not isinstance(found, str):
                 return found
     return found
@@ -132,7 +132,12 @@ def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: floa
 
 
 def marched(
-    problem: VehicleProblem, settled: VehicleBounds, slopes: dict[str, Slopes], samples: int, count: int
+    problem: VehicleProblem,
+    settled: VehicleBounds,
+    slopes: dict[str, Slopes],
+    samples: int,
+    count: int,
+    room: float,
 ) -> CellBounds | str:
     """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
     linear = linear_channels(problem, settled.damping)
@@ -151,7 +156,9 @@ def marched(
     rotors: Rotors | None = None
     y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
-        closed = closed_cell(problem, kernels, tables, inputs, settled.damping, y, rotors, last=len(cells) == count)
+        closed = closed_cell(
+            problem, kernels, tables, inputs, settled.damping, y, rotors, room, last=len(cells) == count
+        )
         if closed is None:
             return "gain"
         y, sizes, rotors = closed
@@ -218,6 +225,7 @@ def closed_cell(
     damping: tuple[float, float],
     start: Signals,
     earlier: Rotors | None,
+    room: float,
     *,
     last: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
@@ -243,7 +251,7 @@ def closed_cell(
             bound = rows.reshape(kernel.response.gains.shape[:2]).max(axis=0)
             eighth = problem.sample_time / 8.0
             reached[name] = {
-                key: inflated(key, float(bound[i]) + eighth * slopes[name][key])
+                key: inflated(key, float(bound[i]) + eighth * slopes[name][key], room)
                 for i, key in enumerate(kernel.response.names)
             }
         changes = [abs(reached[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in reached[name]]
