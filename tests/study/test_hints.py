@@ -117,3 +117,12 @@ def test_gains_as_books_write_them(written, meant):
     table = {"name": "small", "loop": {"duration": 1.0, "sample_time": 0.1}, "plant": {"kind": "normal_form"}}
     with pytest.raises(ConfigError, match=rf"controller.{written}: unknown name; did you mean '{meant}'\?"):
         Study.from_table({**table, "controller": {"kind": "pid", **gains}})
+
+
+@pytest.mark.parametrize(
+    ("word", "command"),
+    [("bode", "loop"), ("Nyquist", "loop"), ("step", "simulate"), ("pole", "theory"), ("mc", "run")],
+)
+def test_words_of_other_programs_lead_to_their_command(word, command, capsys):
+    assert guarded([word, "motor"]) == 2
+    assert capsys.readouterr().err.startswith(f"error: '{word}' is no command; dssc-jax {command} answers that")

@@ -1,6 +1,8 @@
 """Named numbers: expressions of parameters are the numbers that somebody would have written by hand."""
 
+import copy
 import math
+from random import Random
 from typing import Any
 
 import jax
@@ -13,6 +15,7 @@ from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.engine.sampling import draw
 from dssc_jax.study.described import Described, describe
 from dssc_jax.study.tables import changed
+from tests.mutations import places
 
 DRAWS = 12
 FILTER: dict[str, Any] = {
@@ -271,3 +274,48 @@ def test_a_description_keeps_expressions(study):
     assert read.uncertain == study.uncertain
     assert read.numbers["plant.denominator.2"].value == study.numbers["plant.denominator.2"].value
     assert read.followers("parameters.C") == study.followers("parameters.C") == BY_HAND
+
+
+HOSTILE = (
+    "=",
+    "=(",
+    "=1/0",
+    "=L",
+    "=C - C",
+    "=9**9**9**9",
+    "=exp(exp(99))",
+    "=w0",
+    "=R**-999",
+    "=sqrt(-R)",
+    "=min(L, C)",
+)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_expression_in_any_place_is_a_number_or_is_refused(seed):
+    rng = Random(seed)
+    refused = 0
+    for _ in range(60):
+        table = copy.deepcopy(FILTER) | {"sweep": {"controller.k_d": [0.0, 1e-6]}}
+        place = rng.choice(places(table))
+        holder: Any = table
+        for key in place[:-1]:
+            holder = holder[key]
+        holder[place[-1]] = rng.choice(HOSTILE)
+        try:
+            study = dj.Study.from_table(table)
+        except ConfigError:
+            refused += 1
+            continue
+        values = study.params({name: law.median for name, law in study.laws.items()})
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(values))
+    assert 20 < refused < 60
+
+
+@pytest.mark.parametrize("precision", [32, 64])
+def test_the_precision_is_the_study_s(precision):
+    study = dj.Study.from_table(changed(FILTER, {"loop.precision": precision, "draws": 4}, ""))
+    result = dj.run(study)
+    assert result.dataset["error_rms"].dtype == f"float{precision}"
+    exact = dj.run(study.override({"loop.precision": 64})).dataset["error_rms"]
+    np.testing.assert_allclose(result.dataset["error_rms"], exact, rtol=1e-3 if precision == 32 else 0.0)

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 from dssc_jax.core.errors import ConfigError, nearest
@@ -114,29 +114,9 @@ class Expression(Uncertain):
         Raises:
             ValueError: It may have no finite value.
         """
-        return self._support
+        return support_of(self)
 
-    @cached_property
-    def _support(self) -> tuple[float, float]:
-        if not self.laws:
-            value = self.median
-            if not math.isfinite(value):
-                raise ValueError(f"{self.text!r} has no finite value{self._place(())}")
-            return value, value
-        names = list(self.laws)
-
-        def values(*sides: Interval) -> Interval:
-            return self.between(dict(zip(names, sides, strict=True)))
-
-        found = range_of(values, [law.support for law in self.laws.values()])
-        bounded = all(math.isfinite(end) for law in self.laws.values() for end in law.support)
-        if found.undefined is not None:
-            raise ValueError(f"{self.text!r} has no finite value{self._place(found.undefined)}")
-        if bounded and not math.isfinite(found.low - found.high):
-            raise ValueError(f"{self.text!r} exceeds the largest number within the laws of {', '.join(names)}")
-        return found.low, found.high
-
-    def _place(self, point: tuple[float, ...]) -> str:
+    def place_of(self, point: tuple[float, ...]) -> str:
         """Where it has no value, as the end of a sentence."""
         values = dict(zip(self.laws, point, strict=True)) if point else {}
         values |= {p.dotted: p.content for p in self.parameters if isinstance(p.content, float)}
@@ -149,6 +129,29 @@ class Expression(Uncertain):
     def leaf(self) -> "float | Expression":
         """What stands in the loop's template: the value if no parameter has a law, else the expression itself."""
         return self if self.laws else self.support[0]
+
+
+@lru_cache(maxsize=4096)
+def support_of(expression: Expression) -> tuple[float, float]:
+    """See :attr:`Expression.support`; a study and its variants share the work."""
+    text = repr(expression.text)
+    if not expression.laws:
+        value = expression.median
+        if not math.isfinite(value):
+            raise ValueError(f"{text} has no finite value{expression.place_of(())}")
+        return value, value
+    names = list(expression.laws)
+
+    def values(*sides: Interval) -> Interval:
+        return expression.between(dict(zip(names, sides, strict=True)))
+
+    found = range_of(values, [law.support for law in expression.laws.values()])
+    bounded = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
+    if found.undefined is not None:
+        raise ValueError(f"{text} has no finite value{expression.place_of(found.undefined)}")
+    if bounded and not math.isfinite(found.low - found.high):
+        raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
+    return found.low, found.high
 
 
 @dataclass

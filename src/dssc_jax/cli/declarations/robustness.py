@@ -1,7 +1,7 @@
 """Options of the commands on a loop's robustness: margin, theory, compare, loop, region."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -38,6 +38,8 @@ class Theory(OutputOptions, DrawsOptions, WalkOptions):
     once.
     """
 
+    also: ClassVar = ("pole", "poles", "eig", "rlocus", "root-locus")
+
     prove: Prove = False
 
 
@@ -72,6 +74,8 @@ class Loop(OutputOptions, DrawsOptions):
     of all draws meet with 95 % confidence (Wilks); draws Bode, Nyquist and sensitivity fans. A vehicle hovers, or is
     linearised along its flight with --at. The study's [sweep] is ignored.
     """
+
+    also: ClassVar = ("bode", "nyquist", "allmargin", "sigma-plot")
 
     at: Annotated[
         str | None,
