@@ -95,8 +95,10 @@ def map_text() -> str:
     counts = [f"{np.count_nonzero(kinds == kind)} ({text})" for kind, (_, text) in enumerate(STANDINGS)]
     ratio = (proofs.bounds["|e_x|, |e_y|"] / result.dataset["error_max_x"].max("draw").values)[proofs.proved]
     lags, winds = study.axes.values()
-    reach = [f"{lag:.3g} s: {max(np.array(winds)[row], default=0.0):g} m/s"
-             for lag, row in zip(lags, proofs.proved, strict=True)]  # fmt: skip
+    reach = []
+    for lag, row in zip(lags, proofs.proved, strict=True):
+        told = f"{max(np.array(winds)[row]):g} m/s" if row.any() else "none"
+        reach.append(f"{lag:.3g} s: {told}")
     return (
         f"`dssc-jax sweep hover_wind_map --prove`: {share.size} points, {result.failed.sizes['draw']} draws at each; "
         f"{', '.join(counts)}. {int((proofs.proved & (share > 0.0)).sum())} proved points have a draw that fails. The "
