@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs vehicle-proofs fuzz paper conservatism noise notebooks pages screenshots exploring pareto wind docs clean
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws notebooks pages screenshots exploring pareto wind docs clean hover vehicle-proofs
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -58,6 +58,9 @@ vehicle-proofs: $(VENV)/test  ## regenerate the measured part of docs/vehicle_pr
 fuzz: $(VENV)/test  ## regenerate a part of docs/lanes.md: 100,000 random programs of jax.lax as machine code, half an hour
 	$(BIN)/python -m benchmarks.fuzz --page
 
+laws: $(VENV)/run  ## regenerate the measured parts of docs/laws.md: the vehicle, and how often the bounds hold
+	$(BIN)/python -m benchmarks.laws
+
 notebooks: $(VENV)/test  ## run the notebooks anew; a test tells where their stored output is old
 	$(BIN)/python -m benchmarks.notebooks
 
@@ -72,6 +75,9 @@ exploring: $(VENV)/test  ## regenerate the measured part of docs/explore.md
 
 pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py
+
+hover: $(VENV)/test  ## regenerate docs/figures/hover_wind.png and a part of docs/vehicle_proofs.md: hover in bounded wind
+	$(BIN)/python -m benchmarks.hover
 
 wind: $(VENV)/test  ## regenerate the measured part of docs/wind.md: the worst winds found
 	$(BIN)/python -m benchmarks.wind

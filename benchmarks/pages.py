@@ -26,7 +26,8 @@ STUDY_FILE = """# The study file
 
 Every table and field, generated from the schema (`make pages`). `dssc-jax info KIND` prints one kind in the terminal.
 Numbers are in SI units and radians; y stands for the unit of the plant's output and u for that of its command. A law
-may replace a number unless *admissible* excludes it.
+may replace a number unless *admissible* excludes it. An expression of [parameters](parameters.md), as `"=1/(L*C)"`, may
+replace any number.
 """
 COMMANDS = """# Commands
 

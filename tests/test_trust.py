@@ -121,6 +121,19 @@ def test_a_result_is_read_without_its_code(received):
     assert not mark.exists()
 
 
+def test_laws_of_a_result_need_no_code(spy, capsys):
+    """How wrong they may be follows from its draws; new draws run the code, and are refused."""
+    dj.run(dj.Study.load("own.toml").without_sweep(), spy / "plain")
+    mark = forget(spy)
+    arguments = ["laws", "plain", "--limit", "0.9", "--out", "l", "--json"]
+    assert guarded(arguments) == 0
+    assert "controller.stiffness" in json.loads(capsys.readouterr().out)["by_law"]
+    assert isinstance(dj.load("l").study, Described)
+    assert guarded([*arguments, "--fresh", "8"]) == 2
+    assert "spy:" in capsys.readouterr().err
+    assert not mark.exists()
+
+
 def test_what_the_theorem_says_is_kept(spy):
     whole = dj.run(dj.Study.from_table(SENSED), spy / "sensed")
     assert "certified" in whole.with_theorem().dataset

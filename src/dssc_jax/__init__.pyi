@@ -10,6 +10,7 @@ from dssc_jax.analyses.comparison import (
     compare_margins as compare_margins,
 )
 from dssc_jax.analyses.falsification.falsify import Falsified as Falsified, falsify as falsify
+from dssc_jax.analyses.laws.law_errors import LawErrors as LawErrors, laws as laws
 from dssc_jax.analyses.loading import load as load
 from dssc_jax.analyses.loop_margins import LoopMargins as LoopMargins, loop_margins as loop_margins
 from dssc_jax.analyses.margins import Margins as Margins, margin as margin
@@ -32,6 +33,7 @@ from dssc_jax.exploration import explore as explore
 from dssc_jax.flight_logs.comparison import LogComparison as LogComparison, compare_log as compare_log
 from dssc_jax.flight_logs.reader import FlightLog as FlightLog, read_log as read_log
 from dssc_jax.proofs.prove import Proved as Proved, check_certificate as check_certificate, prove as prove
+from dssc_jax.proofs.prove_vehicle import VehicleProved as VehicleProved
 from dssc_jax.proofs.reach import ProvedReach as ProvedReach, proved_up_to as proved_up_to
 from dssc_jax.results.analysis import Analysis as Analysis
 from dssc_jax.results.export import export as export

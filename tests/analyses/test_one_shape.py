@@ -56,6 +56,7 @@ RUN = {
     "margins": lambda study: dj.compare_margins(study, ["dssc", "pi"], **WALK),
     "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
     "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),
+    "laws": lambda study: dj.laws(study.override({"draws": 200}), limit=0.7, within={"kl": 0.1}, shift=0.1, fresh=64),
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
     "rare": lambda study: dj.rare(study, SPENT),

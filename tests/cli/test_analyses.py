@@ -135,6 +135,52 @@ def test_bad_margins_and_comparisons(study, capsys, arguments, told):
     assert told in capsys.readouterr().err
 
 
+def test_laws(study, capsys):
+    arguments = ["laws", str(study), "--draws", "200", "--limit", "0.9", "--out", "l"]
+    assert guarded([*arguments, "--within", "kl=0.1", "--shift", "0.2", "--widening", "1.1", "--json"]) == 0
+    found = last_json(capsys)
+    assert {"failure", "total_variation", "kl", "chi_square", "mean_shift", "widening", "by_law"} <= found.keys()
+    assert {"probability", "interval"} <= found["failure"].keys()
+    assert list(found["by_law"]) == ["plant.k_p"]
+    assert [row["kind"] for row in found["stated"]] == ["kl", "mean_shift", "widening"]
+    for name in ("laws.json", "summary.json", "figures/laws.png"):
+        assert (study.parent / "l" / name).exists()
+    assert guarded([*arguments, "--fresh", "50"]) == 0
+    shown = capsys.readouterr().out
+    assert "at most 90 % fail up to" in shown
+    assert "50 new draws" in shown
+
+
+def test_laws_of_a_result(study, capsys):
+    assert guarded(["run", str(study), "--draws", "200", "--out", "r", "--json"]) == 0
+    failures = last_json(capsys)["points"][0]["failures"]
+    assert guarded(["laws", "r", "--limit", "0.9", "--out", "l", "--json"]) == 0
+    assert last_json(capsys)["failure"]["failures"] == failures
+    assert guarded(["laws", str(study), "--draws", "200", "--limit", "0.9", "--out", "m", "--json"]) == 0
+    assert last_json(capsys)["failure"]["failures"] == failures
+    for option in (["--draws", "9"], ["--seed", "9"], ["--set", "seed=9"]):
+        assert guarded(["laws", "r", *option]) == 2
+        assert f"{option[0]}: has no meaning with a result" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--limit", "2"], "must lie in (0, 1), got 2"),
+        (["--within", "kl"], "must be NAME=VALUE"),
+        (["--within", "kl=much"], "must be NAME=RADIUS"),
+        (["--within", "lk=1"], "'lk' is no divergence"),
+        (["--shift", "-1"], "must be finite and 0 or more"),
+        (["--widening", "0.5"], "must be finite and 1 or more"),
+        (["--fresh", "-5"], "must be 0 or more"),
+        (["--set", "sampling=sobol", "--draws", "32"], "needs independent draws"),
+    ],
+)
+def test_bad_laws(study, capsys, arguments, told):
+    assert guarded(["laws", str(study), *arguments]) == 2
+    assert told in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("command", [["margin", "--over", "plant.k_p=1.2:0.1"], ["compare", "--controllers", "pi,smc"]])
 def test_designs_of_draws_are_refused(study, capsys, command):
     smc = "[compare.smc]\nkind = 'smc'\nl0 = 1.0\ngain = 1.0\n"

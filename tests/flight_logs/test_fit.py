@@ -315,3 +315,23 @@ def test_a_number_in_a_list_is_proposed_with_the_list(noisy):
     narrower = dj.Study.from_table({**study.table, **proposed, "plant": {**plant, **proposed["plant"]}})
     assert narrower.laws["plant.numerator.0"] == fitted.law("plant.numerator.0")
     assert fitted.summary()["noise_unit"] == {"": "m"}
+
+
+def test_parameters_are_fitted_as_numbers_are(noisy):
+    u, y = noisy
+    parameters = {
+        "m": {"uniform": [0.7, 2.0], "unit": "kg", "meaning": "mass"},
+        "b": {"normal": [0.9, 0.2]},
+        "unseen": {"uniform": [0.0, 1.0]},
+    }
+    plant = {"kind": "normal_form", "k_p": "=1/m", "a_p": "=b/m", "initial": [0.5, 0.0]}
+    reference = {"kind": "sine", "amplitude": "=0.5 + 0*unseen", "period": 2.0}
+    study = linear(plant=plant, parameters=parameters, reference=reference)
+    fitted = fit_log(study, log_of(y, u))
+    assert fitted.names == ("parameters.m", "parameters.b")
+    found = optimize.least_squares(lambda at: y - output(1.0 / at[0], at[1] / at[0], u), [1.0, 1.0], xtol=1e-14)
+    assert (np.abs(fitted.estimates - found.x) < 1e-3 * fitted.deviations).all()
+    proposal = tomllib.loads(fitted.toml())
+    assert proposal["parameters"]["m"]["unit"] == "kg"
+    assert proposal["parameters"]["m"].keys() == {"truncated_normal", "unit", "meaning"}
+    assert study.override({f"parameters.{name}": law for name, law in proposal["parameters"].items()}).laws

@@ -80,9 +80,17 @@ def test_case_1_within_its_published_gains() -> None:
 
 def test_starts_away_from_the_hovering_point() -> None:
     """A start raises the bounds from the start on, and not those of the settled vehicle."""
-    proved = vehicle({"plant.position": [0.3, 0.0, 0.1], "wind.speed": 3.0, "wind.vertical": 1.5})
+    changes = {"wind.speed": 3.0, "wind.vertical": 1.5}
+    proved = vehicle({"plant.position": [0.3, 0.0, 0.1], **changes})
+    rests = vehicle(changes)
     assert proved.complete, proved.reason
-    assert proved.largest_error > 0.3 > proved.error
+    assert 0.36 > proved.largest_error > 0.3 > proved.error
+    assert proved.error == pytest.approx(rests.error, rel=0.01)
+    summary = proved.summary()
+    envelope = summary["envelope"]["x"]["e"]
+    assert max(envelope) == proved.largest_error
+    assert envelope[0] > 2.0 * envelope[-1] > rests.error
+    assert summary["cell"] == pytest.approx(0.2)
 
 
 REFUSALS: list[tuple[dict[str, object], str]] = [

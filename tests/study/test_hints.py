@@ -105,3 +105,24 @@ def test_separators_of_a_file(line, hint, tmp_path):
     with pytest.raises(ConfigError, match="is not valid TOML") as caught:
         Study.load(file)
     assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("Kp", "k_p"), ("KP", "k_p"), ("K-p", "k_p"), ("kp", "k_p"), ("Ki", "k_i"), ("KD", "k_d"), ("L0", "l0")],
+)
+def test_gains_as_books_write_them(written, meant):
+    gains = {"k_p": 4.0, "k_i": 0.5, "k_d": 2.0, "l0": 1.0}
+    gains[written] = gains.pop(meant)
+    table = {"name": "small", "loop": {"duration": 1.0, "sample_time": 0.1}, "plant": {"kind": "normal_form"}}
+    with pytest.raises(ConfigError, match=rf"controller.{written}: unknown name; did you mean '{meant}'\?"):
+        Study.from_table({**table, "controller": {"kind": "pid", **gains}})
+
+
+@pytest.mark.parametrize(
+    ("word", "command"),
+    [("bode", "loop"), ("Nyquist", "loop"), ("step", "simulate"), ("pole", "theory"), ("mc", "run")],
+)
+def test_words_of_other_programs_lead_to_their_command(word, command, capsys):
+    assert guarded([word, "motor"]) == 2
+    assert capsys.readouterr().err.startswith(f"error: '{word}' is no command; dssc-jax {command} answers that")

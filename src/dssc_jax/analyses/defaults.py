@@ -31,3 +31,5 @@ HALVINGS = 3
 SEGMENTS, CLIMBS = 100, 10
 """Worst wind: parts of the flight in each of which a wind is constant, and largest number of steps of a climb."""
 LEAST_SEGMENTS, MOST_SEGMENTS, MOST_CLIMBS = 2, 400, 1000
+LIMIT = 0.05
+"""Laws: largest failure probability allowed."""

@@ -22,6 +22,7 @@ KINDS = {
     "falsify": "dssc_jax.analyses.falsification.falsify:Falsified",
     "tune": "dssc_jax.analyses.tuning:Tuned",
     "loop": "dssc_jax.analyses.loop_margins:LoopMargins",
+    "laws": "dssc_jax.analyses.laws.law_errors:LawErrors",
     "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
     "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
     "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",

@@ -9,7 +9,9 @@ from dssc_jax.analyses.loading import Loaded, description, load
 from dssc_jax.cli.declarations.types import DrawsOptions, SeededOptions, StudyOptions
 from dssc_jax.cli.output import say
 from dssc_jax.cli.parsing import parse_changes
+from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result, load_result
 from dssc_jax.study import Study, read_toml
@@ -105,3 +107,15 @@ def controller_names(text: str) -> list[str]:
         raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{wanted}'?")
     show_code("command", {"names": names})
     return names
+
+
+def read_json(path: Path) -> object:
+    """The content of a file.
+
+    Raises:
+        ConfigError: it cannot be read, or it is no plain JSON.
+    """
+    try:
+        return certificate_content(files.read_text(path))
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(path), f"cannot be read: {error}") from None

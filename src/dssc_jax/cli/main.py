@@ -12,7 +12,7 @@ from dataclasses import fields
 from types import FrameType
 from typing import NoReturn
 
-from dssc_jax.cli.application import COMMANDS, app
+from dssc_jax.cli.application import COMMANDS, MEANT, app
 from dssc_jax.cli.exit_codes import BAD_INPUT, DONE
 from dssc_jax.cli.output import say
 from dssc_jax.core.errors import ConfigError
@@ -100,6 +100,10 @@ def with_options(text: str, arguments: list[str]) -> str:
 
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn an exception that ends it into an exit code."""
+    meant = MEANT.get(arguments[0].lower()) if arguments else None
+    if meant is not None:
+        say(f"error: '{arguments[0]}' is no command; dssc-jax {meant} answers that, see dssc-jax {meant} --help")
+        return BAD_INPUT
     try:
         code = app(arguments or ["--help"], standalone_mode=False)
     except SystemExit as ending:

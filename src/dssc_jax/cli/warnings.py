@@ -1,4 +1,4 @@
-"""Warnings of a command, on standard error: of noise, of unusual vehicles, of integration."""
+"""Warnings of a command, on standard error: of unused parameters, noise, unusual vehicles, integration."""
 
 from collections.abc import Mapping
 
@@ -23,7 +23,9 @@ def warn_of_vehicle(study: Study) -> None:
 
 
 def warn_of_study(study: Study) -> None:
-    """Print a warning where noise is predicted to move the loop, where an exact y' flatters it, and of odd vehicles."""
+    """Print a warning of unused parameters, of odd vehicles, and where noise or an exact y' misleads."""
+    for name in study.unused_parameters():
+        say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_vehicle(study)
     for warning in (noise_warning, rate_warning):
         if text := warning(study):

@@ -13,7 +13,7 @@ def show_proof(summary: dict[str, Any], path: Path | None) -> None:
     """Print the statement, and the boxes that are not proved."""
     console = output()
     console.print(summary["statement"], soft_wrap=True, markup=False)
-    if summary["failures"]:
+    if any(failure["box"] for failure in summary["failures"]):  # a vehicle is no box: the statement has the reason
         rows = []
         for failure in summary["failures"][:MOST_SHOWN]:
             ranges = [f"{low:.4g} .. {high:.4g}" for low, high in failure["box"].values()]

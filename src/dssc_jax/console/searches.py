@@ -6,8 +6,9 @@ from rich.markup import escape
 
 from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
 from dssc_jax.analyses.tuning.objective import Verdict
-from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned
+from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
+from dssc_jax.study import Study
 
 ENDED = "ended early"
 
@@ -22,7 +23,7 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
     show_verdict(answer.verdict.verdict, answer.objective)
     if answer.gradients:
         console.print(f"gradients: {answer.gradients.text}")
-    show_search(answer.search)
+    show_search(tuned.study, answer.search)
     show_files(files)
 
 
@@ -46,15 +47,15 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
     console.print(f"cost draw by draw, result less start: median {median} in [{low}, {high}] (95 %, exact)")
 
 
-def show_search(search: SearchFacts) -> None:
+def show_search(study: Study, search: SearchFacts) -> None:
     """Print what was certified, proved and hunted, and how the search ended."""
     console = output()
     if search.certified_points is not None:
         console.print(f"certified: all {search.certified_points} points that were visited, by Theorem 1")
     aimed = search.aimed
     if aimed is not None:
-        name = "proved bound of |e|" if aimed.over is None else f"last proved {aimed.over}"
-        console.print(f"{name}: {aimed.start:.4g} at the start, {aimed.result:.4g} at the result", markup=False)
+        meaning = aim_quantity(study).meaning
+        console.print(f"{meaning}: {aimed.start:.4g} at the start, {aimed.result:.4g} at the result", markup=False)
     if search.proved_points is not None:
         console.print(f"proved: all {search.proved_points} points that were accepted, with lag and sampling")
     if search.proof is not None:

@@ -64,10 +64,22 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
         raise ConfigError(subject, f"{type(error).__name__}: {text}{place}") from error
 
 
+def folded(name: str) -> str:
+    """A name without what people confuse first: capital letters, underscores and hyphens."""
+    return name.lower().replace("_", "").replace("-", "")
+
+
+def close_names(name: str, valid: Iterable[str]) -> list[str]:
+    """The valid name that a misspelt one stands for; empty if none is near."""
+    names = sorted(map(str, valid))
+    alike = [known for known in names if folded(known) == folded(name)]
+    return alike[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+
+
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest valid name, or all valid names."""
     names = sorted(map(str, valid))
-    closest = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    closest = close_names(name, names)
     if not closest:  # the last part of a dotted path is what people remember
         tail = name.rpartition(".")[2]
         closest = [full for full in names if full.rpartition(".")[2] == tail][:1]

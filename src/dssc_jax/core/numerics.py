@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from types import ModuleType
 from typing import TypeVar
 
 import jax
@@ -24,6 +25,11 @@ def arithmetic(precision: int = 64) -> Iterator[None]:
     """Set JAX's precision in bits, and silence NumPy's overflow warnings: an overflow is an outcome."""
     with jax.enable_x64(precision == 64), np.errstate(all="ignore"):
         yield
+
+
+def namespace(*values: object) -> ModuleType:
+    """``jax.numpy`` if a value is JAX's, else NumPy, which uses float64 for every precision of JAX."""
+    return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

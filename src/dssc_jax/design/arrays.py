@@ -1,19 +1,11 @@
 """Helpers for formulas that accept numbers, NumPy arrays or traced values."""
 
-from types import ModuleType
 from typing import Any, TypeAlias
 
-import jax
-import jax.numpy as jnp
-import numpy as np
+from dssc_jax.core.numerics import namespace
 
 Numeric: TypeAlias = Any
 """A number, a NumPy array, or a traced value."""
-
-
-def namespace(*values: Numeric) -> ModuleType:
-    """``jax.numpy`` if a value is JAX's, else NumPy, which uses float64 for every precision of JAX."""
-    return jnp if any(isinstance(value, jax.Array) for value in values) else np
 
 
 def greater(first: Numeric, second: Numeric) -> Numeric:

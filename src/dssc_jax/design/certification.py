@@ -19,6 +19,7 @@ from dssc_jax.core.normal_form import NormalForm, RealisedSystem, normal_form, t
 from dssc_jax.core.zero_dynamics import ZeroDynamics
 from dssc_jax.design import Bounds, Parameters, certified
 from dssc_jax.design.arrays import Numeric, greater
+from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.design.practice import predictor_pole
 from dssc_jax.models.controllers.dssc import DSSC
 from dssc_jax.models.controllers.gain_functions import Vgsta
@@ -30,7 +31,7 @@ from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.references import ZERO
 from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
 from dssc_jax.study import Described, Study
-from dssc_jax.study.laws import SPREAD, Law
+from dssc_jax.study.laws import SPREAD
 
 OUTSIDE = {
     "loop": "it is of continuous time",
@@ -73,23 +74,6 @@ class Reach(NamedTuple):
     text: str
 
 
-class Ends(NamedTuple):
-    """Lowest and highest value of every number of a loop, each an array over the sweep's axes or a number."""
-
-    low: Numeric
-    high: Numeric
-
-    def largest(self, name: str) -> Numeric:
-        """Largest magnitude of a field."""
-        return np.maximum(np.abs(getattr(self.low, name)), np.abs(getattr(self.high, name)))
-
-    def part(self, name: str, index: int | None = None) -> "Ends":
-        """The lowest and highest values of a part."""
-        low = getattr(self.low, name)
-        high = getattr(self.high, name)
-        return Ends(low, high) if index is None else Ends(low[index], high[index])
-
-
 class PlantBounds(NamedTuple):
     """The plant's share of the bounds: those of k_p, |a_p| and |stiffness|, and the zero dynamics."""
 
@@ -128,6 +112,9 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
         name: Dotted name of the number.
         values: Values of the number, from its safe end, shape (n,).
     """
+    if name in study.parameter_names:
+        refusal = parameter_refusal(study, name)
+        return Reach(None, refusal) if refusal else certified_up_to(study, name, np.asarray(values, float))
     part = name.partition(".")[0]
     if part == "unmodelled":
         verdict, reason = mark(study.override({"sweep": {}}))
@@ -140,6 +127,15 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     if part in OUTSIDE or name in OUTSIDE:
         return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))
+
+
+def parameter_refusal(study: Study, name: str) -> str:
+    """Why the theorem cannot follow a parameter; empty if it covers every number that follows from it."""
+    for follower in study.followers(name):
+        part = follower.partition(".")[0]
+        if part == "unmodelled" or part in OUTSIDE or follower in OUTSIDE:
+            return f"Theorem 1 does not cover {name}: {follower} follows from it, and it knows nothing of that"
+    return ""
 
 
 def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
@@ -218,7 +214,7 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
         raise NotCovered(OTHER_FUNCTIONS)
     if gains.sign_width is not None:
         raise NotCovered("the sign is smoothed (sign_width), so that nothing slides on sigma_tilde = 0")
-    if any(isinstance(leaf, Law) for name, leaf in study.leaves().items() if is_gain(name) and name not in study.axes):
+    if any(map(is_gain, study.uncertain)):
         raise NotCovered("the controller's own numbers are uncertain")
     constants = gains.functions._asdict() | {"eps": gains.functions.epsilon, "l0": gains.l0}
     parameters = Parameters(**{name: constants[name] for name in Parameters._fields})
@@ -228,17 +224,6 @@ def design_of(study: Study) -> tuple[Parameters, Bounds]:
 def is_gain(name: str) -> bool:
     """Whether a dotted name belongs to the functions or is l0."""
     return name.startswith("controller.functions.") or name == "controller.l0"
-
-
-def ends_of(study: Study) -> Ends:
-    """The loop's parameters at both ends of every law; swept values lie along their axes."""
-    count = len(study.axes)
-    swept: dict[str, Numeric] = {
-        name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
-        for position, (name, values) in enumerate(study.axes.items())
-    }
-    low, high = (study.params({name: law.support[end] for name, law in study.laws.items()} | swept) for end in (0, 1))
-    return Ends(low, high)
 
 
 def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
@@ -270,7 +255,7 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
         return PlantBounds(low.k_p, high.k_p, ends.largest("a_p"), low.zero_dynamics)
     if model not in (STATE_SPACE, RATIONAL_PLANT):
         raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
-    if model is STATE_SPACE and low.disturbance not in (None, low.b):
+    if model is STATE_SPACE and low.disturbance is not None and not are_equal(low.disturbance, low.b):
         raise NotCovered("the disturbance has an input column of its own, and (7) takes it where the command acts")
     if is_certain(low, high):
         form = form_of(model, low)
@@ -293,9 +278,14 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
     )
 
 
+def are_equal(first: Numeric, second: Numeric) -> bool:
+    """Whether two columns hold the same plain numbers."""
+    return all(isinstance(leaf, int | float) for leaf in jax.tree.leaves((first, second))) and first == second
+
+
 def is_certain(low: Numeric, high: Numeric) -> bool:
     """Whether a linear plant's numbers are plain, and the same at both ends."""
-    return low == high and all(isinstance(leaf, int | float) for leaf in jax.tree.leaves(low))
+    return all(isinstance(leaf, int | float) for leaf in jax.tree.leaves((low, high))) and low == high
 
 
 def form_of(model: Plant, params: Any) -> NormalForm:

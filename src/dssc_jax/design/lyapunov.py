@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.design.arrays import Numeric, namespace, ratio_where
+from dssc_jax.core.numerics import namespace
+from dssc_jax.design.arrays import Numeric, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.table1 import Parameters, f
 

@@ -7,7 +7,8 @@ modulation.
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.design.arrays import Numeric, namespace, ratio_where
+from dssc_jax.core.numerics import namespace
+from dssc_jax.design.arrays import Numeric, ratio_where
 from dssc_jax.design.bounds import Bounds, derive, known, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee

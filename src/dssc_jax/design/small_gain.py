@@ -13,7 +13,8 @@ depend on k_p: a concave function of k_p, since lmin is concave, det P affine an
 
 from typing import NamedTuple
 
-from dssc_jax.design.arrays import Numeric, greater, namespace, ratio_where
+from dssc_jax.core.numerics import namespace
+from dssc_jax.design.arrays import Numeric, greater, ratio_where
 from dssc_jax.design.bounds import Bounds, Constants, derive
 from dssc_jax.design.lyapunov import Spread, eigenvalues_of_p, norm_of_pb
 from dssc_jax.design.table1 import BOUNDARY_WIDTH, ULPS, Parameters

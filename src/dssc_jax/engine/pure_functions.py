@@ -47,6 +47,8 @@ def require_values(study: Study, values: Values) -> None:
     for name in values:
         if name not in study.numbers:
             raise ConfigError(name, f"is no number of this study; {nearest(name, study.numbers)}")
+        if study.numbers[name].expression:
+            raise ConfigError(name, study.numbers[name].follows)
         if not study.numbers[name].quantity.law:
             raise ConfigError(name, "is fixed before tracing; change it with study.override")
     bits = 8 * jnp.result_type(float).itemsize
@@ -79,7 +81,8 @@ class LaneFunction:
 
         Args:
             values: The draw's numbers by dotted name: each uncertain or swept one, and any other that shall differ from
-                the study's. What the study derives from its numbers stays; ``study.override`` derives it again.
+                the study's. Expressions follow from the parameters' values. What a model derives from its numbers
+                before tracing stays; ``study.override`` derives it again.
             index: Index of the draw, which decides its noise.
 
         Raises:

@@ -18,7 +18,6 @@ from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, lane_of_study
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
-from dssc_jax.study.laws import Law
 
 TOLERANCE = {64: 1e-9, 32: 2e-3}
 """Relative deviation, by precision, that different programs, compilers or machines can cause in a loop that does not
@@ -84,7 +83,7 @@ def perturbed_copies(study: Study, lanes: Lanes) -> list[Arrays]:
     """Results of copies of the lanes by the plain program, with every number changed in its last bits."""
     columns = {}
     for name, number in study.numbers.items():
-        if not isinstance(number.value, Law) and number.quantity.law:
+        if isinstance(number.value, float) and not number.expression and number.quantity.law:
             columns[name] = np.full(len(lanes[-1]), number.value)
     columns |= lane_numbers(study, lanes)
     rng = np.random.default_rng(0)

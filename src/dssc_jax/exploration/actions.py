@@ -53,7 +53,7 @@ def margins_of(slider: Slider, position: float) -> Question:
 
 
 def proof(run: LiveRun, check: Callable[..., None]) -> str:
-    """What can be proved of the sampled loop for all plants within the support of the laws."""
+    """What can be proved of the sampled loop for every plant, or vehicle and wind, within the bounds."""
     try:
         from dssc_jax.proofs.prove import prove  # needs an optional extra
 
@@ -62,7 +62,9 @@ def proof(run: LiveRun, check: Callable[..., None]) -> str:
         return f"a proof needs {absent.name}: pip install 'dssc_jax[proofs]'"
     except NotCovered as outside:
         return f"not proved: {outside}"
-    return f"{'proved' if proved.complete else 'not proved for all plants'}: {proved.statement()}"
+    if proved.complete:
+        return f"proved: {proved.statement()}"
+    return f"not proved for {proved.claim.covered}: {proved.statement()}"
 
 
 def save_study(shown: LiveRun, folder: Path, name: str) -> Path:

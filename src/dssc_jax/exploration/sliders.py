@@ -9,8 +9,10 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study import Study
-from dssc_jax.study.components import Number
+from dssc_jax.study.expressions import is_expression
 from dssc_jax.study.laws import Law
+from dssc_jax.study.numbers import Number
+from dssc_jax.study.parameters import Expression
 
 MOST_SLIDERS = 14  # of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
@@ -21,7 +23,7 @@ MEDIAN = "median"
 WIDTH = "width"
 CLOCK_SLIDER = "loop.sample_time"
 SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # relative to the study's own
-FIRST = ("controller.functions", "controller", "unmodelled")
+FIRST = ("parameters", "controller.functions", "controller", "unmodelled")
 """Parts of the loop whose numbers get sliders first; then uncertain numbers, then all others."""
 
 SliderEnds: TypeAlias = tuple[float, float]
@@ -71,7 +73,7 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     sliders = []
     for name in dict.fromkeys([*study.axes, *ordered, CLOCK_SLIDER]):
         sliders += sliders_of_number(study, name)
-    if len(sliders) > MOST_SLIDERS:
+    if len(sliders) > MOST_SLIDERS:  # the last is the clock's
         sliders = [*sliders[: MOST_SLIDERS - 1], sliders[-1]]
     return sliders
 
@@ -80,6 +82,8 @@ def required_sliders(study: Study, name: str) -> list[Slider]:
     """The sliders of a number that the user named."""
     if name != CLOCK_SLIDER and name not in study.numbers:
         raise ConfigError(study.source, f"'{name}' is no number of the loop; {nearest(name, study.numbers)}")
+    if name in study.numbers and study.numbers[name].expression:
+        raise ConfigError(study.source, f"'{name}' {study.numbers[name].follows}")
     sliders = sliders_of_number(study, name)
     if not sliders:
         raise ConfigError(study.source, f"'{name}' cannot be moved: it is fixed before tracing, or a choice")
@@ -95,16 +99,17 @@ def precedence(number: Number) -> int:
 
 
 def is_movable(number: Number) -> bool:
-    """Whether a number gets a slider without being asked for: initial states and records do not."""
-    return number.quantity.law and not number.quantity.data and not number.name.startswith("plant.initial")
+    """Whether a number gets a slider without being asked for: initial states, records and what follows do not."""
+    free = number.expression is None and not number.name.startswith("plant.initial")
+    return free and number.quantity.law and not number.quantity.data
 
 
 def sliders_of_number(study: Study, name: str) -> list[Slider]:
     """One slider of a number, two of a law; none if it cannot be moved."""
     if name == CLOCK_SLIDER:
-        return [sample_time_slider(study)]
+        return [] if is_expression(study.table["loop"]["sample_time"]) else [sample_time_slider(study)]
     number = study.numbers[name]
-    if not number.quantity.law:
+    if not number.quantity.law or isinstance(number.value, Expression):
         return []
     if name in study.axes:
         start = number.value.median if isinstance(number.value, Law) else float(number.value)

@@ -19,7 +19,8 @@ from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.program import Program
 from dssc_jax.lanes.tracing.origins import Origin, translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
-from dssc_jax.study import Law, Study
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Uncertain
 
 FLOWN_SLOTS = ("controller", "differentiator")
 COMMAND = ("u", "u_n", "u_p")
@@ -38,8 +39,8 @@ class Parameter(NamedTuple):
     key: str  # its key in Study.params: its name in the study, or its path if the study computes it
     name: str  # its name in C
     quantity: Quantity | None  # unit, meaning and range; None if the study computes it
-    value: float  # the study's value, or the median of its law
-    uncertain: bool  # whether the study has a law for it
+    value: float  # the study's value, or that at the medians of laws
+    uncertain: bool  # whether it has a law in the study, or follows from one
 
 
 class TracedFunction(NamedTuple):
@@ -174,15 +175,15 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
     Numbers that decide the shape of the program (choices, counts) stay constants.
     """
     names = {path: name for name, number in study.numbers.items() for path in number.paths}
-    leaves, _ = tree_flatten_with_path(study.template, is_leaf=lambda leaf: isinstance(leaf, Law))
+    leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:
         dotted = keystr(path, simple=True, separator=".")
         slot, place, *fields = dotted.split(".")
-        if slot not in FLOWN_SLOTS or int(place) != index or not isinstance(leaf, float | Law):
+        if slot not in FLOWN_SLOTS or int(place) != index or not isinstance(leaf, float | Uncertain):
             continue
-        uncertain = isinstance(leaf, Law)
-        value = float(leaf.median) if uncertain else leaf
+        uncertain = isinstance(leaf, Uncertain)
+        value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
         number = study.numbers.get(names.get(dotted, ""))
         key = dotted
         quantity = None

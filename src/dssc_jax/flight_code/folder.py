@@ -7,12 +7,16 @@ from dssc_jax.core.json_types import Json
 from dssc_jax.design.certification import mark
 from dssc_jax.flight_code.bench import channels_text
 from dssc_jax.flight_code.controller import FlightCode, SampledController, sampled_controllers
-from dssc_jax.flight_code.cost import parameter_bytes, state_bytes, step_cost
+from dssc_jax.flight_code.cost import parameter_bytes, program_cost, state_bytes, step_cost
 from dssc_jax.flight_code.fmu import ControllerFmu, controller_fmu
 from dssc_jax.flight_code.header import header_text, readme_text
+from dssc_jax.flight_code.monitor_recording import monitor_recording, recorded_flights
+from dssc_jax.flight_code.monitor_text import monitor_texts, readme_lines
+from dssc_jax.flight_code.premises import Premises
 from dssc_jax.flight_code.recording import recorded_draws, recording
 from dssc_jax.flight_code.source import source_text
 from dssc_jax.flight_code.template_files import fill, template_text
+from dssc_jax.flight_code.traced_monitor import TracedMonitor, traced_monitor
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
 
@@ -36,25 +40,29 @@ class FlightFolder:
 
     Args:
         study: The study; its sweep is ignored, and uncertain gains have the medians of their laws.
+        premises: Those of the study's certificate, for a monitor of the flight; None: no monitor.
 
     Raises:
         ConfigError: A controller has no exact form in C.
     """
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, premises: Premises | None = None) -> None:
         study = study.without_sweep()
         self.code = FlightCode(study, sampled_controllers(study), certificate_sentence(study))
+        self.monitor = None if premises is None else traced_monitor(self.code, premises)
 
     def texts(self) -> dict[str, str]:
         """Content of the text files by name."""
         name = self.code.name
-        return {
+        monitor = {} if self.monitor is None else monitor_texts(self.monitor, self.code.study.name)
+        section = [] if self.monitor is None else readme_lines(self.monitor)
+        return monitor | {
             f"{name}_controller.h": header_text(self.code),
             f"{name}_controller.c": source_text(self.code),
             "bench.c": template_text("bench.c"),
             "bench_channels.h": channels_text(self.code),
-            "Makefile": fill("Makefile", name=name),
-            "README.md": readme_text(self.code),
+            "Makefile": fill("Makefile", name=name, monitor="" if self.monitor is None else "include monitor.mk"),
+            "README.md": readme_text(self.code, section),
         }
 
     def fmu(self) -> ControllerFmu:
@@ -71,14 +79,22 @@ class FlightFolder:
         Raises:
             ConfigError: The loop has no strict machine code, or a count is not positive.
         """
+        draws, count = self._counts(draws, samples)
+        recorded = recorded_draws(self.code.study, self.code.controllers, draws, count)
+        return self._guarded(recording(recorded, self.code.precision))
+
+    def monitor_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
+        """The bytes of the monitor's recording; arguments and errors as for :meth:`recording`."""
+        assert self.monitor is not None
+        draws, count = self._counts(draws, samples)
+        flights = recorded_flights(self.code.study, self.monitor, draws, count)
+        return self._guarded(monitor_recording(flights, self.code.precision))
+
+    def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
         for name, count in (("draws", draws), ("samples", samples or 1)):
             if count < 1:
                 raise ConfigError(name, f"must be >= 1, got {count}")
-        count = samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
-        recorded = recorded_draws(
-            self.code.study, self.code.controllers, min(draws, self.code.study.config.draws), count
-        )
-        return self._guarded(recording(recorded, self.code.precision))
+        return min(draws, self.code.study.config.draws), samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
 
     def _guarded(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         try:
@@ -95,7 +111,21 @@ class FlightFolder:
             "sample_time": self.code.study.loop.sample_time,
             "certificate": self.code.certificate,
             "channels": [channel_summary(controller) for controller in self.code.controllers],
+            **({} if self.monitor is None else {"monitor": monitor_summary(self.monitor)}),
         }
+
+
+def monitor_summary(monitor: TracedMonitor) -> dict[str, Json]:
+    """For JSON: the monitor's name in C, its flags in the order of their bits, and its cost."""
+    cost = program_cost(monitor.step.program)
+    return {
+        "prefix": monitor.prefix,
+        "statement": monitor.premises.statement,
+        "unwatched": monitor.premises.unwatched,
+        "flags": {flag.name: flag.sentence for flag in monitor.premises.flags()},
+        "operations": cost.operations,
+        "chain": cost.chain,
+    }
 
 
 def channel_summary(controller: SampledController) -> dict[str, Json]:

@@ -106,8 +106,8 @@ def transfer_declaration(controller: SampledController) -> str:
     return fill("transfer.h", name=controller.prefix, real=controller.c_real)
 
 
-def readme_text(code: FlightCode) -> str:
-    """``README.md`` of the folder: what is generated, what is not, and how to use it."""
+def readme_text(code: FlightCode, monitor: Iterable[str] = ()) -> str:
+    """``README.md`` of the folder: what is generated, what is not, how to use it, and its section on the monitor."""
     return fill(
         "README.md",
         name=code.name,
@@ -118,6 +118,7 @@ def readme_text(code: FlightCode) -> str:
         certificate=code.certificate,
         channels=[channel_item(code.study, controller) for controller in code.controllers],
         not_generated=[f"* {part}" for part in not_generated(code.study)],
+        monitor=monitor,
     )
 
 

@@ -85,6 +85,7 @@ def recorded_draws(
         for first in range(0, draws, batch):
             indices = np.arange(first, min(first + batch, draws))
             drawn = draw_values(study, indices)
+            drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
             values = {name: drawn.get(name, np.full(len(indices), constants.get(name))) for name in names}
             channels = lanes.start((values, indices), len(indices), usable_cores())()
             for place in range(len(indices)):

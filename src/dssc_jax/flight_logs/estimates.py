@@ -15,7 +15,7 @@ from dssc_jax.flight_logs.refusals import Explained
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import Posterior
 from dssc_jax.study import Law, Study
-from dssc_jax.study.tables import enclosing_list, has_dotted, set_dotted, toml_entries
+from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_dotted, toml_entries
 
 BOUND_MARGIN = 1e-6  # of the distance from an exclusive bound, that a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
@@ -98,7 +98,7 @@ class Fitted:
             return Law("lognormal", (mean, std))
         quantity = self.study.numbers[name].quantity
         bounds = (quantity.above, quantity.at_least, quantity.below, quantity.at_most)
-        if all(bound is None for bound in bounds):
+        if all(bound is None for bound in bounds) and name not in self.study.parameter_names:
             return Law("normal", (mean, std))
         return Law("truncated_normal", (mean, std, *truncation(quantity, mean, std)))
 
@@ -131,6 +131,9 @@ class Fitted:
                 list_name, entries = enclosing
                 if not has_dotted(table, list_name):
                     set_dotted(table, list_name, copy.deepcopy(entries))
+            elif name in self.study.parameter_names:  # keeps its unit and meaning
+                short = name.partition(".")[2]
+                set_dotted(table, name, copy.deepcopy(self.study.table[PARAMETERS][short]))
             set_dotted(table, name, {law.kind: list(law.arguments)})
         correlations = self.correlations()
         if correlations:

@@ -111,8 +111,8 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
         return list(requested)
     names = []
     for name, law in study.laws.items():
-        fields = name.split(".")
-        if fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM and law.movable:
+        decided = [follower.split(".") for follower in study.followers(name)]
+        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in decided):
             names.append(name)
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")

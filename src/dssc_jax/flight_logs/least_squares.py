@@ -136,11 +136,9 @@ class FitProblem:
         return dict(zip(self.names, self.values(x).tolist(), strict=True))
 
     def is_admissible(self, values: np.ndarray) -> bool:
-        """Whether every number is in its range."""
-        for name, value in zip(self.names, values, strict=True):
-            if self.study.numbers[name].quantity.violated_by(value, value) is not None:
-                return False
-        return True
+        """Whether every number is in its range, and every one that follows from it."""
+        medians = {name: law.median for name, law in self.study.laws.items()}
+        return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 
     def columns(self, x: np.ndarray) -> list[np.ndarray]:
         """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p)."""

@@ -119,8 +119,9 @@ def certificate(ax: Axes, summary: MarginSummary) -> None:
     figure.supxlabel(textwrap.fill(summary["certificate"], 105), fontsize=12, color=GREEN, parse_math=False)
     proof = summary["proof"]
     proved = None if proof is None else proof["proved_up_to"]
-    if proved is not None:
-        ax.axvline(proved, color=GREEN, linewidth=3.0, label=f"proved as far as {proved:.3g}, for all plants")
+    if proof is not None and proved is not None:
+        covered = textwrap.fill(str(proof["covered"]), 30)
+        ax.axvline(proved, color=GREEN, linewidth=3.0, label=f"proved as far as {proved:.3g}, for {covered}")
     certified = summary["certified"]
     if certified is None:
         return

@@ -7,12 +7,12 @@ from matplotlib.patches import Patch
 from dssc_jax.plotting.style import BLUE, RED, SKY, YELLOW
 
 STANDINGS = (
-    (BLUE, "proved for every plant of the laws"),
+    (BLUE, "proved"),
     (SKY, "survives: not proved, no draw fails"),
     (YELLOW, "unknown: some draws fail"),
     (RED, "fails in every draw"),
 )
-"""Colour and meaning of each standing."""
+"""Colour and meaning of each standing; what a proof covers follows the first."""
 
 
 def standing_of(proved: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -25,6 +25,14 @@ def standing_colours() -> ListedColormap:
     return ListedColormap([colour for colour, _ in STANDINGS])
 
 
-def standing_keys() -> list[Patch]:
-    """Legend entries."""
-    return [Patch(facecolor=colour, label=text) for colour, text in STANDINGS]
+def standing_words(covered: str) -> list[str]:
+    """The meaning of each standing, where a proof is for ``covered``."""
+    proved, *others = [text for _, text in STANDINGS]
+    return [f"{proved} for {covered}", *others]
+
+
+def standing_keys(covered: str) -> list[Patch]:
+    """Legend entries, where a proof is for ``covered``."""
+    colours = [colour for colour, _ in STANDINGS]
+    pairs = zip(colours, standing_words(covered), strict=True)
+    return [Patch(facecolor=colour, label=text) for colour, text in pairs]

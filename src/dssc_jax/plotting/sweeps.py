@@ -84,7 +84,7 @@ def sweep_maps(result: Result) -> Figure:
     left, right = figure.subplots(1, 2, sharey=True)
     if "proved" in result.dataset:
         standing(result, left)
-        handles = [*standing_keys(), *map_keys(result, [AT_LIMIT])]
+        handles = [*standing_keys(result.dataset["proved"].attrs["covered"]), *map_keys(result, [AT_LIMIT])]
     else:
         probability(result, left)
         handles = map_keys(result, [(f"{HALF[0]}, or {AT_LIMIT[0]}", "-"), BOUND])
@@ -153,7 +153,7 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
     draws = result.failed.sizes["draw"]
     ax.set_title(textwrap.fill(f"{draws} draws: {required_text(result)}", 44), parse_math=False)
     finish_map(ax, result, down, across, [])
-    handles = [*standing_keys(), *map_keys(result, [])]
+    handles = [*standing_keys(result.dataset["proved"].attrs["covered"]), *map_keys(result, [])]
     ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.32), frameon=False)
     return figure
 

@@ -9,7 +9,8 @@ import jax
 from dssc_jax.core.contracts import Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
-from dssc_jax.design.certification import Ends, NotCovered, disturbance_bounds, ends_of, reference_bounds
+from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds
+from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
 from dssc_jax.models.actuators.lag import LAG, Order
@@ -63,9 +64,13 @@ def axis_problem_of(study: Study) -> ProofProblem:
     Raises:
         NotCovered: a part of the loop is outside of the class; the message gives the reason.
     """
+    study = study.without_sweep()
     loop = study.loop
-    ends = ends_of(study.without_sweep())
+    ends = ends_of(study)
     for name, law in study.laws.items():
+        if name in study.parameter_names:
+            followers = ", ".join(study.followers(name)) or "nothing"
+            raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
         if name not in UNCERTAIN and not name.startswith(BOUNDED_SIGNALS):
             raise NotCovered(f"{name} is uncertain; a proof takes intervals of {', '.join(UNCERTAIN)} only")
         if not all(abs(end) < float("inf") for end in law.support):

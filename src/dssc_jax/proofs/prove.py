@@ -5,7 +5,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.proofs import BOXES
+from dssc_jax.proofs.claims import AXIS_CLAIM, Claim
 from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.proofs.problem import Box, Interval, ProofProblem
 from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND, VEHICLE_VERSION, VehicleProved, prove_vehicle
@@ -54,6 +55,7 @@ class Proved:
     largest_error: float
     seconds: float
     units: ChannelUnits = UNNAMED_UNITS
+    claim: ClassVar[Claim] = AXIS_CLAIM
 
     @property
     def complete(self) -> bool:

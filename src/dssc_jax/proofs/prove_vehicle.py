@@ -4,15 +4,20 @@ import json
 import math
 import time
 from dataclasses import dataclass
+from typing import ClassVar
 
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.claims import VEHICLE_CLAIM, Claim
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
+from dssc_jax.proofs.search.vehicle.cells import cell_bounds, cells_proof_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.proofs.vehicle_words import stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
 VEHICLE_VERSION = 1
 VEHICLE_KIND = "vehicle"
+ROOMS = (1.0, 10.0)
+"""Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
 VEHICLE_REASONS = {
     "gain": "no bounds of the signals imply themselves",
     "sliding": "the equivalent control may exceed rho",
@@ -37,6 +42,7 @@ class VehicleProved:
     verdict: VehicleVerdict | None
     failure: str
     seconds: float
+    claim: ClassVar[Claim] = VEHICLE_CLAIM
 
     @property
     def complete(self) -> bool:
@@ -67,7 +73,7 @@ class VehicleProved:
         return VEHICLE_REASONS[self.failure] + detail
 
     def summary(self) -> JsonObject:
-        """The outcome in plain numbers; ``bounds`` hold from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
+        """The outcome in plain numbers: ``bounds`` from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
         absent = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
@@ -97,8 +103,8 @@ class VehicleProved:
         tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
         rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
         return (
-            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never exceeds "
-            f"{plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
+            f"exceeds {plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:
@@ -128,10 +134,26 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
     began = time.perf_counter()
-    found = best_bounds(problem)
-    if isinstance(found, str):
-        return VehicleProved(problem, None, None, found, time.perf_counter() - began)
-    proof = proof_of(problem, found)
-    verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
-    failure = "" if verdict.proved else "verifier"
-    return VehicleProved(problem, proof, verdict, failure, time.perf_counter() - began)
+    proof: JsonObject | str = "gain"
+    verdict: VehicleVerdict | None = None
+    for room in ROOMS:
+        proof = found_proof(problem, room)
+        if isinstance(proof, str):
+            break
+        verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
+        if verdict.proved:
+            return VehicleProved(problem, proof, verdict, "", time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    if isinstance(proof, str) and verdict is None:
+        return VehicleProved(problem, None, None, proof, seconds)
+    return VehicleProved(problem, None, verdict, "verifier", seconds)
+
+
+def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
+    """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
+    if any(any(channel.initial) for channel in problem.channels.values()):
+        in_cells = cell_bounds(problem, room)
+        if not isinstance(in_cells, str):
+            return cells_proof_of(problem, in_cells)
+    found = best_bounds(problem, room)
+    return found if isinstance(found, str) else proof_of(problem, found)

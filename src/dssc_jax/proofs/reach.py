@@ -59,8 +59,16 @@ class ProvedReach:
             "reason": self.reason or None,
             "tried": [{"value": value, "proved": proved} for value, proved in self.values],
             "error": None if self.last is None else self.last.error,
+            **({} if self.last is None else last_words(self.last)),
             "statement": self.statement(),
         }
+
+
+def last_words(proof: AnyProved) -> JsonObject:
+    """What the proof at the last proved value covers, and the bounds of a vehicle's signals there."""
+    summary = proof.summary()
+    bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
+    return {"covered": proof.claim.covered, **bounds}
 
 
 def proved_up_to(
@@ -86,11 +94,13 @@ def proved_up_to(
 
     Raises:
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
-        ConfigError: The bounds agree, or a logarithmic scale has a bound that is not positive.
+        ConfigError: The bounds agree, a logarithmic scale has a bound that is not positive, or the number follows from
+            parameters.
     """
     safe, end = bounds
     if safe == end or (log and min(bounds) <= 0.0):
         raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
+    study.require_free(name)
     single = study.without_sweep()
     proofs: dict[float, tuple[float, AnyProved]] = {}
 

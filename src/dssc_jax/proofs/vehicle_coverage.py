@@ -1,11 +1,13 @@
 """What of a vehicle's study a proof covers: from its loop to the plain numbers of a problem."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.registry import Discretisation
+from dssc_jax.core.signals import Scalar
 from dssc_jax.design.certification import Ends, NotCovered, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
@@ -122,6 +124,8 @@ def require_inner_loop(plant: Ends) -> InnerGains:
         raise NotCovered("plant.inner_loop.attitude is not 'plain'")
     if inner.kp_velocity != 0.0:
         raise NotCovered("plant.inner_loop.kp_velocity is not 0")
+    if inner.kp_yaw == 0.0:
+        raise NotCovered("plant.inner_loop.kp_yaw is 0, so that the integral of the yaw rate's error does not decay")
     return inner
 
 
@@ -252,6 +256,6 @@ def starts_of(ends: Ends) -> dict[str, tuple[float, float]]:
     }
 
 
-def largest_of(values: list[float]) -> float:
+def largest_of(values: Sequence[Scalar]) -> float:
     """The largest magnitude."""
-    return float(max(map(abs, values)))
+    return max(abs(float(value)) for value in values)

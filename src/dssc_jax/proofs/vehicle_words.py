@@ -1,6 +1,7 @@
 """The vehicle of a certificate in words, with its numbers as they are, and what its verdict says."""
 
 import math
+from collections.abc import Mapping
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, VehicleProblem
@@ -18,7 +19,8 @@ def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
         f"thrust over mass {interval_words(problem['thrust'])} of the believed one",
         "inertia": inertia_words(problem),
         "rotors": rotor_words(problem),
-        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, propeller {problem['propeller_drag']} N s^2/(m rad)",
+        "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, "
+        f"propeller {problem['propeller_drag']} N s^2/(m rad)",
         "wind": f"any with |w_h| <= {problem['wind'][0]} m/s and |w_z| <= {problem['wind'][1]} m/s",
     }
     names = {"x": "x and y", "z": "z", "psi": "psi"}
@@ -75,15 +77,24 @@ def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
 
 
 def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
-    """The bounds of a verdict, from the start on and settled: by channel [m, m/s, rad, rad/s], tilt [rad], rotors [N]."""
+    """Bounds from the start on and settled: of the channels [m, m/s, rad, rad/s], the tilt [rad] and the rotors [N].
+
+    With cells of time also their duration ``cell`` [s] and the ``envelope``, the bounds in each cell.
+    """
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
     pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
+    stated: JsonObject = {
+        when: by_channel(signals) | {"tilt": tilt, **rotors} for when, (signals, tilt) in pairs.items()
+    }
+    if verdict.cell:
+        stated |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}
+    return stated
+
+
+def by_channel(signals: Mapping[str, Mapping[str, float | list[float]]]) -> JsonObject:
+    """The signals that a statement holds, by channel."""
     return {
-        when: {
-            shown: {signal: signals[name][signal] for signal in STATED}
-            for name, names in SHOWN_AS.items()
-            for shown in names
-        }
-        | {"tilt": tilt, **rotors}
-        for when, (signals, tilt) in pairs.items()
+        shown: {signal: signals[name][signal] for signal in STATED}
+        for name, names in SHOWN_AS.items()
+        for shown in names
     }

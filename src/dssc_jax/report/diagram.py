@@ -89,8 +89,9 @@ def notes(study: Study, slot: str) -> list[str]:
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
-    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.laws, slot)]
-    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(study.axes, slot)]
+    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.uncertain, slot)]
+    swept = [follower for name in study.axes for follower in study.followers(name)]
+    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(dict.fromkeys(swept), slot)]
     numbers = "  ".join(marked) if len(marked) <= 2 else f"~ {len(marked)} uncertain or swept"
     return [part_kind(study, slot) + inner, numbers]
 

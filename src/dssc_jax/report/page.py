@@ -25,6 +25,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     study_sections.question,
     study_sections.loop,
     study_sections.laws,
+    study_sections.expressions,
     result_sections.outcome,
     result_sections.sweep_section,
     proof_section.proofs,
@@ -42,6 +43,7 @@ ANALYSIS_SECTIONS: tuple[Callable[[AnalysisSubject], Section | None], ...] = (
     analysis_sections.numbers,
     study_sections.loop,
     study_sections.laws,
+    study_sections.expressions,
     analysis_sections.dataset,
     analysis_sections.analysis_provenance,
 )

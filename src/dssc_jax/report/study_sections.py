@@ -75,6 +75,25 @@ def laws(subject: StudySubject) -> Section | None:
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
 
 
+def expressions(subject: StudySubject) -> Section | None:
+    """Every number that follows from parameters."""
+    rows = []
+    for name, record in subject.result.study.numbers.items():
+        if record.expression is None:
+            continue
+        quantity = record.quantity
+        unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
+        low, high = record.expression.support
+        ends = f"{number(low)} to {number(high)}" if low < high else "the same in every draw"
+        label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
+        rows.append((label, h.code[record.expression.text], number(record.expression.median), ends))
+    if not rows:
+        return None
+    head = ("number", "expression", "at the medians", "all values")
+    caption = "Numbers that follow from the study's parameters. A swept value replaces that of its parameter."
+    return Section("expressions", "What follows from parameters", table(caption, head, rows, words=2))
+
+
 def dependence(study: Study) -> str:
     """Which uncertain numbers depend on each other, as the end of a phrase."""
     pairs = [f"{pair}: {number(rank)}" for pair, rank in study.config.correlation.items()]

@@ -3,15 +3,49 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.claims import AXIS_CLAIM, VEHICLE_BOUNDS, Claim, claim_of
 from dssc_jax.study import Study
 
 PROOFS_FILE = "proofs.json"
+
+
+class Bound(NamedTuple):
+    """A bound among those that a vehicle's proof states.
+
+    Args:
+        label: What is bounded.
+        unit: Its unit.
+        entries: Where the bound stands in the summary's ``bounds``.
+    """
+
+    label: str
+    unit: str
+    entries: tuple[str, ...]
+
+    def of(self, content: JsonObject) -> float:
+        """The bound in a summary."""
+        *parents, last = self.entries
+        for parent in parents:
+            content = content[parent]
+        return float(content[last])
+
+
+BOUNDS = (
+    Bound("|e_x|, |e_y|", "m", ("x", "e")),
+    Bound("|e_z|", "m", ("z", "e")),
+    Bound("|e_psi|", "rad", ("psi", "e")),
+    Bound("tilt", "rad", ("tilt",)),
+    Bound("smallest thrust of a rotor", "N", ("rotor_min",)),
+    Bound("largest thrust of a rotor", "N", ("rotor_max",)),
+)
+"""What is told of each proved point of a vehicle."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +76,30 @@ class SweepProofs:
         """Proved upper bound of |e| [m] once settled, by axes; NaN where the point is not proved."""
         return self._by_axes([point["error"] if point["proved"] else np.nan for point in self.points])
 
+    @property
+    def claim(self) -> Claim:
+        """What the proofs cover, in words."""
+        return claim_of(self.points[0]) if self.points else AXIS_CLAIM
+
+    @property
+    def statements(self) -> list[str]:
+        """What is proved at each point, in a few sentences; empty where nothing is."""
+        return [str(point.get("statement", "")) if point["proved"] else "" for point in self.points]
+
+    @property
+    def bounds(self) -> dict[str, np.ndarray]:
+        """What a vehicle never exceeds, by axes, in the units of :data:`BOUNDS`; NaN where the point is not proved.
+
+        Empty for loops other than a vehicle's.
+        """
+        if not any(VEHICLE_BOUNDS in point for point in self.points):
+            return {}
+        arrays = {}
+        for bound in BOUNDS:
+            values = [bound.of(point[VEHICLE_BOUNDS]) if point["proved"] else np.nan for point in self.points]
+            arrays[bound.label] = self._by_axes(values)
+        return arrays
+
     def _by_axes(self, values: list[float]) -> np.ndarray:
         return np.array(values).reshape([len(axis) for axis in self.axes.values()])
 
@@ -68,6 +126,7 @@ def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
         axes = {name: tuple(values) for name, values in content["axes"].items()}
         proofs = SweepProofs(**{**content, "axes": axes})
         proofs.error  # noqa: B018  (as many points as the axes have, each with its fields)
+        proofs.bounds  # noqa: B018  (likewise)
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:

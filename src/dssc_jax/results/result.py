@@ -1,7 +1,7 @@
 """The result of a study: every draw's metrics and outcome, and their summary."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,12 +42,14 @@ class Result:
             the swept parameters and ``draw``.
         manifest: Study, versions, device, counts and times.
         path: The results folder, if it has been saved.
+        point_proofs: The proofs of the sweep's points, if there are any.
     """
 
     study: Study
     dataset: xr.Dataset
     manifest: Manifest = field(default_factory=dict)
     path: Path | None = None
+    point_proofs: SweepProofs | None = None
 
     @classmethod
     def of(cls, study: Study, dataset: xr.Dataset, manifest: Manifest, path: Path | None = None) -> "Result":
@@ -58,11 +60,16 @@ class Result:
 
     def with_proofs(self, proofs: SweepProofs) -> "Result":
         """The result with what is proved at each point: the coordinates ``proved`` and ``proved_error``."""
-        attributes = {"long_name": "proved for all plants, with lag and sampling"}
-        bound = {"long_name": "proved upper bound of |e| once settled", "units": self.study.units[0].output}
+        claim = proofs.claim
+        attributes = {"long_name": f"proved for {claim.covered}, with lag and sampling", "covered": claim.covered}
+        bound = {
+            "long_name": f"proved upper bound of {claim.error} once settled",
+            "units": self.study.units[0].output,
+            "bounded": claim.error,
+        }
         axes = tuple(self.study.axes)
         coordinates = {"proved": (axes, proofs.proved, attributes), "proved_error": (axes, proofs.error, bound)}
-        return Result(self.study, self.dataset.assign_coords(coordinates), self.manifest, self.path)
+        return replace(self, dataset=self.dataset.assign_coords(coordinates), point_proofs=proofs)
 
     def with_theorem(self) -> "Result":
         """The result with Theorem 1's marks, where the theorem applies: the coordinate ``certified``.
@@ -74,7 +81,7 @@ class Result:
             return self
         attributes = {"long_name": "certified by Theorem 1, without lag and sampling"}
         dataset = self.dataset.assign_coords(certified=(tuple(self.study.axes), self._mark.certified, attributes))
-        return Result(self.study, dataset, self.manifest, self.path)
+        return replace(self, dataset=dataset)
 
     @cached_property
     def _mark(self) -> "Mark | None":

@@ -19,7 +19,7 @@ from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_st
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
 from dssc_jax.results.store import Store
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 from dssc_jax.study.correlation import gaussian
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def sampling_entry(study: Study) -> dict[str, object]:
     }
 
 
+@takes_file
 def run(
     study: Study,
     out: str | Path | None = None,
@@ -77,7 +78,7 @@ def run(
     """Simulate every draw of a study at every point of its sweep.
 
     Args:
-        study: The study; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
+        study: The study, or its file; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
         out: Results folder to fill during the run; None keeps the result in memory.
         resume: Keep the results of an earlier run of the same study in ``out``, and compute the missing ones; the
             study may have more draws than before.

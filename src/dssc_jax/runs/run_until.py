@@ -16,7 +16,7 @@ from dssc_jax.results.schema import in_memory, put
 from dssc_jax.runs.run import integration_entry, run_manifest
 from dssc_jax.statistics import AcceptReject, UntilWidth, looks
 from dssc_jax.statistics.sequential import FIRST
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 Rule: TypeAlias = UntilWidth | AcceptReject
 
@@ -25,6 +25,7 @@ BATCH = 1024  # draws computed at once
 UNDECIDED = "undecided"
 
 
+@takes_file
 def run_until(
     study: Study,
     rule: Rule,
@@ -40,7 +41,7 @@ def run_until(
     as in any other run of the study.
 
     Args:
-        study: The study, without a sweep; its own number of draws is ignored.
+        study: The study, or its file, without a sweep; its own number of draws is ignored.
         rule: When to stop.
         out: Results folder, written at the end; None keeps the result in memory.
         most: Maximum number of draws, after which the run stops undecided.

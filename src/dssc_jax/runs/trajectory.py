@@ -19,7 +19,7 @@ from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.results.schema import outcome_codes, variables, verdict
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
@@ -56,11 +56,12 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     return {**values, **point}
 
 
+@takes_file
 def simulate(study: Study, draw: int = 0, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
     """Simulate one draw and return its trajectory.
 
     Args:
-        study: The study. Without ``point``, a sweep is ignored.
+        study: The study, or its file. Without ``point``, a sweep is ignored.
         draw: Index of the draw.
         point: Value of each swept parameter.
         every: Keep every ``every``-th sample.

@@ -2,7 +2,7 @@
 
 from dssc_jax.study.described import Described, received
 from dssc_jax.study.laws import Law
-from dssc_jax.study.study import Study, hash_of
+from dssc_jax.study.study import Study, hash_of, takes_file
 from dssc_jax.study.tables import read_toml
 
-__all__ = ["Described", "Law", "Study", "hash_of", "read_toml", "received"]
+__all__ = ["Described", "Law", "Study", "hash_of", "read_toml", "received", "takes_file"]

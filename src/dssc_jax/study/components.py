@@ -9,7 +9,6 @@ import inspect
 import types
 import typing
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from enum import Enum
 from functools import cache
 from typing import Annotated, Any, Literal
@@ -17,35 +16,15 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.contracts import Plant, Preset, as_given
-from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, close_names, errors_under, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.importing import imported
-from dssc_jax.study.laws import Law, is_law, is_number, parse_law
+from dssc_jax.study.laws import is_law, is_number
+from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_numbers
+from dssc_jax.study.parameters import Expression
 from dssc_jax.study.tables import merged
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number of the loop, the source for sweeps, laws, units and messages.
-
-    Args:
-        name: Its dotted name in the study; if a slot was given as a bare number, the name of the slot.
-        paths: Its dotted paths in the parameters; several if channels share it.
-        quantity: Unit, meaning and admissible interval.
-        value: The number, or the law that replaces it.
-    """
-
-    name: str
-    paths: tuple[str, ...]
-    quantity: Quantity
-    value: float | Law
-
-    def under(self, path: str, name: str) -> "Number":
-        """The number of a part as a number of the whole, which contains the part at ``path`` under ``name``."""
-        paths = tuple(dotted(path, path_in_part) for path_in_part in self.paths)
-        return replace(self, name=dotted(name, self.name), paths=paths)
 
 
 @dataclass(frozen=True)
@@ -56,55 +35,6 @@ class Component:
     model: Any
     params: Any
     numbers: tuple[Number, ...]
-
-
-def dotted(*parts: str) -> str:
-    """Join the parts of a dotted name; empty parts are omitted."""
-    return ".".join(part for part in parts if part)
-
-
-def parse_number(value: object, quantity: Quantity) -> float | Law:
-    """Parse a number or a law within the quantity's interval.
-
-    Raises:
-        ValueError: the rule that is broken, and the value found.
-    """
-    if isinstance(value, Law):
-        parsed: float | Law = value
-        low, high = value.support
-    elif isinstance(value, dict):
-        if not quantity.law:
-            raise ValueError(f"must be a plain number here, got the law {value}")
-        parsed = parse_law(value)
-        low, high = parsed.support
-    elif is_number(value):
-        parsed = float(value)
-        low = high = parsed
-    else:
-        law = " or a law" if quantity.law else ""
-        raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
-    broken = quantity.violated_by(low, high)
-    if broken:
-        found = f"{value!r}" if low == high else f"{parsed}, whose support is [{low:g}, {high:g}]"
-        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {found}")
-    return parsed
-
-
-def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
-    """Parse a list of numbers or laws; with depth 2, a list of rows of them."""
-    if depth == 0:
-        return parse_number(value, quantity)
-    if not isinstance(value, list | tuple):
-        items = "rows of numbers" if depth > 1 else "numbers"
-        raise ValueError(f"must be a list of {items} ({quantity.meaning} [{quantity.unit}]), got {value!r}")
-    return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
-
-
-def flattened(name: str, value: object) -> TomlTable:
-    """The numbers of a list, or of rows, by dotted name; a number alone has the name itself."""
-    if not isinstance(value, tuple):
-        return {name: value}
-    return {key: item for i, part in enumerate(value) for key, item in flattened(f"{name}.{i}", part).items()}
 
 
 @dataclass(frozen=True)
@@ -199,7 +129,7 @@ def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
     errors = error.errors()
     missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
     unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt = [problem for problem in unknown if get_close_matches(str(problem["loc"][-1]), missing)]
+    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
     first = misspelt[0] if misspelt else errors[0]
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")
@@ -334,10 +264,10 @@ def parse_params(
             numbers[name] = tuple(number.under(name, name) for number in inner)
     plain = {name: item for name, item in table.items() if name not in numbers}
     for name, value in parse_plain(plain, params, defaults, choices).items():
-        fields[name] = value
+        fields[name] = leaves_of(value)
         mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
-            numbers[name] = tuple(Number(path, (path,), mark, item) for path, item in flattened(name, value).items())
+            numbers[name] = tuple(Number.of(path, mark, item, path) for path, item in flattened(name, value).items())
     return params(**fields), tuple(number for name in specs for number in numbers.get(name, ()))
 
 
@@ -357,7 +287,7 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
             return None, ()
     if slot is None:
         return parse_params(as_table(value), spec.core, preset)
-    if slot.number is None or not (is_number(value) or is_law(value)):
+    if slot.number is None or not (is_number(value) or is_law(value) or isinstance(value, Expression)):
         component = parse_component(value, slot.registry, default=slot.default)
         return component.params, component.numbers
     first = next(iter(field_specs(slot.registry[slot.number].members[None])))

@@ -18,22 +18,25 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
-from dssc_jax.study.build import clock, info_fields, validate_fixed
+from dssc_jax.study.build import clock, info_fields, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
-from dssc_jax.study.components import Number
+from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
 from dssc_jax.study.measuring import KNOWN, kinds_of, measured
+from dssc_jax.study.numbers import Number
+from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.study import Study
+from dssc_jax.study.tables import PARAMETERS
 
 REMEDY = "`trust_code` (in Python: dj.load(folder, trust_code=True))"
 NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
 class DescribedNumber(BaseModel):
-    """A number of the loop as JSON: its value or law, and its meaning."""
+    """A number of the loop as JSON: its value, law or expression, and its meaning."""
 
     model_config = NO_EXTRA_FIELDS
-    value: float | dict[str, list[float]]
+    value: float | dict[str, list[float]] | str
     unit: str
     meaning: str
 
@@ -91,7 +94,7 @@ class Unloaded:
         raise self.error
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Described(Study):
     """A study from its description, which can be read like any other but not simulated or changed.
 
@@ -114,7 +117,8 @@ class Described(Study):
         """
         try:
             description = Description.model_validate(content)
-            numbers = numbers_of(description)
+            parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+            numbers = numbers_of(description, parameters)
             certified = np.asarray(description.certified or False, dtype=bool)
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
@@ -133,7 +137,7 @@ class Described(Study):
         }
         known = KNOWN | metrics_of_user
         try:
-            config = validate_fixed(dict(table))
+            config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
             measures, requirements = measured(config, names, known, channels or ("",), units)
         except ConfigError as error:
@@ -167,17 +171,19 @@ class Described(Study):
         raise self.refusal
 
 
-def numbers_of(description: Description) -> dict[str, Number]:
+def numbers_of(description: Description, parameters: ParameterTable) -> dict[str, Number]:
     """Every number of the loop; its paths are unknown without the models."""
-    return {
-        name: Number(
-            name,
-            paths=(),
-            quantity=Quantity(stored.unit, stored.meaning),
-            value=parse_law(stored.value) if isinstance(stored.value, dict) else stored.value,
-        )
-        for name, stored in description.numbers.items()
-    }
+    numbers = {}
+    for name, stored in description.numbers.items():
+        quantity = Quantity(stored.unit, stored.meaning)
+        match stored.value:
+            case dict(law):
+                numbers[name] = Number.of(name, quantity, parse_law(law))
+            case str(text):
+                numbers[name] = Number.of(name, quantity, parameters.expression(text))
+            case value:
+                numbers[name] = Number.of(name, quantity, value)
+    return numbers
 
 
 def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonObject:
@@ -193,6 +199,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         law = number.value
         quantity = number.quantity
         value = {law.kind: list(law.arguments)} if isinstance(law, Law) else law
+        value = number.expression.text if number.expression else value
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
     fields, seen = info_fields(study.loop, study.template)
     metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}

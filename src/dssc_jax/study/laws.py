@@ -4,6 +4,7 @@ A law maps the unit interval to its values, so that random, Sobol and Latin-hype
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeGuard
@@ -154,8 +155,22 @@ SPREAD = "spread"
 """The name, in place of a number's dotted name, for widening all laws together."""
 
 
+class Uncertain(ABC):
+    """What stands for a number that differs between draws: a law, or an expression of such numbers."""
+
+    @property
+    @abstractmethod
+    def support(self) -> tuple[float, float]:
+        """Lowest and highest value."""
+
+    @property
+    @abstractmethod
+    def median(self) -> float:
+        """The value where every law has its median."""
+
+
 @dataclass(frozen=True)
-class Law:
+class Law(Uncertain):
     """A law that replaces a number.
 
     Args:
@@ -248,7 +263,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
         return False
 
 
-def is_law(value: object) -> bool:
+def is_law(value: object) -> TypeGuard[TomlTable]:
     """Whether a value is a table with one known law."""
     return isinstance(value, dict) and len(value) == 1 and next(iter(value)) in LAWS
 

@@ -338,6 +338,7 @@ class StudyTable(BaseModel):
     correlation: dict[str, Finite] = Field(
         default={}, description='rank correlation of two uncertain numbers, as `"a, b" = 0.5`'
     )
+    parameters: TomlTable = Field(default={}, description="named numbers and laws, for expressions")
     loop: LoopTable = Field(description="clock and precision")
     plant: TomlTable = Field(description="model of the plant")
     controller: TomlTable = Field(description="controller and its gains")

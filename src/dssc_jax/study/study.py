@@ -2,9 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
@@ -14,17 +16,22 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Scalar
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
-from dssc_jax.study.components import Number
 from dssc_jax.study.correlation import matrix, paired, require_correlation
-from dssc_jax.study.laws import Law
+from dssc_jax.study.expressions import Numeric, is_expression
+from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
+from dssc_jax.study.numbers import Number
+from dssc_jax.study.overview import overview
+from dssc_jax.study.parameters import TEXTS, named_in
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
-from dssc_jax.study.tables import changed, read_toml
+from dssc_jax.study.tables import PARAMETERS, changed, read_toml
+
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
 
 
 def hash_of(table: Mapping[str, object]) -> str:
@@ -32,7 +39,7 @@ def hash_of(table: Mapping[str, object]) -> str:
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Study:
     """A validated study.
 
@@ -57,6 +64,12 @@ class Study:
     numbers: dict[str, Number]
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...]
+
+    def __repr__(self) -> str:
+        return f"<Study {self.name!r}: {self.config.draws} draws, {len(self.laws)} uncertain, {len(self.axes)} swept>"
+
+    def __str__(self) -> str:
+        return overview(self)
 
     @classmethod
     def load(cls, path: str | Path) -> "Study":
@@ -137,18 +150,98 @@ class Study:
         """Meaning of each number by dotted name."""
         return {name: number.quantity for name, number in self.numbers.items()}
 
-    def leaves(self) -> dict[str, float | Law]:
-        """Value or law of each number by dotted name."""
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Dotted names of the numbers that differ between draws: those with a law, and those that follow from one."""
+        laws = self.laws.keys()
+        return tuple(name for name, number in self.numbers.items() if laws & {name, *number.sources})
+
+    def followers(self, name: str) -> tuple[str, ...]:
+        """Dotted names of the loop's numbers that a number decides: itself, or those that follow from a parameter."""
+        if name not in self.parameter_names:
+            return (name,)
+        found = (number.name for number in self.numbers.values() if name in number.sources)
+        return tuple(follower for follower in found if follower not in self.parameter_names)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Dotted names of the study's parameters."""
+        return tuple(f"{PARAMETERS}.{name}" for name in self.config.parameters)
+
+    def unused_parameters(self) -> tuple[str, ...]:
+        """Dotted names of the parameters that nothing in the study names."""
+        content = [value for name, value in self.table.items() if name not in TEXTS]
+        named = {f"{PARAMETERS}.{name}" for name in named_in(content)}
+        return tuple(name for name in self.parameter_names if name not in named)
+
+    def require_free(self, name: str) -> None:
+        """Require that a number has a value of its own, and does not follow from parameters.
+
+        Raises:
+            ConfigError: It follows from them.
+        """
+        number = self.numbers.get(name)
+        if number and number.expression:
+            raise ConfigError(name, number.follows)
+        slot, _, field = name.partition(".")
+        table = self.table.get(slot)
+        written = table.get(field) if isinstance(table, Mapping) else None
+        if is_expression(written):
+            raise ConfigError(name, f"is the expression {written!r} in this study; give it a number of its own first")
+
+    def derived(self, values: Mapping[str, Numeric]) -> dict[str, Numeric]:
+        """The numbers that follow from parameters with the given values, by dotted name; an array for arrays.
+
+        A number that follows from a law without a value is left out.
+        """
+        found = {}
+        for name, number in self.numbers.items():
+            expression = number.expression
+            if expression and values.keys() & set(expression.names) and values.keys() >= expression.laws.keys():
+                found[name] = expression.at(values)
+        return found
+
+    def violations(self, values: Mapping[str, Numeric]) -> dict[str, str]:
+        """The numbers outside of their intervals at the given values, by dotted name: the rule and the values found.
+
+        Numbers that follow from the given ones are among them.
+        """
+        broken = {}
+        for name, column in (dict(values) | self.derived(values)).items():
+            low, high = float(np.min(column)), float(np.max(column))
+            rule = self.numbers[name].quantity.violated_by(low, high)
+            if rule is None and not np.all(np.isfinite(column)):
+                rule = "must be finite"
+            if rule:
+                broken[name] = f"{rule}, got [{low:.4g}, {high:.4g}]"
+        return broken
+
+    def leaves(self) -> dict[str, float | Uncertain]:
+        """Value or law of each number by dotted name; of one that follows from laws, its expression."""
         return {name: number.value for name, number in self.numbers.items()}
 
-    def params(self, values: Mapping[str, Scalar]) -> LoopParams:
+    def params(self, values: Mapping[str, Numeric]) -> LoopParams:
         """The loop's parameters with ``values`` (traced or not) in place of laws and swept numbers.
 
-        A leaf that is not a number of the study but is computed from such numbers is given by its own dotted path.
+        What follows from parameters is computed from their values. A leaf that is not a number of the study, but is
+        computed from such numbers, is given by its own dotted path.
         """
         names = {path: name for name, number in self.numbers.items() for path in number.paths}
-        flat, tree = tree_flatten_with_path(self.template, is_leaf=lambda leaf: isinstance(leaf, Law))
+        known = self.derived(values) | dict(values)
+        flat, tree = tree_flatten_with_path(self.template)
         dotted_paths = (keystr(path, simple=True, separator=".") for path, _ in flat)
         return tree.unflatten(
-            values.get(names.get(path, path), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
+            known.get(names.get(path, path), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
         )
+
+
+def takes_file(
+    function: Callable[Concatenate[Study, Arguments], Answer],
+) -> Callable[Concatenate[Study | str | Path, Arguments], Answer]:
+    """Let a function of a study also take the study's file, or the name of a packaged study."""
+
+    @wraps(function)
+    def loading(study: Study | str | Path, *arguments: Arguments.args, **options: Arguments.kwargs) -> Answer:
+        return function(study if isinstance(study, Study) else Study.load(study), *arguments, **options)
+
+    return loading

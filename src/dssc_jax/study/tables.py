@@ -15,6 +15,9 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.separators import toml_hint
 
+PARAMETERS = "parameters"
+DESCRIPTION = ("unit", "meaning")
+"""What the table of a parameter holds besides its content."""
 LARGEST_FILE = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
@@ -117,6 +120,8 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
             raise ConfigError(first, f"must be a table, got {inner!r}")
         inner[remainder] = value
         return
+    if first == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first), dict):
+        value = described_like(value, table[first].get(remainder))
     *parents, key = name.split(".")
     container: Any = table
     for part in parents:
@@ -132,6 +137,14 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         container[key] = value
     else:
         raise ConfigError(name, f"leads nowhere: '{key}' is not in a table")
+
+
+def described_like(value: object, earlier: object) -> object:
+    """A new content of a parameter with the unit and the meaning of the earlier one, if it has none of its own."""
+    kept = {key: earlier[key] for key in DESCRIPTION if key in earlier} if isinstance(earlier, dict) else {}
+    if not kept or (isinstance(value, dict) and not is_law(value)):
+        return value
+    return (dict(value) if isinstance(value, dict) else {"value": value}) | kept
 
 
 def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:

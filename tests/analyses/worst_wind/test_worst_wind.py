@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.worst_wind.ascent import Ascent, Points
+from dssc_jax.analyses.worst_wind.ascent import Ascent
 from dssc_jax.analyses.worst_wind.flights import WindFlights, WindGrid
 from dssc_jax.analyses.worst_wind.wind_set import Limits, WindSet
 from tests.tolerances import ROUNDING
@@ -177,10 +177,9 @@ def test_in_a_slight_wind_the_worst_is_the_sum_of_all_pulse_responses(hover):
 class Weak(Ascent):
     """A search that begins with weak winds only."""
 
-    def candidates(self):
-        """Slow turns at a tenth of the bound."""
-        winds = 0.1 * super().candidates().winds[-64:]
-        return Points(winds, {})
+    def first_winds(self):
+        """Random turns at a tenth of the bound."""
+        return [0.1 * self.winds.switching(64, self.rng)]
 
 
 @pytest.mark.parametrize("rate", [None, 3.0])

@@ -25,7 +25,7 @@ from dssc_jax.results.result import headline_measure
 from dssc_jax.runs import run as running
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics
 from dssc_jax.statistics.order import upper_quantiles
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 
 @dataclass(frozen=True)
@@ -284,6 +284,7 @@ def require_names(controllers: Sequence[str]) -> list[str]:
     return names
 
 
+@takes_file
 def compare(
     study: Study,
     controllers: Sequence[str],
@@ -295,7 +296,7 @@ def compare(
     """Compare controllers on common draws and common noise.
 
     Args:
-        study: The study; its own sweep is ignored. Gains: see :func:`controller_table`.
+        study: The study, or its file; its own sweep is ignored. Gains: see :func:`controller_table`.
         controllers: At least two names.
         candidates: Number of candidate gains to try for each controller; fresh draws decide. 0: no tuning.
         tuning_draws: Draws on which each candidate is tried.

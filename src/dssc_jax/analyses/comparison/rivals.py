@@ -16,8 +16,9 @@ from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
-from dssc_jax.study import Law, Study
+from dssc_jax.study import Study
 from dssc_jax.study.components import field_specs, lookup
+from dssc_jax.study.laws import Uncertain
 from dssc_jax.study.tables import merged
 
 ControllerTable = TomlTable
@@ -144,7 +145,7 @@ def plain(gains: DsscGains) -> DsscGains:
     Raises:
         ConfigError: a gain is a law.
     """
-    if any(isinstance(value, Law) for value in gains.functions):
+    if any(isinstance(value, Uncertain) for value in gains.functions):
         raise ConfigError("", "the functions hold a law, and a rival's gains are numbers")
     return gains
 

@@ -66,7 +66,8 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
     Args:
         study: The study with this controller.
         requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
-            controller's usual gains (``tunable``) range from a tenth to ten times their value.
+            controller's usual gains (``tunable``) range from a tenth to ten times their value; those that follow from
+            parameters keep to them.
 
     Raises:
         ConfigError: a range is not valid.
@@ -80,7 +81,7 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
     if extents:
         return extents
     names = study.loop.controller[0].tunable_gains(study.template.controller[0])
-    leaves = study.leaves()
+    leaves = {name: number.value for name, number in study.numbers.items() if number.expression is None}
     values = {f"controller.{name}": leaves.get(f"controller.{name}") for name in names}
     return {
         name: (value / FACTOR, value * FACTOR)

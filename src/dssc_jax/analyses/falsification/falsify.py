@@ -25,7 +25,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import Likelihood, mass_within
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
 
@@ -227,6 +227,7 @@ class Falsified(Analysis):
         )
 
 
+@takes_file
 def falsify(
     study: Study,
     *,
@@ -246,7 +247,7 @@ def falsify(
     gradients. The rest is differential evolution among the worst of all points. A draw that ends early counts as worst.
 
     Args:
-        study: The study; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
+        study: The study, or its file; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.
         budget: Number of simulations.
         seed: Seed of the search.
         within_sigma: Distance k from the median draw within which to search, in (0, 8].

@@ -19,11 +19,12 @@ from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Statu
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 NO_EFFECT = 1e-12  # response of a break point without effect
 
 
+@takes_file
 def loop_margins(study: Study, *, times: Sequence[float] = (), progress: ProgressCallback | None = None) -> LoopMargins:
     """Compute gain, phase, delay and disk margins, peak sensitivities, crossover and bandwidth of every draw.
 
@@ -33,7 +34,7 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     equilibrium these are the values at sigma = 0.
 
     Args:
-        study: The study; its own sweep is ignored. Draws have to be independent.
+        study: The study, or its file; its own sweep is ignored. Draws have to be independent.
         times: Times of the flight at which the loop is linearised about the state of the draw, with the draw's own
             reference, wind and disturbance [s]. Empty: at the equilibrium without these; a vehicle hovers.
         progress: Called with the linearised draws, and their total.

@@ -18,7 +18,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 
 SPREAD_HALVINGS = 10  # in the search for the largest admissible spread
@@ -26,6 +26,7 @@ CriticalDraws: TypeAlias = tuple[Critical, Arrays]
 """Critical values of draws, and the drawn numbers by name."""
 
 
+@takes_file
 def margin(
     study: Study,
     *,
@@ -46,7 +47,7 @@ def margin(
     non-finite.
 
     Args:
-        study: The study; its own sweep is ignored.
+        study: The study, or its file; its own sweep is ignored.
         over: Dotted name of the number, e.g. ``unmodelled.mu``, or ``spread``. ``loop.sample_time`` is fixed before
             tracing: its grid is rounded to whole numbers of samples, with one program for each value and no bisection.
         bounds: The safe end, where draws are expected to pass, then the other end, which may be the smaller one.
@@ -154,14 +155,8 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
 
 def range_violations(study: Study, columns: Arrays, spread: float) -> list[str]:
     """The numbers that leave their ranges if the laws are widened, in words."""
-    violations = []
-    for name, column in columns.items():
-        widened = study.laws[name].spread(column, spread)
-        low, high = float(widened.min()), float(widened.max())
-        rule = study.quantities[name].violated_by(low, high)
-        if rule:
-            violations.append(f"{name} {rule}, got [{low:.4g}, {high:.4g}]")
-    return violations
+    widened = {name: study.laws[name].spread(column, spread) for name, column in columns.items()}
+    return [f"{name} {rule}" for name, rule in study.violations(widened).items()]
 
 
 def number_margins(
@@ -203,8 +198,9 @@ def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: Progre
     """Critical sample times on the grid: the clock is fixed before tracing, so each value needs a separate program.
 
     Raises:
-        ConfigError: two values of the grid fall on the same number of samples.
+        ConfigError: two values of the grid fall on the same number of samples, or it follows from parameters.
     """
+    study.require_free(CLOCK)
     if len(set(walk.grid)) < walk.points:
         rule = f"{walk.points} points fall on fewer numbers of samples; take fewer, or wider bounds"
         raise ConfigError(CLOCK, rule)

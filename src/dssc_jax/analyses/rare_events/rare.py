@@ -20,7 +20,7 @@ from dssc_jax.engine.sampling import inside, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics import CONFIDENCE
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
 
@@ -193,11 +193,12 @@ class RareEvent(Analysis):
         )
 
 
+@takes_file
 def rare(study: Study, splitting: Splitting = USUAL, progress: ProgressCallback | None = None) -> RareEvent:
     """Estimate a study's failure probability at its own values, by splitting on the worst requirement's scaled slack.
 
     Args:
-        study: The study; its sweep and its number of draws are ignored.
+        study: The study, or its file; its sweep and its number of draws are ignored.
         splitting: The settings of the splitting.
         progress: Called with the simulations done; the total is not known beforehand.
 

@@ -30,7 +30,7 @@ from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.order import first
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 PASSING = 0.95  # share of all plants that has to meet the requirements
 COARSE = 8
@@ -215,6 +215,7 @@ def thresholds(draws: int, points: int) -> tuple[int, int]:
     return int(meets.max(initial=-1)), int(fails.min(initial=draws + 1))
 
 
+@takes_file
 def region(
     study: Study,
     *,
@@ -225,8 +226,8 @@ def region(
     """Find where at least 95 % of all plants meet the requirements, over two numbers, with 95 % confidence.
 
     Args:
-        study: The study; its own sweep is ignored. The two numbers replace their laws. Draws are independent, and
-            common to all points.
+        study: The study, or its file; its own sweep is ignored. The two numbers replace their laws. Draws are
+            independent, and common to all points.
         over: The two numbers and their ranges.
         halvings: How often the cells of the coarse lattice of 8 x 8 cells are halved. A part of the region that fits
             into a coarse cell may be missed.

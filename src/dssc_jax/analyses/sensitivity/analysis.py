@@ -14,7 +14,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
 from dssc_jax.engine.sampling import values_at_levels
 from dssc_jax.statistics import CONFIDENCE
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 SENSITIVITY_METHODS: dict[str, Callable[[Study, bool, float], RowDesign]] = {
     "sobol": sobol_design,
@@ -23,14 +23,15 @@ SENSITIVITY_METHODS: dict[str, Callable[[Study, bool, float], RowDesign]] = {
 }
 
 
+@takes_file
 def sensitivity(
     study: Study, method: str = "sobol", confidence: float = CONFIDENCE, progress: ProgressCallback | None = None
 ) -> Sensitivity:
     """Tell which uncertain numbers matter for every metric and for failure, at the study's own values.
 
     Args:
-        study: The study. Its sweep is ignored. Its number of draws, rounded down to a power of two, is the number of
-            rows; for ``morris`` it is about the total number of simulations.
+        study: The study, or its file. Its sweep is ignored. Its number of draws, rounded down to a power of two, is
+            the number of rows; for ``morris`` it is about the total number of simulations.
         method: ``sobol``: first-order and total indices of independent numbers. ``shapley``: Shapley effects, which
             share out the variance among correlated numbers too. ``morris``: screening of many numbers with few
             simulations.

@@ -154,7 +154,7 @@ def local_margin(
     """
     kind, resting, began = Time(kind), at_rest(study), time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
-    if over in study.quantities and over not in resting.quantities:
+    if over in study.quantities and (over not in resting.quantities or not resting.followers(over)):
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)

@@ -36,11 +36,16 @@ def example(study: Study) -> str:
     gains = {
         name: value
         for name, value in study.leaves().items()
-        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and study.quantities[name].law
+        if name.startswith("controller.") and isinstance(value, float) and value > 0.0 and is_free(study, name)
     }
     ranges = [f'"{name}" = [{value / 3.0:.3g}, {value * 3.0:.3g}]' for name, value in list(gains.items())[:1]]
     metric = next((measure.name for measure in study.measures), "error_rms")
     return f"[tune] parameters = {{ {', '.join(ranges)} }}, objective = {{ {metric} = 1.0 }}"
+
+
+def is_free(study: Study, name: str) -> bool:
+    """Whether a number may differ between draws and follows from no parameter."""
+    return study.quantities[name].law and study.numbers[name].expression is None
 
 
 NumbersKey: TypeAlias = tuple[tuple[str, float], ...]
@@ -317,11 +322,18 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
     place = f"tune.parameters.{name}"
     if table.certified and name in NUMBERS:
         raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
-    part = name.split(".")
-    if (table.certified or table.slack is not None) and (part[0] in ASSUMED or "nominal" in part):
-        raise ConfigError(place, "is what the theorem's bounds are made of, so that they would move; give it a number")
     if name not in study.leaves():
         raise ConfigError(place, unfit(study, name))
+    if study.numbers[name].expression:
+        raise ConfigError(place, study.numbers[name].follows)
+    for follower in study.followers(name) if table.certified or table.slack is not None else ():
+        part = follower.split(".")
+        if part[0] in ASSUMED or "nominal" in part:
+            raise ConfigError(
+                place, "is what the theorem's bounds are made of, so that they would move; give it a number"
+            )
+        if follower != name and follower in NUMBERS:
+            raise ConfigError(place, f"decides {follower}, which the theorem takes as it is; give the gain a number")
     if not study.quantities[name].law:
         raise ConfigError(place, "is fixed before tracing (a whole number, a length), so it has no derivative")
     leaf = study.leaves()[name]

@@ -13,6 +13,7 @@ from scipy.special import expit, logit
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
 from dssc_jax.design import Bounds, Certificate, Free, Parameters, certification, check, design
+from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.design.small_gain import small_gain
 from dssc_jax.design.table1 import inequalities
 from dssc_jax.study import Study
@@ -130,7 +131,7 @@ class Theorem:
     fixed: Mapping[str, float]
     option: str = "tune.certified"
     parameters: Parameters = field(init=False)
-    ends: certification.Ends = field(init=False)
+    ends: Ends = field(init=False)
 
     def __post_init__(self) -> None:
         nominal = getattr(self.study.template.controller[0], "nominal", None)
@@ -145,7 +146,7 @@ class Theorem:
             bounds.prepare()
         except ConfigError as error:
             raise ConfigError(self.option, f"the loop's bounds are no bounds: {error}") from None
-        self.ends = certification.ends_of(self.study)
+        self.ends = ends_of(self.study)
 
     def free(self, tuned: Numbers) -> Free:
         """The free parameters, varied and fixed."""

@@ -18,7 +18,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays
-from dssc_jax.study import Study
+from dssc_jax.study import Study, takes_file
 
 CHECKED = 16  # points of the gradient check before a descent
 USEFUL = 0.5  # share of derivatives that must agree; below it evolution takes over
@@ -26,6 +26,7 @@ METHODS = {PROGRAMMING: quadratic_programming, EVOLUTION: evolve, SIMPLEX: optim
 """Searches other than those of optax."""
 
 
+@takes_file
 def tune(
     study: Study,
     *,
@@ -37,7 +38,7 @@ def tune(
     """Tune the numbers that the study's ``[tune]`` names.
 
     Args:
-        study: The study; its own sweep is ignored, and its own draws are kept for the verdict.
+        study: The study, or its file; its own sweep is ignored, and its own draws are kept for the verdict.
         robust: Also search for the worst case of the result, add it to the requirements, and tune again, until no
             failure is found.
         rounds: Largest number of repetitions.

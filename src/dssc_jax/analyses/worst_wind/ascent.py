@@ -20,13 +20,13 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, medians
 from dssc_jax.study.laws import Law
 
-RANDOM = 512
+RANDOM = 1024
 """Random switching winds among the candidates."""
 STARTS = 2
-"""Winds from which each signal is improved."""
+"""Winds of each kind, resonant and random, from which each signal is improved."""
 SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Steps towards the extreme wind that are tried, as shares of the way."""
-LEAST_GAIN = 1e-3
+LEAST_GAIN = 3e-4
 """Relative improvement below which a climb ends."""
 
 
@@ -118,12 +118,19 @@ class Ascent:
 
     def run(self) -> dict[str, Worst]:
         """The worst wind of each signal."""
-        candidates = self.candidates()
-        heights = self.heights(candidates)
-        starts = {name: np.argsort(-column, kind="stable")[:STARTS] for name, column in heights.items()}
-        names = [name for name in self.signals for _ in starts[name]]
-        points = candidates.chosen(np.concatenate([starts[name] for name in self.signals]))
-        best = np.concatenate([heights[name][starts[name]] for name in self.signals])
+        kinds = [self.candidates(winds) for winds in self.first_winds()]
+        names: list[str] = []
+        starts: list[Points] = []
+        columns: list[np.ndarray] = []
+        for kind in kinds:
+            heights = self.heights(kind)
+            for name in self.signals:
+                worst = np.argsort(-heights[name], kind="stable")[:STARTS]
+                names += [name] * len(worst)
+                starts.append(kind.chosen(worst))
+                columns.append(heights[name][worst])
+        points = joined(starts)
+        best = np.concatenate(columns)
         first = np.array(best)
         points, best = self.climb(names, points, best)
         found = {}
@@ -140,9 +147,12 @@ class Ascent:
         if self.progress:
             self.progress(rounds, self.rounds + 1)
 
-    def candidates(self) -> Points:
-        """Resonant and random winds, each with the median vehicle; with uncertain numbers, each also with a corner."""
-        winds = np.concatenate([self.winds.resonant(), self.winds.switching(RANDOM, self.rng)])
+    def first_winds(self) -> list[np.ndarray]:
+        """The winds to begin with, by their kind: resonant ones and random ones, shape (n, size, 3) each."""
+        return [self.winds.resonant(), self.winds.switching(RANDOM, self.rng)]
+
+    def candidates(self, winds: np.ndarray) -> Points:
+        """Winds with the median vehicle; with uncertain numbers, each also with a corner of the box."""
         count = len(winds)
         laws = self.flights.flying.laws
         middle = medians(self.flights.flying)

@@ -14,7 +14,8 @@ DIRECTIONS = 8
 """Lines along which a resonant candidate swings."""
 PERIODS = 16
 PHASES = (0.0, 0.25)  # periods
-LIFTS = (1.0, -1.0)  # of the vertical wind: with the swing, and against it
+LIFTS = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+"""Shares of the swing and of a constant in the vertical wind of a resonant candidate."""
 SIDES = 16
 """Sides of the polygon that stands for the circle where the rate is bounded; its corners lie on the circle."""
 
@@ -67,7 +68,7 @@ class WindSet:
         return followed
 
     def resonant(self) -> np.ndarray:
-        """Winds that swing along a line with a period, shape (n, size, 3); the vertical wind swings along or against.
+        """Winds that swing along a line with a period, shape (n, size, 3); the vertical wind swings or is constant.
 
         Directions divide half a circle, periods are even in the logarithm from two intervals to twice the flight.
         """
@@ -81,10 +82,11 @@ class WindSet:
                 winds += [self._swinging(swing, angle, lift) for angle in half_circle() for lift in LIFTS]
         return self.within(np.stack(winds))
 
-    def _swinging(self, swing: np.ndarray, angle: float, lift: float) -> np.ndarray:
-        """The wind that follows a swing of +-1 along a direction, shape (size, 3)."""
-        extreme = np.array([self.limits.speed * np.cos(angle), self.limits.speed * np.sin(angle), 0.0])
-        return swing[:, None] * (extreme + np.array([0.0, 0.0, lift * self.limits.vertical]))
+    def _swinging(self, swing: np.ndarray, angle: float, lift: tuple[float, float]) -> np.ndarray:
+        """The wind that follows a swing of +-1 along a direction, with shares of it in the vertical; (size, 3)."""
+        horizontal = self.limits.speed * swing
+        vertical = self.limits.vertical * (lift[0] * swing + lift[1])
+        return np.column_stack([horizontal * np.cos(angle), horizontal * np.sin(angle), vertical])
 
     def switching(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Winds that switch to random extremes at random times, shape (count, grid.size, 3).

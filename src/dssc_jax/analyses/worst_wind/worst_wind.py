@@ -183,8 +183,9 @@ def worst_wind(
     """Find the wind within the bounds of a study's wind that drives each signal to its worst value.
 
     Candidates are winds that swing along a line with a period, which resonate with the loop, and winds that switch to
-    random extremes. From the two worst of them for each signal, a climb steps towards the extreme wind of the signal's
-    gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its value.
+    random extremes. From the two worst of either kind for each signal, a climb steps towards the extreme wind of the
+    signal's gradient. Uncertain numbers of the study move, too, within the support of their laws; a choice keeps its
+    value.
 
     Args:
         study: The study. Its wind declares its bounds; those of ``kind = "bounded"`` are its parameters. Its own sweep

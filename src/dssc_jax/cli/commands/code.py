@@ -1,20 +1,31 @@
 """dssc-jax code: the sampled controller as C99, and as an FMU."""
 
 import json
+from pathlib import Path
 
 from dssc_jax.cli.analysing import attempt
 from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.fmu_library import built_library
-from dssc_jax.cli.loading import study_of
+from dssc_jax.cli.loading import read_json, study_of
 from dssc_jax.console.flight import show_code
 from dssc_jax.core import files
 from dssc_jax.flight_code.folder import FlightFolder
+from dssc_jax.flight_code.premises import Premises
+from dssc_jax.study import Study
+
+
+def premises_of(study: Study, path: Path) -> Premises:
+    """The premises of a certificate's file, for a monitor."""
+    from dssc_jax.flight_code.certified_premises import certified_premises  # the verifier is optional
+
+    return certified_premises(study, read_json(path), str(path))
 
 
 def run(options: Code) -> int:
     """Write the folder of the controller, and print what it holds."""
-    folder = FlightFolder(study_of(options))
+    study = study_of(options).without_sweep()
+    folder = FlightFolder(study, None if options.monitor is None else premises_of(study, options.monitor))
     out = options.out
     attempt(out, lambda: files.make_folder(out))
     texts = folder.texts()
@@ -25,6 +36,11 @@ def run(options: Code) -> int:
     parts = folder.recording(options.draws, options.samples)
     attempt(path, lambda: files.write_parts(path, parts))
     written = [*texts, path.name]
+    if folder.monitor is not None:
+        monitored = out / "monitored.bin"
+        flights = folder.monitor_recording(options.draws, options.samples)
+        attempt(monitored, lambda: files.write_parts(monitored, flights))
+        written.append(monitored.name)
     summary = folder.summary() | {"folder": str(out)}
     if options.fmu:
         unit = folder.fmu()

@@ -9,7 +9,7 @@ from dssc_jax.analyses.tuning.result import PROOF_FILE
 from dssc_jax.cli.analysing import attempt
 from dssc_jax.cli.declarations.designs import Prove
 from dssc_jax.cli.exit_codes import DONE, FAILS
-from dssc_jax.cli.loading import load_study
+from dssc_jax.cli.loading import load_study, read_json
 from dssc_jax.cli.parsing import parse_changes, parse_walk
 from dssc_jax.console.proofs import show_proof, show_sweep_verdicts, show_verdict
 from dssc_jax.console.terminal import output, progress_bar
@@ -18,7 +18,6 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
-from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.proofs.prove import AnyProved, check_certificate, prove
 from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND
 from dssc_jax.proofs.reach import proved_up_to
@@ -156,15 +155,3 @@ def study_of_folder(folder: Path) -> Study | None:
         return None
     study = load_result(folder).study
     return None if isinstance(study, Described) else study
-
-
-def read_json(path: Path) -> object:
-    """The content of a file.
-
-    Raises:
-        ConfigError: it cannot be read, or it is no plain JSON.
-    """
-    try:
-        return certificate_content(files.read_text(path))
-    except (OSError, ValueError) as error:
-        raise ConfigError(str(path), f"cannot be read: {error}") from None

@@ -46,9 +46,10 @@ class Prove:
     """Prove that the sampled loop slides and stays near its reference: exit 1 where it is not proved.
 
     The proof covers every value of k_p, a_p and mu within the support of their laws and every disturbance within its
-    bounds, with sampling and lag. A verifier in exact ball arithmetic accepts it, or it does not count. A certificate's
-    file is verified from the file alone. With --over, each value is proved on its own, from the safe end LO on, and the
-    last one that is proved is told.
+    bounds, with sampling and lag. For a vehicle that hovers, it covers every wind within its bounds, and every vehicle
+    within the support of the laws. A verifier in exact ball arithmetic accepts it, or it does not count. A
+    certificate's file is verified from the file alone. With --over, each value is proved on its own, from the safe end
+    LO on, and the last one that is proved is told.
     """
 
     study: Annotated[

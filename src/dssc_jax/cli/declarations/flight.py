@@ -30,6 +30,10 @@ class Code(StudyOptions):
     Differentiator and controller of every channel come from the functions that the analysis runs. `make -C DIR` replays
     recorded draws and compares every bit; docs/flight.md tells how to do so for ARM. For float32 give
     --set loop.precision=32. With --fmu the same source becomes an FMU, with its library if there is a C compiler.
+
+    With --monitor the certificate of `dssc-jax prove` is verified, and a monitor is written beside the controller. At
+    each sample it tells which bound or premise of the certificate the flight has left. A certificate that the verifier
+    rejects, or that belongs to another loop than the study's, is refused with exit code 2.
     """
 
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to write.")]
@@ -40,6 +44,10 @@ class Code(StudyOptions):
     fmu: Annotated[
         bool, typer.Option("--fmu", help="Write the controller as an FMU for co-simulation (FMI 2.0) beside it.")
     ] = False
+    monitor: Annotated[
+        Path | None,
+        typer.Option("--monitor", metavar="CERTIFICATE", help="A certificate of the study's loop, for a monitor."),
+    ] = None
     as_json: Json = False
 
 

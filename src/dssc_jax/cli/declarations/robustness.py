@@ -1,7 +1,7 @@
 """Options of the commands on a loop's robustness: margin, theory, compare, loop, region."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -18,7 +18,8 @@ class Margin(OutputOptions, DrawsOptions, WalkOptions):
 
     Prints the median, the value up to which 95 % of all draws pass with 95 % confidence (Wilks), the share of draws
     without a critical value between the bounds, the share that passes again beyond a failure, and what Theorem 1 says.
-    With --prove, it also tells how far the sampled loop is proved, for all plants of the laws at once.
+    With --prove, it also tells how far the sampled loop is proved, for all plants of the laws, or all winds within the
+    bounds, at once.
     """
 
     controllers: Annotated[
@@ -33,8 +34,11 @@ class Theory(OutputOptions, DrawsOptions, WalkOptions):
 
     Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
     simulated margin. They answer different questions; where one of them does not apply, the answer says why. With
-    --prove, also how far the sampled loop is proved, for all plants of the laws at once.
+    --prove, also how far the sampled loop is proved, for all plants of the laws, or all winds within the bounds, at
+    once.
     """
+
+    also: ClassVar = ("pole", "poles", "eig", "rlocus", "root-locus")
 
     prove: Prove = False
 
@@ -70,6 +74,8 @@ class Loop(OutputOptions, DrawsOptions):
     of all draws meet with 95 % confidence (Wilks); draws Bode, Nyquist and sensitivity fans. A vehicle hovers, or is
     linearised along its flight with --at. The study's [sweep] is ignored.
     """
+
+    also: ClassVar = ("bode", "nyquist", "allmargin", "sigma-plot")
 
     at: Annotated[
         str | None,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -22,6 +22,8 @@ class Tune(DrawsOptions):
     decide: exit 1 where a limit or requirement is not met on the validation draws, or a hunt still finds a failure.
     Where [tune] asks for a proof, the folder holds the result's certificate, proof.json, which `prove` verifies.
     """
+
+    also: ClassVar = ("optimise", "optimize", "autotune")
 
     robust: Annotated[
         bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
@@ -46,6 +48,8 @@ class Falsify(OutputOptions, SeededOptions):
     Exit 1 where one fails. The witness is written as a study (witness.toml, for `simulate`) and as a result of that one
     draw (the folder witness, for `replay`).
     """
+
+    also: ClassVar = ("worst", "worst-case", "attack")
 
     budget: Budget = BUDGET
     within_sigma: Annotated[

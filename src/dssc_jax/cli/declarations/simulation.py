@@ -1,7 +1,7 @@
 """Options of the commands that simulate: run, sweep, simulate, replay, explore."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import typer
 
@@ -32,6 +32,8 @@ class Run(OutputOptions, RunOptions, DrawsOptions):
     exit code is 0. With --until-width, or --accept and --reject, the draws decide their number. The interval is then
     the sequential one, which stays valid, and the exit code is 1 unless the rule is met (narrow enough, or accepted).
     """
+
+    also: ClassVar = ("monte-carlo", "montecarlo", "mc")
 
     until_width: Annotated[
         float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
@@ -84,6 +86,8 @@ class Simulate(TrajectoryOptions, SeededOptions):
 
     Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
     """
+
+    also: ClassVar = ("step", "lsim", "sim", "impulse")
 
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")] = 0
     no_check: NoCheck = False

@@ -1,12 +1,12 @@
-"""Options of the commands for statistics: plan, sensitivity, rare."""
+"""Options of the commands for statistics: plan, sensitivity, laws, rare."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import typer
 
-from dssc_jax.analyses.defaults import LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
-from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, SeededOptions
+from dssc_jax.analyses.defaults import LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, SeededOptions, TrustCode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +42,38 @@ class Sensitivity(OutputOptions, DrawsOptions):
     method: Annotated[
         str, typer.Option("--method", metavar="NAME", help="sobol, shapley (numbers may be correlated) or morris.")
     ] = "sobol"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laws(OutputOptions, DrawsOptions):
+    """How wrong may the laws be before too many draws fail?
+
+    How far the true laws may lie from the assumed ones before the failure probability can exceed the limit: in total
+    variation, Kullback-Leibler and chi-square divergence; as a shift of all means and a widening of all laws in the
+    worst direction; and one law at a time. Each number holds with 95 % confidence. Shifts and widenings use the
+    weights of the same draws; where these are too uneven, --fresh simulates new draws.
+
+    A result is analysed as it is stored; a study is simulated first, and its [sweep] is ignored.
+    """
+
+    study: Annotated[str, typer.Argument(metavar="STUDY|RESULT", help="A study, or the folder of a run.")]
+    limit: Annotated[float, typer.Option("--limit", metavar="P", help="Largest failure probability allowed.")] = LIMIT
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--within",
+            metavar="NAME=R",
+            help="The failure probability if the laws are wrong by R: kl, chi_square or total_variation.",
+        ),
+    ] = None
+    shift: Annotated[
+        float | None, typer.Option("--shift", metavar="S", help="The same if all means are, by S standard deviations.")
+    ] = None
+    widening: Annotated[
+        float | None, typer.Option("--widening", metavar="K", help="The same if all laws are up to K times as wide.")
+    ] = None
+    fresh: Annotated[int, typer.Option("--fresh", metavar="N", help="New draws to simulate under changed laws.")] = 0
+    trust_code: TrustCode = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,8 +24,10 @@ DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 """The gains of whose sum each is the distance, times |sigma|."""
 
 
-def function_distances(problem: Problem, sigma: float, e: float, centre: Balls, room: float = DISTANCE_ROOM) -> Balls:
-    """Upper bounds of the distances over a region.
+def function_distances(
+    problem: Problem, sigma: float, e: float, centre: Balls, room: float = DISTANCE_ROOM, sigma_from: float = 0.0
+) -> Balls:
+    """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
 
     ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers. ``room`` is the largest excess over the
     distances at points, as a share of them; Table 1's functions have their own.
@@ -35,7 +37,7 @@ def function_distances(problem: Problem, sigma: float, e: float, centre: Balls, 
     at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
-    pieces = [(0.0, sigma)]
+    pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
         for low, high in pieces:

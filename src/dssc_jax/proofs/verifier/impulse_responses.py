@@ -6,6 +6,7 @@ error of each is at most ``ROUNDED`` times the product of the magnitudes, since 
 so that of both is at most ``TWICE`` ROUNDED S N |z|.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,67 @@ def magnitudes(matrix: arb_mat) -> np.ndarray:
     return np.array([[float((abs(x) + weight * x.rad()).upper()) for x in row] for row in matrix.tolist()])
 
 
+class Block(NamedTuple):
+    """``SIDE``^2 successive samples of row A^k z, rounded, for all rows and columns z; the bounds are rounded, too.
+
+    Args:
+        response: The samples, (samples, rows, columns).
+        error: Bound of the error of any one of them but for ``lost``, (rows, columns).
+        error_sum: The same of the sum of their errors.
+        lost: Bound of what the states' radii, dropped so far, do to any sample from this block on.
+        tail: Bound of every sample after this block, with ``lost``.
+    """
+
+    response: np.ndarray
+    error: np.ndarray
+    error_sum: np.ndarray
+    lost: np.ndarray
+    tail: np.ndarray
+
+
+def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterator[Block]:
+    """At most ``MOST_BLOCKS`` blocks, from k = 0 on.
+
+    Args:
+        a: A, (n, n).
+        rows: Rows of the signals, (m, n).
+        z: Columns of the first states, (n, columns).
+        p: V = z'Pz, which falls.
+    """
+    n, m = a.nrows(), rows.nrows()
+    short = stacked(powers(rows, a))
+    jumps = powers(identity(n), a**SIDE)
+    long = stacked(jumps)
+    block_jump = jumps[-1] * a**SIDE
+    short_middles = middles(short)
+    long_middles = middles(long).reshape(SIDE, n, n)
+    long_sizes = np.concatenate(list(magnitudes(long).reshape(SIDE, n, n)), axis=1)
+    error = (ROUNDED * TWICE * magnitudes(short) @ long_sizes).reshape(SIDE, m, SIDE, n)
+    error_sum = SUMMED * error.sum(axis=(0, 2))
+    error_peak = error.max(axis=(0, 2))
+    shadow = rows * p.inv() * rows.transpose()
+    reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
+    largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
+    count = z.ncols()
+    lost = [arb(0)] * count
+    for _ in range(MOST_BLOCKS):
+        for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
+            lost[j] = lost[j] + largest_in_unit_cube * max((z[i, j].rad() for i in range(n)), key=float)
+        z = z.mid()
+        state = middles(z)
+        sizes = np.abs(state)
+        response = (short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
+        z = block_jump * z
+        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
+        yield Block(
+            response,
+            error_peak @ sizes + UNDERFLOW,
+            error_sum @ sizes + UNDERFLOW,
+            reach[:, None] * np.array([float(size.upper()) for size in lost]),
+            reach[:, None] * np.array([float(end) for end in ends]),
+        )
+
+
 def response_bounds(
     a: arb_mat,
     rows: arb_mat,
@@ -68,43 +130,20 @@ def response_bounds(
         decay: Its share.
         offsets: What is added to the responses to the starts, (m, s); absent means zero.
     """
-    n, m, q = a.nrows(), rows.nrows(), inputs.ncols()
-    short = stacked(powers(rows, a))
-    jumps = powers(identity(n), a**SIDE)
-    long = stacked(jumps)
-    block_jump = jumps[-1] * a**SIDE
-    short_middles = middles(short)
-    long_middles = middles(long).reshape(SIDE, n, n)
-    long_sizes = np.concatenate(list(magnitudes(long).reshape(SIDE, n, n)), axis=1)
-    error = (ROUNDED * TWICE * magnitudes(short) @ long_sizes).reshape(SIDE, m, SIDE, n)
-    error_sum = SUMMED * error.sum(axis=(0, 2))
-    error_peak = error.max(axis=(0, 2))
-    shadow = rows * p.inv() * rows.transpose()
-    reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
-    largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
-    z = side_by_side(inputs, starts)
-    count = z.ncols()
-    lost = [arb(0)] * count
+    m, q = rows.nrows(), inputs.ncols()
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.ncols()))
     added = np.zeros(peaks.shape) if offsets is None else middles(offsets)
     added_error = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
-    for _ in range(MOST_BLOCKS):
-        for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
-            lost[j] = lost[j] + largest_in_unit_cube * max((z[i, j].rad() for i in range(n)), key=float)
-        z = z.mid()
-        state = middles(z)
-        response = (short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
-        sums += np.abs(response[..., :q]).sum(axis=0) + error_sum @ np.abs(state[:, :q]) + UNDERFLOW
-        largest = np.abs(response[..., q:] + added).max(axis=0) + error_peak @ np.abs(state[:, q:]) + UNDERFLOW
+    summed_tail = float((2 / decay).upper())
+    for block in response_blocks(a, rows, side_by_side(inputs, starts), p):
+        sums += np.abs(block.response[..., :q]).sum(axis=0) + block.error_sum[:, :q]
+        largest = np.abs(block.response[..., q:] + added).max(axis=0) + block.error[:, q:]
         peaks = np.maximum(peaks, largest + added_error)
-        z = block_jump * z
-        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
-        tail_peaks = reach[:, None] * np.array([float(end) for end in ends])
-        tail_sums = tail_peaks[:, :q] * float((2 / decay).upper())
-        if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks[:, q:] <= np.maximum(peaks, UNDERFLOW)):
-            lost_peaks = reach[:, None] * np.array([float(size.upper()) for size in lost[q:]])
-            peaks = np.maximum(peaks + lost_peaks, tail_peaks[:, q:] + np.abs(added) + added_error)
+        tail_sums = block.tail[:, :q] * summed_tail
+        tail_peaks = block.tail[:, q:]
+        if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks <= np.maximum(peaks, UNDERFLOW)):
+            peaks = np.maximum(peaks + block.lost[:, q:], tail_peaks + np.abs(added) + added_error)
             return ResponseBounds(SUMMED * (sums + tail_sums), SUMMED * peaks)
     return None
 

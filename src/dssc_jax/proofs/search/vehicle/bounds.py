@@ -30,11 +30,11 @@ from dssc_jax.proofs.search.vehicle.remainders import (
 )
 from dssc_jax.proofs.vehicle_problem import CHANNELS, ChannelProblem, VehicleProblem
 
-INFLATION = 1.0 + 2e-3
-"""How much larger than F(Y) a bound in Y is, for what the verifier's balls and tails add."""
+INFLATION = 2e-3
+"""By how much a bound in Y is larger than F(Y), as a share, for what the verifier's balls and tails add."""
 FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
-FAST_INFLATION = 1.0 + 1.5e-2
+FAST_INFLATION = 1.5e-2
 SMALLEST_BOUND = 1e-12
 DISTANCE_ROOM = 1.01
 """Widening of a distance, for the verifier's enclosure."""
@@ -56,6 +56,10 @@ WORTH = 0.995
 """Improvement of the bound of |e| for which the search goes on."""
 
 
+Slopes = tuple[float, float, float]
+"""k_1, k_2 and k_n of the straight lines in place of a channel's functions."""
+
+
 @dataclass(frozen=True)
 class ChannelDeviations:
     """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
@@ -67,7 +71,7 @@ class ChannelDeviations:
         steepest: Largest K_P, K_I and tau_av.
     """
 
-    slopes: tuple[float, float, float]
+    slopes: Slopes
     distance: tuple[float, float, float]
     ratio: tuple[float, float, float]
     steepest: tuple[float, float, float]
@@ -84,7 +88,7 @@ class VehicleBounds:
         rotors: Bounds of the rotors.
     """
 
-    slopes: dict[str, tuple[float, float, float]]
+    slopes: dict[str, Slopes]
     damping: tuple[float, float]
     bounds: Signals
     rotors: Rotors
@@ -105,7 +109,7 @@ def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
     return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
 
 
-def best_slopes(points: GainPoints) -> tuple[float, float, float]:
+def best_slopes(points: GainPoints) -> Slopes:
     """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2."""
     size = np.abs(points.sigma)
     columns = points.columns
@@ -128,7 +132,7 @@ def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
     return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
 
 
-def deviations_of(points: GainPoints, slopes: tuple[float, float, float]) -> ChannelDeviations:
+def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     """What the functions deviate by from straight lines with these slopes."""
     size = np.abs(points.sigma)
     columns = points.columns
@@ -142,9 +146,7 @@ def deviations_of(points: GainPoints, slopes: tuple[float, float, float]) -> Cha
     return ChannelDeviations(slopes, distance, share, (steepest, float(np.max(columns["k_i"])), reach))  # type: ignore[arg-type]
 
 
-def all_deviations(
-    problem: VehicleProblem, y: Signals, slopes: dict[str, tuple[float, float, float]]
-) -> dict[str, ChannelDeviations]:
+def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]) -> dict[str, ChannelDeviations]:
     """The deviations of every channel under the bounds of its sigma."""
     return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
@@ -237,13 +239,16 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
     return True
 
 
-def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> VehicleBounds | str:
-    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``."""
+def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float], room: float) -> VehicleBounds | str:
+    """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``.
+
+    ``room`` multiplies the room for the verifier.
+    """
     linear = linear_channels(problem, damping)
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
     regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
     regions = {name: max(region, 1e-3) for name, region in regions.items()}
-    slopes: dict[str, tuple[float, float, float]] = {}
+    slopes: dict[str, Slopes] = {}
     responses: dict[str, ChannelResponse] = {}
     chosen: dict[str, float] = {}
     for _ in range(ROUNDS):
@@ -256,7 +261,7 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> Veh
             if response is None:
                 return "gain"
             responses[name] = response
-        found = grown(problem, responses, slopes, y, damping, chosen)
+        found = grown(problem, responses, slopes, y, damping, chosen, room)
         if found is None:
             return "gain"
         reached, closed = found
@@ -270,10 +275,11 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float]) -> Veh
 def grown(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
-    slopes: dict[str, tuple[float, float, float]],
+    slopes: dict[str, Slopes],
     start: Signals,
     damping: tuple[float, float],
     regions: dict[str, float],
+    room: float,
 ) -> tuple[Signals, bool] | None:
     """The bounds after F is applied from small ones on, and whether they have become a fixed point.
 
@@ -287,7 +293,7 @@ def grown(
             reached, _, _ = applied(problem, responses, deviations, y, damping)
         except OutOfRange:
             return None
-        wider = {name: {key: inflated(key, value) for key, value in reached[name].items()} for name in CHANNELS}
+        wider = {name: {key: inflated(key, value, room) for key, value in reached[name].items()} for name in CHANNELS}
         growth = max(wider[name][key] / y[name][key] for name in CHANNELS for key in wider[name])
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
@@ -297,15 +303,16 @@ def grown(
     return None
 
 
-def inflated(signal: str, bound: float) -> float:
-    """A bound with room for the verifier."""
-    return max((FAST_INFLATION if signal in FAST else INFLATION) * bound, SMALLEST_BOUND)
+def inflated(signal: str, bound: float, room: float) -> float:
+    """A bound with so many times the usual room for the verifier."""
+    share = FAST_INFLATION if signal in FAST else INFLATION
+    return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 
 
 def accepted(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
-    slopes: dict[str, tuple[float, float, float]],
+    slopes: dict[str, Slopes],
     y: Signals,
     damping: tuple[float, float],
 ) -> VehicleBounds | str:
@@ -317,15 +324,18 @@ def accepted(
     return VehicleBounds(dict(slopes), damping, y, rotors)
 
 
-def best_bounds(problem: VehicleProblem) -> VehicleBounds | str:
-    """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none."""
+def best_bounds(problem: VehicleProblem, room: float = 1.0) -> VehicleBounds | str:
+    """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none.
+
+    ``room`` multiplies the room for the verifier.
+    """
     wind_h, wind_z = problem.wind
     k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
     speed = math.hypot(wind_h, wind_z)
     damping = (DAMPING_SHARE * k_h * speed, DAMPING_SHARE * k_z * speed)
-    best = vehicle_bounds(problem, damping)
+    best = vehicle_bounds(problem, damping, room)
     for step in DAMPING_STEPS:
-        trial = vehicle_bounds(problem, (step * damping[0], damping[1]))
+        trial = vehicle_bounds(problem, (step * damping[0], damping[1]), room)
         if isinstance(trial, str):
             continue
         if isinstance(best, str) or trial.bounds["x"]["e"] < best.bounds["x"]["e"]:
@@ -335,16 +345,21 @@ def best_bounds(problem: VehicleProblem) -> VehicleBounds | str:
 
 def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
     """The proof as a certificate holds it."""
+    channels = middle_of(problem, found)
+    for name in CHANNELS:
+        channels[name]["bounds"] = found.bounds[name]
+    return {"channels": channels, "cells": None, "settled": None}
+
+
+def middle_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
+    """Slopes, damping of drag, lambda and P of each channel, as a certificate holds them."""
     linear = linear_channels(problem, found.damping)
-    channels = {}
+    channels: JsonObject = {}
     for name, damping in zip(CHANNELS, (*found.damping, 0.0), strict=True):
         step = sampled(problem, problem.channels[name], linear[name], found.slopes[name])
         falls, p = decay_of(step.a)
+        rate = falls / problem.sample_time
         channels[name] = {
-            "slopes": list(found.slopes[name]),
-            "drag_damping": damping,
-            "rate": falls / problem.sample_time,
-            "p": p.tolist(),
-            "bounds": found.bounds[name],
-        }
-    return {"channels": channels}
+            "slopes": list(found.slopes[name]), "drag_damping": damping, "rate": rate, "p": p.tolist(),
+        }  # fmt: skip
+    return channels

@@ -11,6 +11,8 @@ from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 GRAVITY = 9.81
 POINTS = (0.125, 0.375, 0.625, 0.875)
 """Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
+PIECES = 4
+"""Pieces of a sample over which integrals are taken by the trapezoidal rule."""
 ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
 """Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
 MOST_CONSTANT_SAMPLES = 40_000
@@ -216,13 +218,32 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
     return Sampled(a, acting, weights[0], u, t * (u + unit[n - 1]), q + k_1 * sigma)
 
 
-def channel_response(
-    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]
-) -> ChannelResponse | None:
-    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow."""
+@dataclass(frozen=True)
+class Seen:
+    """A sampled channel, its signals at the points of a sample, and its inputs.
+
+    Args:
+        step: One sample.
+        names: The signals.
+        rows: Row of each point and signal over z, (points * signals, n).
+        direct: What the inputs of the same sample do, (points, signals, inputs).
+        columns: Columns of omega_u, omega_q, and of the remainders at five times of the sample, (n, 2 + 5 remainders).
+        held: Column of a constant force, (n,).
+        within: What a constant force of the same sample does, (points * signals,).
+    """
+
+    step: Sampled
+    names: tuple[str, ...]
+    rows: np.ndarray
+    direct: np.ndarray
+    columns: np.ndarray
+    held: np.ndarray
+    within: np.ndarray
+
+
+def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
+    """A channel with slopes k_1, k_2, k_n, at its samples."""
     step = sampled(problem, channel, linear, slopes)
-    if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
-        return None
     t = problem.sample_time
     m, n = linear.g.size, step.a.shape[0]
     names = (*linear.signals, "u_av")
@@ -230,11 +251,11 @@ def channel_response(
     direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
     within = np.zeros((len(POINTS), len(names)))
     forces = np.stack(list(linear.b.values()), axis=1)
-    held_force = integral(linear, linear.b.get("force", np.zeros(m)), t)
+    force = linear.b.get("force", np.zeros(m))
     for place, share in enumerate(POINTS):
         phi, gamma = flow(linear, share * t)
-        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, 5)]
-        pushed = integral(linear, linear.b.get("force", np.zeros(m)), share * t)
+        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, PIECES + 1)]
+        pushed = integral(linear, force, share * t)
         for row, (c, d) in enumerate(linear.signals.values()):
             by_command = c @ gamma + d
             rows[place, row, :m] = c @ phi
@@ -244,35 +265,86 @@ def channel_response(
             within[place, row] = c @ pushed
         rows[place, -1] = step.u_av
         direct[place, -1, 1] = t
-    flat = rows.reshape(-1, n)
-    columns = [step.u, step.q]
-    for part in range(5):
-        moved = np.zeros((n, forces.shape[1]))
-        moved[:m] = flow(linear, 0.25 * t * part)[0] @ forces
-        columns += list(moved.T)
-    result = responses(step.a, flat, np.stack(columns, axis=1), np.zeros((n, 0)))
+    columns = np.zeros((n, 2 + (PIECES + 1) * forces.shape[1]))
+    columns[:, 0] = step.u
+    columns[:, 1] = step.q
+    moved = [flow(linear, t * part / PIECES)[0] @ forces for part in range(PIECES + 1)]
+    columns[:m, 2:] = np.concatenate(moved, axis=1)
+    held = np.append(integral(linear, force, t), np.zeros(n - m))
+    return Seen(step, names, rows.reshape(-1, n), direct, columns, held, within.ravel())
+
+
+def over_sample(effects: np.ndarray, sample_time: float) -> np.ndarray:
+    """Effects of omega_u, omega_q and each remainder over a whole sample, from those at its times, (..., inputs)."""
+    times = effects[..., 2:].reshape(*effects.shape[:-1], PIECES + 1, -1)
+    integrals = sample_time * trapezoid([times[..., i, :] for i in range(PIECES + 1)])
+    return np.concatenate([effects[..., :2], integrals], axis=-1)
+
+
+def channel_response(
+    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]
+) -> ChannelResponse | None:
+    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow."""
+    seen = seen_channel(problem, channel, linear, slopes)
+    a, rows = seen.step.a, seen.rows
+    if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
+        return None
+    result = responses(a, rows, seen.columns, np.zeros((a.shape[0], 0)))
     if result is None:
         return None
-    inputs = forces.shape[1]
-    kernels = result.sums[:, 2:].reshape(-1, 5, inputs)
-    sums = np.concatenate([result.sums[:, :2], t * trapezoid([kernels[:, i] for i in range(5)])], axis=1)
-    gains = sums.reshape(len(POINTS), len(names), -1) + direct
-    shape = (len(POINTS), len(names))
-    constant, final = np.zeros((2, flat.shape[0]))
+    shape = (len(POINTS), len(seen.names))
+    gains = over_sample(result.sums, problem.sample_time).reshape(*shape, -1) + seen.direct
+    constant, final = np.zeros((2, rows.shape[0]))
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        constant, final = constant_response(step.a, flat, np.append(held_force, np.zeros(n - m)), within.ravel())
-    peaks = np.zeros((flat.shape[0], 3))
+        constant, final = constant_response(a, rows, seen.held, seen.within)
+    peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
-        starts = start_columns(problem, channel, n, slopes)
-        peaks = np.stack([constant_peaks(step.a, flat, start, np.zeros(flat.shape[0])) for start in starts], axis=-1)
+        starts = start_columns(problem, channel, a.shape[0], slopes)
+        peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
     return ChannelResponse(
-        names,
+        seen.names,
         tuple(linear.b),
         gains,
         constant.reshape(shape),
         final.reshape(shape),
         peaks.reshape(*shape, 3),
     )
+
+
+@dataclass(frozen=True)
+class ChannelSeries:
+    """Responses of a channel sample by sample; rows are points of a sample and signals.
+
+    Args:
+        effects: Magnitudes of what inputs of size 1 in one sample cause so many samples later, (samples, rows, inputs).
+        constant: Response to a constant force 1 from t = 0 on, (samples, rows).
+        starts: Responses to e, e' and q_(-1), (samples, rows, 3).
+    """
+
+    effects: np.ndarray
+    constant: np.ndarray
+    starts: np.ndarray
+
+
+def channel_series(
+    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...], length: int
+) -> ChannelSeries:
+    """The responses over a number of samples."""
+    seen = seen_channel(problem, channel, linear, slopes)
+    a = seen.step.a
+    n = a.shape[0]
+    rest = np.linalg.solve(np.eye(n) - a, seen.held)
+    z = np.column_stack([seen.columns, -rest, *start_columns(problem, channel, n, slopes)])
+    inputs = seen.columns.shape[1]
+    answers = np.zeros((length, seen.rows.shape[0], z.shape[1]))
+    for k in range(length):
+        answers[k] = seen.rows @ z
+        z = a @ z
+    effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
+    effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
+    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), problem.sample_time)
+    constant = answers[..., inputs] + seen.rows @ rest + seen.within
+    return ChannelSeries(effects, constant, answers[..., inputs + 1 :])
 
 
 def trapezoid(values: list[np.ndarray]) -> np.ndarray:

@@ -70,12 +70,23 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Rotors:
-    """Bounds of the rotors: thrusts [N], spread and sum of the speeds [rad/s], rho [N/s], spin-up [rad/s^2]."""
+    """Bounds of the rotors, of a cell of time and those before it.
+
+    Args:
+        smallest: Of the thrusts [N], from below.
+        largest: Of the thrusts [N].
+        spread: Of the difference of two rotors' speeds [rad/s].
+        sum: Of the sum of the speeds [rad/s].
+        behind: d, how far a thrust is behind its command [N].
+        defect: rho [N/s].
+        spin_up: Of the sum of the speeds' rates [rad/s^2].
+    """
 
     smallest: float
     largest: float
     spread: float
     sum: float
+    behind: float
     defect: float
     spin_up: float
 
@@ -156,8 +167,8 @@ def share_of_moments(problem: VehicleProblem, plane: float, yaw: float) -> float
     return 2.0 * max(j_x, j_y) * plane / (n * problem.arm) + j_z * yaw / (n * problem.torque_coefficient)
 
 
-def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moments) -> Rotors:
-    """Bounds of the rotors.
+def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moments, earlier: Rotors | None) -> Rotors:
+    """Bounds of the rotors; those of the cells before count with a lag.
 
     Raises:
         OutOfRange: a rotor may reach a limit.
@@ -172,10 +183,13 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     largest = mass * (GRAVITY + at.lift) * at.secant / n + added
     if not (smallest > 0.0 and largest < problem.rotor_limit):
         raise OutOfRange
+    if problem.rotor_lag and earlier is not None:
+        smallest = min(smallest, earlier.smallest)
+        largest = max(largest, earlier.largest)
     spread = (math.sqrt(largest) - math.sqrt(smallest)) / math.sqrt(k)
     total = math.sqrt(n * mass * (GRAVITY + max(at.lift, at.carried)) * at.secant / k)
     if not problem.rotor_lag:
-        return Rotors(smallest, largest, spread, total, 0.0, 0.0)
+        return Rotors(smallest, largest, spread, total, 0.0, 0.0, 0.0)
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
     behind = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
     behind += mass * y["z"]["behind"] * at.secant / n
@@ -183,9 +197,11 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     if bent >= 1.0:
         raise OutOfRange
     behind = 2.0 * behind / (1.0 + math.sqrt(1.0 - bent))
+    if n > 4 and earlier is not None:
+        behind = max(behind, earlier.behind)
     defect = behind**2 / (4.0 * problem.rotor_lag * smallest)
     spin_up = n * behind / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
-    return Rotors(smallest, largest, spread, total, defect, spin_up)
+    return Rotors(smallest, largest, spread, total, behind, defect, spin_up)
 
 
 def drag_in_plane(own: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
@@ -258,15 +274,23 @@ def air_of(problem: VehicleProblem, y: Signals, at: Attitude, rotors: Rotors, da
     )
 
 
-def remainders_of(problem: VehicleProblem, y: Signals, damping: tuple[float, float]) -> tuple[Signals, Rotors]:
+def remainders_of(
+    problem: VehicleProblem, y: Signals, damping: tuple[float, float], earlier: Rotors | None = None
+) -> tuple[Signals, Rotors]:
     """Bounds of the remainders, by channel and name, under bounds of the signals.
+
+    Args:
+        problem: The vehicle.
+        y: Bounds of the signals, in a cell of time.
+        damping: Damping of drag in the plane and along z [1/s].
+        earlier: The rotors in the cells before.
 
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
     """
     at = attitude_of(problem, y)
     moments = moments_of(problem, at)
-    rotors = rotors_of(problem, y, at, moments)
+    rotors = rotors_of(problem, y, at, moments, earlier)
     air = air_of(problem, y, at, rotors, damping)
     k = problem.thrust_deviation
     g = GRAVITY

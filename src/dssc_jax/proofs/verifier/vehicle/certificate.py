@@ -51,20 +51,37 @@ class VehicleProblem(TypedDict):
     channels: Mapping[str, ChannelProblem]
 
 
-class ChannelProof(TypedDict):
-    """Slopes k_1, k_2, k_n of the functions, the damping c, lambda, P, and the bounds of the signals."""
+class MiddleProof(TypedDict):
+    """The linear channel: slopes k_1, k_2, k_n of the functions, the damping c, lambda and P."""
 
     slopes: Sequence[float]
     drag_damping: float
     rate: float
     p: Sequence[Sequence[float]]
+
+
+class ChannelProof(MiddleProof):
+    """The linear channel, and the bounds of the signals."""
+
     bounds: Mapping[str, float]
 
 
+class CellsProof(TypedDict):
+    """The samples c of a time cell, and the bounds of the signals in each of the J first cells."""
+
+    samples: int
+    bounds: Mapping[str, Mapping[str, Sequence[float]]]
+
+
 class VehicleProof(TypedDict):
-    """The proofs of the channels."""
+    """The proofs of the channels, whose bounds are those of the last cell; the time cells before it; other channels.
+
+    ``settled`` has the linear channels for the upper limits; null means those of ``channels``.
+    """
 
     channels: Mapping[str, ChannelProof]
+    cells: CellsProof | None
+    settled: Mapping[str, MiddleProof] | None
 
 
 class VehicleCertificate(TypedDict):

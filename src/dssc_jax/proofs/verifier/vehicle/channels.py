@@ -11,7 +11,7 @@ from typing import NamedTuple
 from flint import arb, arb_mat
 
 from dssc_jax.proofs.verifier.balls import identity
-from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, ChannelProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, MiddleProof, VehicleProblem
 
 EQUIVALENT = "u_av"
 """The signal that exists at the samples only."""
@@ -184,7 +184,7 @@ def forced(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
 
 
 def sampled_channel(
-    channel: Channel, controller: ChannelProblem, proof: ChannelProof, sample_time: float, delay: float
+    channel: Channel, controller: ChannelProblem, proof: MiddleProof, sample_time: float, delay: float
 ) -> SampledChannel:
     """A channel at its samples.
 

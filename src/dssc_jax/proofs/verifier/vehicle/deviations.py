@@ -1,15 +1,16 @@
 """The functions of a channel within a region: how far they are from straight lines, and their largest gains."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 from flint import arb
 
-from dssc_jax.proofs.verifier.balls import Balls, Rejected
+from dssc_jax.proofs.verifier.balls import Balls, Rejected, maximum
 from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.function_distances import function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
-from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.premises import renamed
 
 DISTANCE_ROOM = 1e-3
@@ -17,7 +18,7 @@ DISTANCE_ROOM = 1e-3
 
 
 class Deviations(NamedTuple):
-    """Upper bounds over |sigma| <= Y[sigma], along one axis.
+    """Upper bounds over a region of |sigma|, mostly up to Y[sigma], along one axis.
 
     Args:
         d_1: D_1, of |phi_1 - k_1 sigma|.
@@ -65,17 +66,37 @@ def least(a: arb, b: arb) -> arb:
     return a_end if a_end <= b_end else b_end
 
 
-def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma: arb) -> Deviations:
+def deviations_in_regions(
+    problem: VehicleProblem, name: str, proof: MiddleProof, sigmas: Sequence[arb]
+) -> list[Deviations]:
+    """(V2) The functions of a channel within several regions, each |sigma| up to a bound.
+
+    The pieces between one bound and the next are enclosed one by one. Those up to a bound make its region.
+    """
+    regions: dict[float, Deviations] = {}
+    largest = None
+    low = 0.0
+    for high in sorted({float_above(sigma) for sigma in sigmas}):
+        piece = deviations_of(problem, name, proof, high, low)
+        largest = piece if largest is None else Deviations(*map(maximum, largest, piece))
+        regions[high] = largest
+        low = high
+    return [regions[float_above(sigma)] for sigma in sigmas]
+
+
+def deviations_of(
+    problem: VehicleProblem, name: str, proof: MiddleProof, sigma: float, sigma_from: float = 0.0
+) -> Deviations:
     """(V2) The functions of a channel within a region.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
         proof: Its proof, with the slopes k_1, k_2 and k_n.
-        sigma: Y[sigma], an exact number.
+        sigma: Largest |sigma|.
+        sigma_from: Smallest |sigma|.
     """
     controller = problem["channels"][name]
-    region = float_above(sigma)
     slopes = Balls(zip(("mean", "k_i", "k_n"), map(arb, proof["slopes"]), strict=True))
     loop = cast(
         Problem,
@@ -88,8 +109,8 @@ def deviations_of(problem: VehicleProblem, name: str, proof: ChannelProof, sigma
         },
     )
     try:
-        distances = function_distances(loop, region, 0.0, slopes, DISTANCE_ROOM)
-        gains = enclosed_gains(loop, region, 0.0)
+        distances = function_distances(loop, sigma, 0.0, slopes, DISTANCE_ROOM, sigma_from)
+        gains = enclosed_gains(loop, sigma, 0.0, sigma_from)
     except Rejected as rejected:
         raise renamed(rejected, "V2", f" of {name}") from None
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})

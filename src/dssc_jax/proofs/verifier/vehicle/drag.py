@@ -78,6 +78,7 @@ def vertical_drag(region: DragRegion) -> arb:
     return result
 
 
+@np.errstate(invalid="ignore", over="ignore")  # what is not finite is refused
 def plane_drag(region: DragRegion) -> arb:
     """The supremum over vectors v and w of the plane; at most about CELLS^-1 above.
 

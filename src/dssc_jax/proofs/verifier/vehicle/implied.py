@@ -6,9 +6,9 @@ from typing import NamedTuple
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise, total
-from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem, VehicleProof
+from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT
-from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of
+from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of, float_above
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import PHASES, SignalResponse, channel_responses
@@ -25,14 +25,14 @@ class Vehicle(NamedTuple):
 
     Args:
         problem: The certificate's problem.
-        proof: Its proof.
+        middles: The linear channels of its proof.
         ranges: What the problem's intervals come to.
         dampings: c of each channel.
         responses: The responses of the linear channels.
     """
 
     problem: VehicleProblem
-    proof: VehicleProof
+    middles: Mapping[str, MiddleProof]
     ranges: Ranges
     dampings: Mapping[str, float]
     responses: Responses
@@ -45,27 +45,29 @@ class Inputs(NamedTuple):
     deviations: Mapping[str, Deviations]
 
 
-def vehicle_of(problem: VehicleProblem, proof: VehicleProof) -> Vehicle:
+def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> Vehicle:
     """(V1) The linear channels, and their responses."""
-    proofs = proof["channels"]
     return Vehicle(
         problem,
-        proof,
+        middles,
         ranges_of(problem),
-        {name: proofs[name]["drag_damping"] for name in CHANNELS},
-        {name: channel_responses(problem, name, proofs[name]) for name in CHANNELS},
+        {name: middles[name]["drag_damping"] for name in CHANNELS},
+        {name: channel_responses(problem, name, middles[name]) for name in CHANNELS},
     )
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
     """(V2) The deviations of the functions under bounds of the signals."""
-    proofs = vehicle.proof["channels"]
-    return {name: deviations_of(vehicle.problem, name, proofs[name], bounds[name]["sigma"]) for name in CHANNELS}
+    regions = {name: float_above(bounds[name]["sigma"]) for name in CHANNELS}
+    return {name: deviations_of(vehicle.problem, name, vehicle.middles[name], regions[name]) for name in CHANNELS}
 
 
-def inputs_under(vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations]) -> Inputs:
-    """(V3) What bounds of the signals allow."""
-    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings), deviations)
+def inputs_under(
+    vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], before: Inputs | None = None
+) -> Inputs:
+    """(V3) What bounds of the signals allow, after the inputs of the time cell before."""
+    past = before.remainders if before is not None else None
+    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings, past), deviations)
 
 
 def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, started: bool) -> dict[str, Balls]:
@@ -81,7 +83,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
     result = {}
     for name in CHANNELS:
         slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
-        starts = start_sizes(vehicle, name, inputs.deviations[name]) if started else None
+        starts = start_sizes(vehicle, name) if started else None
         result[name] = Balls()
         for signal, phases in vehicle.responses[name].items():
             reached = arb(0)
@@ -124,12 +126,15 @@ def vector_share(name: str, signal: str) -> arb:
     return arb(1) if name != "x" or signal in ALONG_AXES else arb(2).sqrt()
 
 
-def start_sizes(vehicle: Vehicle, name: str, deviations: Deviations) -> list[arb]:
-    """E_0, V_0 and what the first sum q deviates by."""
+def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
+    """E_0, V_0 and what the first sum q deviates by, where |sigma| is at most Sigma_0."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
-    t = arb(vehicle.problem["sample_time"])
-    return [e, e_dot, deviations.of_start(controller["start"], first_sigma(vehicle.problem, name), t)]
+    first = first_sigma(vehicle.problem, name).upper()
+    if first == 0:
+        return [e, e_dot, arb(0)]
+    deviations = deviations_of(vehicle.problem, name, vehicle.middles[name], float_above(first))
+    return [e, e_dot, deviations.of_start(controller["start"], first, arb(vehicle.problem["sample_time"]))]
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:

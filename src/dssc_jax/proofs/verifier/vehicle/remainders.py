@@ -14,6 +14,8 @@ from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.drag import DragRegion, plane_drag, vertical_drag
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
+LEAST_ROTORS = 4
+"""Of these, net thrust and moments determine the thrusts."""
 SignalBalls = Mapping[str, Mapping[str, arb]]
 """Bounds of the signals, by channel and name."""
 
@@ -49,10 +51,11 @@ class Rotors(NamedTuple):
 
 
 class Behind(NamedTuple):
-    """What the rotors are behind by: r_mh, r_mz, rho and spin-up of the page."""
+    """What the rotors are behind by: r_mh, r_mz, d, rho and spin-up of the page."""
 
     r_mh: arb
     r_mz: arb
+    d: arb
     rho: arb
     spin_up: arb
 
@@ -69,12 +72,13 @@ class DragBounds(NamedTuple):
 
 
 class Remainders(NamedTuple):
-    """Bounds of the remainders, by channel and name, and of the constant o; the tilt and the rotors' thrusts."""
+    """Bounds of the remainders, by channel and name, and of the constant o; the tilt, the rotors' thrusts, and d."""
 
     channels: dict[str, Balls]
     constant: arb
     tilt: arb
     rotors: Rotors
+    behind_by: arb
 
 
 def attitude_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls) -> Attitude:
@@ -117,8 +121,11 @@ def attitude_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls) -> Att
     )
 
 
-def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude) -> Rotors:
-    """(V3) The thrusts of the rotors, where all are within their limits, and their speeds."""
+def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude, before: Remainders | None = None) -> Rotors:
+    """(V3) The thrusts of the rotors, where all are within their limits, and their speeds.
+
+    With a lag the thrusts follow their commands, so that those of the cells before still count.
+    """
     n = arb(problem["rotors"])
     believed_mass = arb(problem["believed_mass"])
     coefficient = arb(problem["thrust_coefficient"])
@@ -132,6 +139,9 @@ def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude) -> Rotors:
     require_premise(bool(smallest > 0), "V3: a rotor's commanded thrust may reach 0")
     require_premise(bool(largest < arb(problem["rotor_limit"])), "V3: a rotor's commanded thrust may reach its limit")
     lift = g + maximum(body.a, body.q)
+    if before is not None and problem["rotor_lag"] > 0:
+        smallest = smallest if smallest <= before.rotors.smallest else before.rotors.smallest
+        largest = maximum(largest, before.rotors.largest)
     return Rotors(
         smallest,
         largest,
@@ -140,17 +150,22 @@ def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude) -> Rotors:
     )
 
 
-def behind_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, rotors: Rotors) -> Behind:
+def behind_of(
+    problem: VehicleProblem,
+    at: Ranges,
+    bounds: SignalBalls,
+    body: Attitude,
+    rotors: Rotors,
+    before: Remainders | None = None,
+) -> Behind:
     """What rotors with a lag are behind by; zero without.
 
-    f_ci - f_i has a part d_4 that belongs to net thrust and moments. With more than four rotors it has another one, g,
-    in the null space of the allocation: f_c has none, so g' = -g/tau - N rho, with the orthogonal projection N on that
-    space. Its rows have the norm ((n - 4)/n)^(1/2) and the sum 0, and rho_i is within rho/2 of rho/2. So |g_i| is at
-    most tau (n - 4)^(1/2) rho/2, where rho is at most d^2/(4 tau f_min). As g is continuous and begins at 0, d is at
-    most the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+    In a later cell the part g of :func:`farthest_behind` begins with what it had before. So d is the larger of its
+    value and of that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger root is not below: then
+    g cannot grow beyond what belongs to d.
     """
     if problem["rotor_lag"] == 0:
-        return Behind(arb(0), arb(0), arb(0), arb(0))
+        return Behind(arb(0), arb(0), arb(0), arb(0), arb(0))
     n = arb(problem["rotors"])
     lag = arb(problem["rotor_lag"])
     g = at.gravity
@@ -162,12 +177,27 @@ def behind_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: At
     d = arb(problem["believed_mass"]) * bounds["z"]["behind"] * body.secant / n
     d = d + 2 * at.believed_h * (bounds["x"]["behind"] + r_mh) / (g * n * arb(problem["arm"]))
     d = d + at.believed_z * (bounds["psi"]["behind"] + r_mz) / (n * arb(problem["torque_coefficient"]))
-    bent = (n - 4).sqrt() * d / (2 * rotors.smallest)
-    require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
-    d = 2 * d / (1 + (1 - bent).sqrt())
+    d = farthest_behind(n, d, rotors.smallest)
+    if before is not None and problem["rotors"] > LEAST_ROTORS:
+        kept = (n - LEAST_ROTORS).sqrt() * before.behind_by <= 4 * rotors.smallest
+        require_premise(bool(kept), "V3: the rotors may be too far behind their commands")
+        d = maximum(d, before.behind_by)
     rho = d * d / (4 * lag * rotors.smallest)
     slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
-    return Behind(r_mh, r_mz, rho.upper(), (n * d / (2 * lag * slowest)).upper())
+    return Behind(r_mh, r_mz, d, rho.upper(), (n * d / (2 * lag * slowest)).upper())
+
+
+def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
+    """(V3) A bound of |f_ci - f_i|, where ``d_4`` bounds the part of it that belongs to net thrust and moments.
+
+    With more than four rotors f_i has a part g_i in the null space of the allocation, too. f_c has none, so g' = -g/tau
+    - N rho with the orthogonal projection N on that space. Its rows have the norm ((n - 4)/n)^(1/2) and the sum 0, and
+    each rho_i is within rho/2 of rho/2. So |g_i| is at most tau (n - 4)^(1/2) rho/2, where rho is at most d^2/(4 tau
+    f_min). As g is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+    """
+    bent = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
+    require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - bent).sqrt())).upper()
 
 
 def drag_of(
@@ -210,7 +240,11 @@ def drag_of(
 
 
 def remainders_of(
-    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, dampings: Mapping[str, float]
+    problem: VehicleProblem,
+    at: Ranges,
+    bounds: SignalBalls,
+    dampings: Mapping[str, float],
+    before: Remainders | None = None,
 ) -> Remainders:
     """(V3) The remainders under bounds of the signals.
 
@@ -219,10 +253,11 @@ def remainders_of(
         at: What its intervals come to.
         bounds: Bounds of the signals.
         dampings: c of x and z.
+        before: The remainders of the time cell before; None in the first one.
     """
     body = attitude_of(problem, at, bounds)
-    rotors = rotors_of(problem, at, body)
-    behind = behind_of(problem, at, bounds, body, rotors)
+    rotors = rotors_of(problem, at, body, before)
+    behind = behind_of(problem, at, bounds, body, rotors, before)
     drag = drag_of(problem, at, bounds, dampings, body, rotors, behind)
     g = at.gravity
     k = at.k
@@ -237,7 +272,7 @@ def remainders_of(
         shortfall = arb(problem["rotors"]) * behind.rho / arb(problem["believed_mass"])
         by_lift["lag"] = (shortfall + (g + body.q) * body.t * body.turning).upper()
     channels = {"x": {"force": force.upper()} | plane, "z": by_lift, "psi": yaw}
-    return Remainders(channels, (k * g).upper(), s, rotors)
+    return Remainders(channels, (k * g).upper(), s, rotors, behind.d)
 
 
 def torques(problem: VehicleProblem, at: Ranges, body: Attitude, drag: DragBounds) -> tuple[Balls, Balls]:

@@ -25,7 +25,7 @@ from dssc_jax.proofs.verifier.balls import (
     total,
 )
 from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds, response_bounds
-from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import (
     EQUIVALENT,
     Channel,
@@ -83,8 +83,36 @@ class Sight(NamedTuple):
     direct_integral: arb
 
 
-def channel_responses(problem: VehicleProblem, name: str, proof: ChannelProof) -> dict[str, list[SignalResponse]]:
-    """(V1) The responses of a channel's signals, at each phase.
+class SeenChannel(NamedTuple):
+    """A sampled channel whose V falls, and what is seen of it.
+
+    Args:
+        channel: The channel.
+        sampled: The same at its samples.
+        p: P of V, (m, m).
+        decay: T_s lambda.
+        sights: The signals at their times.
+        rows: Their rows, (sights, m).
+        curved: The columns of the remainders within a sample.
+        inputs: omega_u, omega_q, points and bend of each remainder, and the unit columns of chi, (m, inputs).
+        starts: e, e', the first sum q, and the constant, (m, 4).
+        offsets: What is added to the responses to the starts, (sights, 4).
+    """
+
+    channel: Channel
+    sampled: SampledChannel
+    p: arb_mat
+    decay: arb
+    sights: list[Sight]
+    rows: arb_mat
+    curved: dict[str, "CurvedColumn"]
+    inputs: arb_mat
+    starts: arb_mat
+    offsets: arb_mat
+
+
+def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> SeenChannel:
+    """(V1) A channel at its samples.
 
     Args:
         problem: The certificate's problem.
@@ -109,12 +137,25 @@ def channel_responses(problem: VehicleProblem, name: str, proof: ChannelProof) -
         columns += [extended(part, sampled) for part in (*parts.points, parts.bend)]
     inputs = joined([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
     rows = stack([sight.row for sight in sights])
-    reached = response_bounds(sampled.a, rows, inputs, starts, p, decay, offsets)
+    return SeenChannel(channel, sampled, p, decay, sights, rows, curved, inputs, starts, offsets)
+
+
+def channel_responses(problem: VehicleProblem, name: str, proof: MiddleProof) -> dict[str, list[SignalResponse]]:
+    """(V1) The responses of a channel's signals, at each phase.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        proof: Its proof.
+    """
+    seen = seen_channel(problem, name, proof)
+    t = arb(problem["sample_time"])
+    reached = response_bounds(seen.sampled.a, seen.rows, seen.inputs, seen.starts, seen.p, seen.decay, seen.offsets)
     require_premise(reached is not None, f"V1: the responses of {name} decay too slowly")
     assert reached is not None
     result: dict[str, list[SignalResponse]] = {}
-    for i, sight in enumerate(sights):
-        response = response_of(i, sight, channel, curved, reached, offsets, t)
+    for i, sight in enumerate(seen.sights):
+        response = response_of(i, sight, seen.channel, seen.curved, reached, seen.offsets, t)
         result.setdefault(sight.signal, []).append(response)
     return result
 
@@ -177,7 +218,7 @@ def extended(part: arb_mat, sampled: SampledChannel) -> arb_mat:
 
 
 def start_columns(
-    channel: Channel, sampled: SampledChannel, proof: ChannelProof, start: str, t: arb, sights: Sequence[Sight]
+    channel: Channel, sampled: SampledChannel, proof: MiddleProof, start: str, t: arb, sights: Sequence[Sight]
 ) -> tuple[arb_mat, arb_mat]:
     """The starts z_0 of e, of e' and of the first sum q, and -z* of the constant; and the offsets of their responses.
 

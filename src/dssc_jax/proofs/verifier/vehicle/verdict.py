@@ -4,12 +4,23 @@ docs/vehicle_proofs.md states the theorem. The numbers of the certificate are ex
 """
 
 import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 from flint import arb
 
 from dssc_jax.proofs.verifier.balls import ENTERED, Rejected, maximum, require_premise
-from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.cell_bounds import (
+    bounds_in_cells,
+    cell_place,
+    implied_in_cells,
+    inputs_in_cells,
+    largest_bounds,
+    largest_inputs,
+    responses_in_cells,
+)
+from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem, VehicleProof
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, float_above
 from dssc_jax.proofs.verifier.vehicle.implied import (
     Inputs,
@@ -32,6 +43,8 @@ REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
 """The remainder in the slope of sigma."""
 FloatBounds = dict[str, dict[str, float]]
 """Bounds of the signals, rounded up, by channel and name."""
+Envelope = Mapping[str, Mapping[str, list[float]]]
+"""The same in each time cell."""
 
 
 class VehicleVerdict(NamedTuple):
@@ -46,6 +59,9 @@ class VehicleVerdict(NamedTuple):
         settled_tilt: Bound of its upper limit [rad].
         rotor_min: Lower bound of the rotors' commanded thrusts [N].
         rotor_max: Upper bound of them [N].
+        slopes: Bounds of abs(sigma') between the samples, by channel. Empty if not proved.
+        cell: Duration of a time cell [s]; 0 without cells.
+        envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
     """
 
     proved: bool
@@ -56,6 +72,9 @@ class VehicleVerdict(NamedTuple):
     settled_tilt: float
     rotor_min: float
     rotor_max: float
+    slopes: dict[str, float]
+    cell: float = 0.0
+    envelope: Envelope = MappingProxyType({})
 
 
 def verify_vehicle(content: object) -> VehicleVerdict:
@@ -67,38 +86,54 @@ def verify_vehicle(content: object) -> VehicleVerdict:
     with ball_precision():
         try:
             certificate = require_certificate(content)
-            return proved_verdict(vehicle_of(certificate["problem"], certificate["proof"]))
+            return proved_verdict(certificate["problem"], certificate["proof"])
         except Rejected as rejected:
             infinite = float("inf")
-            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite)
+            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite, {})
 
 
-def proved_verdict(vehicle: Vehicle) -> VehicleVerdict:
-    """(V2) to (V5), and what follows from them."""
-    proofs = vehicle.proof["channels"]
-    bounds = {name: {signal: arb(value) for signal, value in proofs[name]["bounds"].items()} for name in CHANNELS}
-    deviations = deviations_under(vehicle, bounds)
-    inputs = inputs_under(vehicle, bounds, deviations)
-    implied = implied_bounds(vehicle, bounds, inputs, started=True)
+def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
+    """(V1) to (V5), and what follows from them."""
+    vehicle = vehicle_of(problem, proof["channels"])
+    listed = proof["cells"]
+    cells = bounds_in_cells(proof)
+    inputs = inputs_in_cells(vehicle, cells)
+    implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, listed))
+    for j, bounds in enumerate(cells):
+        for name in CHANNELS:
+            for signal, bound in bounds[name].items():
+                holds = bool(implied[j][name][signal] < bound)
+                place = cell_place(j, len(cells))
+                require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
+    largest = largest_bounds(cells)
+    most = largest_inputs(inputs)
     for name in CHANNELS:
-        for signal, bound in bounds[name].items():
-            holds = bool(implied[name][signal] < bound)
-            require_premise(holds, f"V4: the bound of {name}.{signal} does not imply itself")
-    for name in CHANNELS:
-        require_sliding(vehicle.problem, name, bounds, inputs)
-    settled = settled_bounds(vehicle, bounds)
+        require_sliding(problem, name, largest, most)
+    settled = settled_bounds(vehicle, cells[-1])
+    if proof["settled"] is not None:
+        begun = moved_bounds(proof["channels"], proof["settled"], settled)
+        settled = settled_bounds(vehicle_of(problem, proof["settled"]), begun)
     gravity = vehicle.ranges.gravity
-    rotors = inputs.remainders.rotors
+    rotors = most.remainders.rotors
     return VehicleVerdict(
         True,
         "",
-        rounded(bounds),
+        rounded(largest),
         rounded(settled),
-        float_above(inputs.remainders.tilt),
+        float_above(most.remainders.tilt),
         float_above((settled["x"]["alpha"] / gravity).upper()),
         math.nextafter(float(rotors.smallest), -math.inf),
         float_above(rotors.largest),
+        {name: float_above(sigma_slope(name, largest, most).upper()) for name in CHANNELS},
+        0.0 if listed is None else listed["samples"] * problem["sample_time"],
+        {} if listed is None else envelope_of(cells),
     )
+
+
+def sigma_slope(name: str, bounds: SignalBalls, inputs: Inputs) -> arb:
+    """A bound of abs(sigma') of a channel."""
+    slope = bounds[name]["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
+    return slope + inputs.remainders.constant if name == "z" else slope
 
 
 def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inputs: Inputs) -> None:
@@ -108,9 +143,7 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     rho = arb(controller["rho"])
     y = bounds[name]
     law = inputs.deviations[name]
-    slope = y["bend"] + inputs.remainders.channels[name][REMAINDER_OF_SIGMA[name]]
-    if name == "z":
-        slope = slope + inputs.remainders.constant
+    slope = sigma_slope(name, bounds, inputs)
     before = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
     wanted = before + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
     require_premise(bool(wanted <= rho), f"V5: the equivalent control of {name} may exceed rho")
@@ -123,6 +156,22 @@ def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb
     """The equivalent control of the first sample, with the start ``zero``."""
     t = arb(problem["sample_time"])
     return (1 + law.tau_av / t) * (law.k_p + t * law.k_i) * first_sigma(problem, name)
+
+
+def moved_bounds(
+    middles: Mapping[str, MiddleProof], others: Mapping[str, MiddleProof], bounds: SignalBalls
+) -> SignalBalls:
+    """Bounds of the signals of other linear channels, in which c and k_1 differ."""
+    result = {name: dict(signals) for name, signals in bounds.items()}
+    for name, signals in result.items():
+        damping = abs(arb(middles[name]["drag_damping"]) - arb(others[name]["drag_damping"]))
+        slope = abs(arb(middles[name]["slopes"][0]) - arb(others[name]["slopes"][0]))
+        signals["bend"] = (signals["bend"] + damping * signals["e_dot"]).upper()
+        signals["u_av"] = (signals["u_av"] + slope * signals["sigma"]).upper()
+        if "acceleration" in signals:
+            speed = signals["speed" if name == "x" else "e_dot"]
+            signals["acceleration"] = (signals["acceleration"] + damping * speed).upper()
+    return result
 
 
 def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
@@ -152,3 +201,10 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
 def rounded(bounds: SignalBalls) -> FloatBounds:
     """Bounds in float64, rounded up."""
     return {name: {signal: float_above(y) for signal, y in bounds[name].items()} for name in CHANNELS}
+
+
+def envelope_of(cells: Sequence[SignalBalls]) -> Envelope:
+    """The bounds of each cell in float64, rounded up."""
+    return {
+        name: {signal: [float_above(y[name][signal]) for y in cells] for signal in cells[0][name]} for name in CHANNELS
+    }

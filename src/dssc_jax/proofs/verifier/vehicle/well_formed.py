@@ -6,17 +6,21 @@ from typing import Any, cast
 from dssc_jax.proofs.verifier.balls import Rejected
 from dssc_jax.proofs.verifier.vehicle.certificate import (
     CHANNELS,
+    CellsProof,
     ChannelProblem,
     ChannelProof,
+    MiddleProof,
     VehicleCertificate,
     VehicleProblem,
     VehicleProof,
 )
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
 from dssc_jax.proofs.verifier.vehicle.premises import renamed
+from dssc_jax.proofs.verifier.vehicle.remainders import LEAST_ROTORS
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
     STARTS,
+    require_count,
     require_entries,
     require_finite,
     require_functions,
@@ -32,7 +36,9 @@ from dssc_jax.proofs.verifier.well_formed import (
 
 KIND = "vehicle"
 VERSION = 1
-LEAST_ROTORS = 4
+MOST_SAMPLES = 2000
+"""Most samples of a time cell."""
+MOST_TIME_CELLS = 400
 POSITIVE = (
     "sample_time",
     "velocity_gain",
@@ -119,17 +125,45 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
     channels = require_entries(proof["channels"], set(CHANNELS), "proof.channels")
     for name in CHANNELS:
         require_channel_proof(problem, name, channels[name])
+    if proof["cells"] is not None:
+        require_cells(problem, proof["cells"])
+    if proof["settled"] is not None:
+        settled = require_entries(proof["settled"], set(CHANNELS), "proof.settled")
+        for name in CHANNELS:
+            middle = require_entries(settled[name], MiddleProof.__required_keys__, f"settled {name}")
+            require_middle(problem, name, middle)
+
+
+def require_cells(problem: VehicleProblem, content: object) -> None:
+    """Reject anything but the time cells of the problem's channels, equally many for every signal."""
+    cells: dict[str, Any] = require_entries(content, CellsProof.__required_keys__, "cells")
+    require_count(cells["samples"], MOST_SAMPLES, "cells.samples", f"is no integer from 1 to {MOST_SAMPLES}")
+    channels = require_entries(cells["bounds"], set(CHANNELS), "cells.bounds")
+    count = None
+    for name in CHANNELS:
+        names = signal_names(name, lagging=problem["rotor_lag"] > 0)
+        for signal, values in require_entries(channels[name], names, f"cells.{name}").items():
+            bounds = require_numbers(values, count, f"cells.{name}.{signal}")
+            count = len(bounds)
+            within = 1 <= count <= MOST_TIME_CELLS
+            require_shape(within, f"cells.{name}.{signal}", f"has no items, or more than {MOST_TIME_CELLS}")
+            require_shape(all(bound > 0 for bound in bounds), f"cells.{name}.{signal}", "is not positive")
 
 
 def require_channel_proof(problem: VehicleProblem, name: str, content: object) -> None:
     """Reject anything but a proof of the channel's shapes."""
     proof: dict[str, Any] = require_entries(content, ChannelProof.__required_keys__, f"proof of {name}")
+    require_middle(problem, name, proof)
+    names = signal_names(name, lagging=problem["rotor_lag"] > 0)
+    for signal, bound in require_entries(proof["bounds"], names, f"{name}.bounds").items():
+        require_positive(bound, f"{name}.{signal}")
+
+
+def require_middle(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
+    """Reject anything but the linear channel of a proof: slopes, damping, lambda and P."""
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
     require_not_negative(proof["drag_damping"], f"{name}.drag_damping")
     require_shape(name != "psi" or proof["drag_damping"] == 0, f"{name}.drag_damping", "is not 0")
     require_positive(proof["rate"], f"{name}.rate")
     order = channel_of(problem, name, proof["drag_damping"]).order + math.ceil(problem["delay"]) + 1
     require_symmetric(proof["p"], order, f"{name}.p")
-    names = signal_names(name, lagging=problem["rotor_lag"] > 0)
-    for signal, bound in require_entries(proof["bounds"], names, f"{name}.bounds").items():
-        require_positive(bound, f"{name}.{signal}")

@@ -1,0 +1,206 @@
+"""How wrong may the laws be? Regenerates the measured parts of docs/laws.md: ``make laws``.
+
+How often the bounds hold on problems with known answers, for three failure probabilities and three numbers of draws;
+and the packaged vehicle. Exits with 1 where a statement with 95 % confidence holds in less than 93 % of all cases.
+With a word (``laws.py vehicle``) only that part runs.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+import dssc_jax as dj
+from benchmarks.page import put
+from dssc_jax.analyses.laws.any_failures import AnyFailures
+from dssc_jax.analyses.laws.changes import Shift, Widening
+from dssc_jax.analyses.laws.stated_errors import weighted_interval
+from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.divergence_balls import BALLS
+
+PAGE = Path(__file__).parents[1] / "docs" / "laws.md"
+REPETITIONS, CHEAP = 200, 4000
+"""Repetitions of a search over the weights, and of a bound in closed form."""
+LEAST = 0.93
+LIMITS = {0.2: 0.3, 0.05: 0.1, 0.01: 0.03}
+"""Failure probabilities, and the limit that each of them may not exceed."""
+DRAWS = (256, 1024, 4096)
+PART = np.array([2.0, 1.0, 0.0]) / np.sqrt(5.0)
+"""How three numbers take part in the failure; the last one does not."""
+STATED = 0.15
+VEHICLE_DRAWS, VEHICLE_LIMIT, NEW_DRAWS = 8192, 0.1, 1024
+Statement = Callable[[WeightedDraws, WeightedDraws, float, float], bool | None]
+"""(draws weighted for shifts, and for widenings, p, limit) -> whether a statement holds; None: refused."""
+
+
+def edge(p: float) -> float:
+    """Distance of a half space of probability p."""
+    return float(stats.norm.isf(p))
+
+
+def interval_of(draws: WeightedDraws) -> tuple[float, float]:
+    """The exact interval of the failure probability."""
+    low, high = clopper_pearson(np.count_nonzero(draws.failed), len(draws.failed), CONFIDENCE)
+    return float(low), float(high)
+
+
+def radii(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool:
+    """No radius is larger than the one at which the limit is reached."""
+    high = interval_of(shifts)[1]
+    return all(ball.largest_radius(high, limit) <= ball.largest_radius(p, limit) for ball in BALLS.values())
+
+
+def guaranteed(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool:
+    """A half space of which all free numbers are equal parts attains the guaranteed shift."""
+    bounds = AnyFailures(shifts.change.precision, interval_of(shifts))
+    truth = (edge(p) - edge(limit)) / np.sqrt(len(PART))
+    return bounds.largest_shift(shifts.free, limit) <= truth
+
+
+def shift(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
+    """The largest shift of all means by the weights."""
+    found = largest_change(shifts, limit)
+    return None if found.explored == 0.0 else found.bound <= (edge(p) - edge(limit)) / np.abs(PART).sum()
+
+
+def widening(_: WeightedDraws, widenings: WeightedDraws, p: float, limit: float) -> bool | None:
+    """The largest widening of all laws by the weights."""
+    found = largest_change(widenings, limit)
+    return None if found.explored == 0.0 else found.bound <= np.log(edge(p) / edge(limit))
+
+
+def stated(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
+    """The interval of the failure probability if all means may be wrong by a stated shift."""
+    interval = weighted_interval(shifts, STATED)
+    reach = STATED * np.abs(PART).sum()
+    low, high = stats.norm.sf(edge(p) + np.array([reach, -reach]))
+    return None if interval is None else bool(interval[0] <= low and high <= interval[1])
+
+
+STATEMENTS: dict[str, tuple[Statement, int]] = {
+    "total variation, KL, chi-square": (radii, CHEAP),
+    "shift whatever draws fail": (guaranteed, CHEAP),
+    "shift by the weights": (shift, REPETITIONS),
+    "widening by the weights": (widening, REPETITIONS),
+    f"failure probability under a shift of {STATED:g}": (stated, REPETITIONS),
+}
+
+
+def synthetic(p: float, draws: int, seed: int) -> tuple[WeightedDraws, WeightedDraws]:
+    """Draws that fail in a half space, weighted for shifts and for widenings."""
+    scores = np.random.default_rng(seed).standard_normal((draws, len(PART)))
+    failed = scores @ PART > edge(p)
+    every = np.ones(len(PART), bool)
+    unit = np.eye(len(PART))
+    return (
+        WeightedDraws(Shift(unit), scores, failed, every, CONFIDENCE),
+        WeightedDraws(Widening(unit), scores, failed, every, CONFIDENCE),
+    )
+
+
+def coverage_rows() -> Iterator[tuple[str, float]]:
+    """A row of the table for each statement, with the least share of cases in which it holds."""
+    for name, (statement, repetitions) in STATEMENTS.items():
+        cells = []
+        least = 1.0
+        for p, limit in LIMITS.items():
+            for draws in DRAWS:
+                held = [statement(*synthetic(p, draws, seed), p, limit) for seed in range(repetitions)]
+                told = [one for one in held if one is not None]
+                if len(told) < repetitions // 10:
+                    cells.append("refused")
+                    continue
+                share = float(np.mean(told))
+                least = min(least, share)
+                refused = repetitions - len(told)
+                cells.append(
+                    f"{100 * share:.1f} %" + (f" ({100 * refused / repetitions:.0f} % refused)" if refused else "")
+                )
+        yield f"| {name} | {' | '.join(cells)} |", least
+
+
+def coverage() -> bool:
+    """Write the table of coverage; whether each statement holds often enough."""
+    columns = [f"p = {p:g}, {draws:,}" for p in LIMITS for draws in DRAWS]
+    rows = [f"| statement | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
+    least = 1.0
+    for row, share in coverage_rows():
+        rows.append(row)
+        print(row, flush=True)
+        least = min(least, share)
+    put("coverage of laws", "\n".join(rows), PAGE)
+    return least >= LEAST
+
+
+def vehicle() -> bool:
+    """Write what the packaged vehicle says; whether new draws agree with the weights."""
+    study = dj.Study.load("uav_robustness").override({"draws": VEHICLE_DRAWS})
+    found = dj.laws(study, limit=VEHICLE_LIMIT, within={"kl": 0.005}, shift=0.1, fresh=NEW_DRAWS)
+    answer = found.answer
+    low, high = answer.failure.interval
+    fresh = found.fresh
+    assert fresh is not None  # some vehicles fail
+    rows = [
+        f"{answer.failure.failures:,} of {answer.draws:,} vehicles fail: [{low:.3g}, {high:.3g}]. At most "
+        f"{100 * answer.limit:g} % fail up to",
+        "",
+        f"| | with 95 % confidence | estimate | whatever draws fail | {NEW_DRAWS:,} new draws |",
+        "|---|---|---|---|---|",
+    ]
+    for name, ball in BALLS.items():
+        rows.append(f"| {ball.title} | {getattr(answer, name):.3g} | {getattr(answer.estimates, name):.3g} | | |")
+    for name, text in (
+        ("mean_shift", "shift of all means, in standard deviations"),
+        ("widening", "relative width of all laws"),
+    ):
+        weights = found.weights[name]
+        estimate = "not reached" if weights.estimate is None else f"{weights.estimate:.3g}"
+        always = getattr(answer.guaranteed, name)
+        new = fresh.changes[name].estimate
+        told = "not reached" if new is None else f"{new:.3g}"
+        rows.append(f"| {text} | {getattr(answer, name):.3g} | {estimate} | {always:.3g} | {told} |")
+    rows += ["", "| one law alone | shift of its mean | estimate | its median may be |", "|---|---|---|---|"]
+    reached = {name: law for name, law in answer.by_law.items() if law.mean_shift_estimate is not None}
+    for name, law in sorted(reached.items(), key=lambda entry: entry[1].mean_shift):
+        unit = study.quantities[name].unit
+        median = f"{law.shifted_median:.3g} {unit} instead of {law.median:.3g}" if law.shifted_median else ""
+        rows.append(f"| `{name}` | {law.mean_shift:.3g} | {law.mean_shift_estimate:.3g} | {median} |")
+    others = len(answer.by_law) - len(reached)
+    rows += ["", f"The means of the other {others} numbers do not lead to the limit as far as the weights tell."]
+    rows += ["", "| known to a tenth of its law | variance removed | decision changes |", "|---|---|---|"]
+    for name, law in answer.by_law.items():
+        knowledge = law.knowledge
+        if knowledge is None or knowledge.removed_interval[0] <= 0.0:
+            continue
+        low, high = knowledge.removed_interval
+        removed = f"{100 * knowledge.removed:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
+        low, high = knowledge.changes_interval
+        changes = f"{100 * knowledge.changes:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
+        rows.append(f"| `{name}` | {removed} | {changes} |")
+    rows.append("")
+    for stated_error in answer.stated:
+        ends = stated_error.weighted_interval or stated_error.interval
+        assert ends is not None  # the vehicle's laws are not correlated
+        what = (
+            "within a Kullback-Leibler divergence of"
+            if stated_error.kind == "kl"
+            else "with all means shifted by up to"
+        )
+        rows.append(f"The failure probability {what} {stated_error.amount:g} lies in [{ends[0]:.3g}, {ends[1]:.3g}].")
+    print("\n".join(rows))
+    put("vehicle", "\n".join(rows), PAGE)
+    new_shift = fresh.changes["mean_shift"].estimate
+    return new_shift is not None and answer.mean_shift < new_shift
+
+
+def main(words: list[str]) -> int:
+    parts = {"vehicle": vehicle, "coverage": coverage}
+    held = [part() for name, part in parts.items() if not words or name in words]
+    return 0 if all(held) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

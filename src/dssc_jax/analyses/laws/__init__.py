@@ -1,0 +1,1 @@
+"""How wrong the laws may be before too many draws fail."""

@@ -1,0 +1,128 @@
+"""The answer of how wrong the laws may be."""
+
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+from dssc_jax.analyses.laws.changes import Change
+from dssc_jax.analyses.laws.fresh_changes import FreshLimits
+from dssc_jax.analyses.laws.stated_errors import StatedError
+from dssc_jax.analyses.laws.worst_changes import LargestChange
+from dssc_jax.core.quantities import Quantity
+
+DEVIATIONS = "standard deviations"
+
+
+@dataclass(frozen=True)
+class FailureShare:
+    """The failure probability under the assumed laws."""
+
+    failures: Annotated[int, Quantity("1", "failed draws")]
+    probability: Annotated[float, Quantity("1", "failure probability")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval_method: Annotated[str, Quantity("", "method of the interval")]
+
+
+@dataclass(frozen=True)
+class Guaranteed:
+    """Changes within which the limit is kept whatever set of draws fails."""
+
+    mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, with confidence")]
+    widening: Annotated[
+        float | None, Quantity("1", "relative width of all laws, with confidence; None: laws are correlated")
+    ]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """The same amounts without the draws' own uncertainty."""
+
+    total_variation: Annotated[float, Quantity("1", "total variation")]
+    kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]
+    chi_square: Annotated[float, Quantity("1", "chi-square divergence; None: no draw fails")]
+    mean_shift: Annotated[float | None, Quantity(DEVIATIONS, "shift of all means; None: not reached by the weights")]
+    widening: Annotated[float | None, Quantity("1", "relative width of all laws; None: not reached by the weights")]
+
+
+@dataclass(frozen=True)
+class WeightedAnswer:
+    """What the draws' weights say of one kind of change of all laws."""
+
+    bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
+    estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
+    explored: Annotated[float, Quantity("that of the change", "largest change for which the weights are trusted")]
+    probability: Annotated[float, Quantity("1", "weighted failure probability at the estimate, or where they end")]
+    effective: Annotated[float, Quantity("1", "effective number of draws there")]
+    effective_failures: Annotated[float, Quantity("1", "effective number of failed draws there")]
+    reason: Annotated[str, Quantity("", "why the weights say no more; empty: they reach the limit")]
+
+    @classmethod
+    def of(cls, found: LargestChange, change: Change) -> Self:
+        """The answer in the units of the change."""
+        return cls(
+            bound=change.amount(found.bound),
+            estimate=None if found.estimate is None else change.amount(found.estimate),
+            explored=change.amount(found.explored),
+            probability=found.worst.probability,
+            effective=found.worst.effective,
+            effective_failures=found.worst.failing,
+            reason=found.reason,
+        )
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What it is worth to know in which part of its law one number lies; the law has parts of equal probability."""
+
+    parts: Annotated[int, Quantity("1", "number of parts")]
+    removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]
+    removed_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    changes: Annotated[float, Quantity("1", "probability that the decision about the limit changes")]
+    changes_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+
+
+@dataclass(frozen=True)
+class LawError:
+    """How wrong the law of one number may be while all others are right."""
+
+    mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of its mean, with confidence")]
+    mean_shift_estimate: Annotated[float | None, Quantity(DEVIATIONS, "the same without the draws' uncertainty")]
+    towards: Annotated[str, Quantity("", "which values fail more often: larger, smaller, or not clear")]
+    widening: Annotated[float, Quantity("1", "relative width, with confidence")]
+    widening_estimate: Annotated[float | None, Quantity("1", "the same without the draws' uncertainty")]
+    median: Annotated[float, Quantity("that of the number", "median of its law")]
+    shifted_median: Annotated[
+        float | None, Quantity("that of the number", "its median after the shift, with confidence; None: not clear")
+    ]
+    in_worst_shift: Annotated[float, Quantity(DEVIATIONS, "its part in the worst shift of all means")]
+    failing: Annotated[
+        tuple[float, float, float] | None,
+        Quantity("that of the number", "5 %, 50 % and 95 % quantile among failed draws; None: no draw fails"),
+    ]
+    knowledge: Annotated[Knowledge | None, Quantity("", "what knowing the number is worth; None: too few failures")]
+
+
+@dataclass(frozen=True)
+class LawErrorsAnswer:
+    """How wrong the laws may be before the failure probability can exceed the limit."""
+
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    limit: Annotated[float, Quantity("1", "largest failure probability allowed")]
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    confidence: Annotated[float, Quantity("1", "confidence of each single statement")]
+    failure: FailureShare
+    total_variation: Annotated[float, Quantity("1", "total variation of the laws, with confidence")]
+    kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence of the true law, with confidence")]
+    chi_square: Annotated[float, Quantity("1", "chi-square divergence of the true law, with confidence")]
+    mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of all means, in the worst direction, with confidence")]
+    widening: Annotated[float, Quantity("1", "relative width of all laws, with confidence")]
+    guaranteed: Guaranteed
+    estimates: Estimates
+    weights: dict[str, WeightedAnswer]
+    most_important: Annotated[str | None, Quantity("", "the number whose mean may be least wrong; None: not reached")]
+    measure_next: Annotated[
+        str | None, Quantity("", "the number whose knowledge removes most variance; None: none is known to do so")
+    ]
+    by_law: dict[str, LawError]
+    stated: list[StatedError]
+    fresh: FreshLimits | None
+    seconds: Annotated[float, Quantity("s", "computing time")]

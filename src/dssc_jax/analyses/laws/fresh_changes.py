@@ -1,0 +1,93 @@
+"""How large a change of the laws may be, by new draws that are simulated under the changed laws."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+
+from dssc_jax.analyses.laws.all_changes import AllChanges
+from dssc_jax.analyses.laws.scored_draws import FreshDraws
+from dssc_jax.analyses.laws.worst_changes import LargestChange, WeightedDraws
+from dssc_jax.core.bisection import bisect
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.statistics import clopper_pearson
+
+SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
+HALVINGS = 8  # of the last doubling
+TRIAL = 0.3  # size at which the direction is taken from draws whose weights are not trusted
+
+
+@dataclass(frozen=True)
+class FreshLimit:
+    """The largest change in the direction that the weights call the worst, from new draws."""
+
+    bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
+    estimate: Annotated[
+        float | None, Quantity("that of the change", "the same without it; None: the limit is not reached")
+    ]
+    failures: Annotated[int, Quantity("1", "new draws that fail at the bound")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability at the bound")]
+
+
+@dataclass(frozen=True)
+class FreshLimits:
+    """What new draws say of a shift of all means and of a widening of all laws."""
+
+    draws: Annotated[int, Quantity("1", "number of new draws at each change")]
+    simulations: Annotated[int, Quantity("1", "number of simulations")]
+    changes: dict[str, FreshLimit]
+
+
+def worst_direction(draws: WeightedDraws, found: LargestChange) -> np.ndarray:
+    """The amounts of the worst change, the largest of them 1 in size."""
+    amounts = found.worst.amounts if found.explored > 0.0 else draws.extreme(TRIAL, 1.0)
+    return amounts / max(float(np.abs(amounts).max()), np.finfo(float).tiny)
+
+
+def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, found: LargestChange, limit: float) -> FreshLimit:
+    """The largest change along one direction, whose failure probability is taken to grow along it.
+
+    Args:
+        fresh: The new draws.
+        draws: The weighted draws, which give the direction and the kind of change.
+        found: What the weights say.
+        limit: Largest failure probability allowed.
+    """
+    direction = worst_direction(draws, found)
+
+    @lru_cache
+    def failures(size: float) -> int:
+        return fresh.failures(draws.change.changed(size * direction, fresh.scores))
+
+    def upper(size: float) -> float:
+        return float(clopper_pearson(failures(size), fresh.count, draws.confidence)[1])
+
+    bound = farthest(lambda size: upper(size) <= limit)
+    estimate = farthest(lambda size: failures(size) <= limit * fresh.count)
+    low, high = clopper_pearson(failures(bound), fresh.count, draws.confidence).tolist()
+    amount = draws.change.amount
+    reached = None if estimate == LARGEST else amount(estimate)
+    return FreshLimit(amount(bound), reached, failures(bound), (low, high))
+
+
+def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float) -> FreshLimits:
+    """The largest change of each kind; arguments as of :func:`fresh_limit`."""
+    limits = {part.draws.change.name: fresh_limit(fresh, part.draws, part.found, limit) for part in changes}
+    return FreshLimits(fresh.count, fresh.simulated, limits)
+
+
+def farthest(holds: Callable[[float], bool]) -> float:
+    """The size up to which a condition holds, between 0 and :data:`LARGEST`."""
+    if not holds(0.0):
+        return 0.0
+    inside = 0.0
+    outside = SMALLEST
+    while holds(outside):
+        if outside == LARGEST:
+            return LARGEST
+        inside = outside
+        outside = 2.0 * outside
+    near, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
+    return float(near)

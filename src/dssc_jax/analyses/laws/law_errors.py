@@ -1,0 +1,291 @@
+"""How wrong the laws may be before more than a stated share of all draws fails.
+
+Three kinds of statements, from the same draws. Within a divergence (total variation, Kullback-Leibler, chi-square) the
+true law of everything that is drawn may be any law at all. Guaranteed shifts and widenings hold whatever set of draws
+fails. The weights of the draws know which draws fail, and tell how far all means, or all widths, may be wrong in the
+worst direction; one law at a time, they tell which law matters most.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from scipy import special
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.defaults import LIMIT
+from dssc_jax.analyses.laws.answer import (
+    Estimates,
+    FailureShare,
+    Guaranteed,
+    Knowledge,
+    LawError,
+    LawErrorsAnswer,
+    WeightedAnswer,
+)
+from dssc_jax.analyses.laws.any_failures import AnyFailures
+from dssc_jax.analyses.laws.changes import Shift, Widening
+from dssc_jax.analyses.laws.fresh_changes import FreshLimits, fresh_limits
+from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, TABLE, AllChanges, dataset_of, in_words
+from dssc_jax.analyses.laws.scored_draws import FreshDraws, ScoredDraws
+from dssc_jax.analyses.laws.stated_errors import StatedAmounts, StatedError
+from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.results.result import Result
+from dssc_jax.runs.run import run
+from dssc_jax.statistics import CONFIDENCE, Replicated
+from dssc_jax.statistics.divergence_balls import BALLS
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Law
+
+
+@dataclass(eq=False)
+class LawErrors(Analysis):
+    """How wrong the laws may be before more than a stated share of all draws fails.
+
+    The dataset has along ``number``, the numbers whose laws can be changed: ``shift`` and ``widening``, how far the
+    number's own law may be wrong with 95 % confidence; ``shift_estimate`` and ``widening_estimate``, the same without
+    the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
+    shift within the worst shift of all means. ``removed`` and ``changes``, with ``_low`` and ``_high``, say what it is
+    worth to know in which of ``parts`` parts of its law the number lies; ``failing_low``, ``failing_median`` and
+    ``failing_high`` where it lies in failed draws. Along ``size``, of a shift of all means, and ``width``, of all laws,
+    it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
+    ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
+    ``widened_guaranteed``).
+
+    Args:
+        limit: Largest failure probability allowed.
+        failures: Failed draws.
+        draws: Number of draws.
+        interval: Of the failure probability.
+        interval_method: Its method.
+        guaranteed: Changes within which the limit is kept whatever set of draws fails.
+        weights: What the weights say of a shift of all means and of a widening of all laws.
+        stated: Intervals of the failure probability if the laws are wrong by stated amounts.
+        fresh: What new draws say; None: none were asked for, or no draw fails and there is no worst direction.
+        seconds: Computing time.
+    """
+
+    kind = "laws"
+    title = "How wrong the laws may be"
+    table = (TABLE,)
+
+    limit: float
+    failures: int
+    draws: int
+    interval: tuple[float, float]
+    interval_method: str
+    guaranteed: Guaranteed
+    weights: dict[str, WeightedAnswer]
+    stated: list[StatedError]
+    fresh: FreshLimits | None
+    seconds: float
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        share = f"{100 * self.limit:g} %"
+        low, high = self.interval
+        if high > self.limit:
+            under = f"failure probability in [{low:.3g}, {high:.3g}]"
+            return f"more than {share} may fail even under the assumed laws: {under}"
+        answer = self.answer
+        return (
+            f"at most {share} fail while all means are at most {answer.mean_shift:.3g} standard deviations wrong, or "
+            f"all laws at most {answer.widening:.3g} times as wide ({100 * CONFIDENCE:g} % confidence)"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.law_errors(self)
+
+    @property
+    def answer(self) -> LawErrorsAnswer:
+        """The numbers that summary.json holds."""
+        probability = self.failures / self.draws
+        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        estimated = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
+        radii = {name: ball.largest_radius(self.interval[1], self.limit) for name, ball in BALLS.items()}
+        shift = self.weights["mean_shift"]
+        widening = self.weights["widening"]
+        return LawErrorsAnswer(
+            requirements=requirements or ("the draw stays finite",),
+            limit=self.limit,
+            draws=self.draws,
+            confidence=CONFIDENCE,
+            failure=FailureShare(self.failures, probability, self.interval, self.interval_method),
+            **radii,
+            mean_shift=max(shift.bound, self.guaranteed.mean_shift),
+            widening=max(widening.bound, self.guaranteed.widening or 1.0),
+            guaranteed=self.guaranteed,
+            estimates=Estimates(**estimated, mean_shift=shift.estimate, widening=widening.estimate),
+            weights=self.weights,
+            most_important=self.most_important(),
+            measure_next=self.measure_next(),
+            by_law=self.by_law(),
+            stated=self.stated,
+            fresh=self.fresh,
+            seconds=self.seconds,
+        )
+
+    def most_important(self) -> str | None:
+        """The number whose mean may be least wrong, by the estimates; None if none of them reaches the limit."""
+        shifts = self.dataset["shift_estimate"].values
+        return None if np.isnan(shifts).all() else str(self.dataset[TABLE].values[np.nanargmin(shifts)])
+
+    def measure_next(self) -> str | None:
+        """The number whose knowledge removes most of the variance of failure; None if none is known to remove any."""
+        removed = np.where(self.dataset["removed_low"].values > 0.0, self.dataset["removed"].values, -np.inf)
+        return str(self.dataset[TABLE].values[removed.argmax()]) if np.isfinite(removed).any() else None
+
+    def by_law(self) -> dict[str, LawError]:
+        """How wrong each law may be alone."""
+        rows = {}
+        for name in map(str, self.dataset[TABLE].values):
+            row = self.dataset.sel({TABLE: name})
+            shift = float(row["shift"])
+            towards = int(row["towards"])
+            law = self.study.laws[name]
+            rows[name] = LawError(
+                mean_shift=shift,
+                mean_shift_estimate=known_value(float(row["shift_estimate"])),
+                towards=in_words(towards),
+                widening=float(row["widening"]),
+                widening_estimate=known_value(float(row["widening_estimate"])),
+                median=law.median,
+                shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
+                in_worst_shift=float(row["worst_shift"]),
+                failing=failing_values(law, row),
+                knowledge=knowledge_in(row),
+            )
+        return rows
+
+
+def known_value(value: float) -> float | None:
+    """None for NaN."""
+    return None if np.isnan(value) else value
+
+
+def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | None:
+    """Quantiles of a number among the failed draws; None if no draw fails."""
+    low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
+    return None if np.isnan(middle) else (low, middle, high)
+
+
+def knowledge_in(row: xr.Dataset) -> Knowledge | None:
+    """What knowing a number is worth; None if too few draws failed."""
+    parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
+        float(row[name]) for name in KNOWLEDGE
+    )
+    if parts == 0.0:
+        return None
+    return Knowledge(int(parts), removed, (removed_low, removed_high), changes, (changes_low, changes_high))
+
+
+def laws(
+    subject: Study | Result,
+    *,
+    limit: float = LIMIT,
+    within: Mapping[str, float] | None = None,
+    shift: float | None = None,
+    widening: float | None = None,
+    fresh: int = 0,
+    progress: ProgressCallback | None = None,
+) -> LawErrors:
+    """Find how wrong the laws may be before more than a share of all draws fails.
+
+    Args:
+        subject: A result without a sweep, or a study, which is simulated first; its own sweep is ignored.
+        limit: Largest failure probability allowed, in (0, 1).
+        within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted:
+            ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
+        shift: The same for a shift of all means, >= 0 [standard deviations].
+        widening: The same for the relative width of all laws, >= 1.
+        fresh: Number of new draws that are simulated under each changed law; 0: none.
+        progress: Called with the simulations done.
+
+    Raises:
+        ConfigError: An argument is out of range, no law can be changed, the result has a sweep, or its draws are not
+            independent.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/motor.toml").override({"draws": 400, "loop.sample_time": 0.01})
+        >>> found = dj.laws(study, limit=0.5)
+        >>> 0.0 < found.answer.kl < found.answer.estimates.kl
+        True
+    """
+    began = time.perf_counter()
+    if not 0.0 < limit < 1.0:
+        raise ConfigError("limit", f"must lie in (0, 1), got {limit:g}")
+    if fresh < 0:
+        raise ConfigError("fresh", f"must be 0 or more, got {fresh}")
+    amounts = StatedAmounts(within or {}, shift, widening)
+    result = simulated(subject, progress)
+    study = result.study
+    draws = ScoredDraws(result)
+    free = draws.free(draws.names)
+    if not free.any():
+        raise ConfigError(study.source, "no law can be changed; give at least one number a law that is not a choice")
+    low, high = result.method.interval(draws.failed).tolist()
+    bounds = AnyFailures(draws.precision, (low, high))
+    guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
+    shifts = WeightedDraws(Shift(draws.precision), draws.scores, draws.failed, free, confidence_of(result))
+    widenings = WeightedDraws(Widening(draws.precision), draws.scores, draws.failed, free, confidence_of(result))
+    shift_of_all = AllChanges(
+        shifts,
+        largest_change(shifts, limit),
+        guaranteed.mean_shift,
+        lambda size: bounds.shifted(free, size)[1],
+    )
+    widening_of_all = AllChanges(
+        widenings,
+        largest_change(widenings, limit),
+        math.log(guaranteed.widening or 1.0),
+        lambda size: (bounds.widened(free, math.exp(size)) or (0.0, math.nan))[1],
+    )
+    both = (shift_of_all, widening_of_all)
+    new = FreshDraws(study, len(draws.failed), fresh, progress)
+    return LawErrors(
+        study,
+        dataset_of(draws, shift_of_all, widening_of_all, bounds, limit),
+        limit=limit,
+        failures=int(np.count_nonzero(draws.failed)),
+        draws=len(draws.failed),
+        interval=(low, high),
+        interval_method=result.method.name,
+        guaranteed=guaranteed,
+        weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in both},
+        stated=amounts.errors(shifts, widenings, bounds),
+        fresh=fresh_limits(new, both, limit) if fresh and draws.failed.any() else None,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def simulated(subject: Study | Result, progress: ProgressCallback | None) -> Result:
+    """The result of a study, or the result itself.
+
+    Raises:
+        ConfigError: It has a sweep, or its draws are not independent.
+    """
+    study = subject.study if isinstance(subject, Result) else subject
+    require_independent(study, "a bound from the draws' weights")
+    if isinstance(subject, Study):
+        return run(subject.without_sweep(), progress=progress, check=False)
+    if study.axes:
+        remedy = "give the study, whose sweep is ignored, or the result of `run`"
+        raise ConfigError(study.source, f"has a sweep over {', '.join(study.axes)}; {remedy}")
+    return subject
+
+
+def confidence_of(result: Result) -> float:
+    """The confidence of a single statement, which a stopping rule increases."""
+    method = result.method
+    return CONFIDENCE if isinstance(method, Replicated) else method.level(CONFIDENCE)

@@ -1,0 +1,132 @@
+"""The dataset of how wrong the laws may be: a table of the laws, and curves over changes of all of them."""
+
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+import xarray as xr
+from scipy import special
+
+from dssc_jax.analyses.laws.all_changes import AllChanges
+from dssc_jax.analyses.laws.any_failures import AnyFailures
+from dssc_jax.analyses.laws.scored_draws import ScoredDraws
+from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.statistics.partition import known_part
+
+TABLE = "number"
+KNOWLEDGE = {
+    "parts": "parts of equal probability of a law",
+    "removed": "share of the variance of failure that knowing the part removes",
+    "removed_low": "its lower limit",
+    "removed_high": "its upper limit",
+    "changes": "probability that knowing the part changes the decision",
+    "changes_low": "its lower limit",
+    "changes_high": "its upper limit",
+}
+"""Columns of what knowing a number is worth, with their meanings."""
+
+FAILING = {"failing_low": 0.05, "failing_median": 0.5, "failing_high": 0.95}
+"""Columns of levels in failed draws, with the quantile of each."""
+
+Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
+"""Dimension, values and attributes of a variable."""
+
+CLEAR = 2.0  # standard deviations of a mean score that could also be 0
+DEVIATIONS = "standard deviations"
+
+
+def dataset_of(
+    draws: ScoredDraws, shift: AllChanges, widening: AllChanges, bounds: AnyFailures, limit: float
+) -> xr.Dataset:
+    """The dataset of :class:`dssc_jax.analyses.laws.law_errors.LawErrors`.
+
+    Args:
+        draws: The draws.
+        shift: Shifts of all means.
+        widening: Widenings of all laws.
+        bounds: What holds whatever draws fail.
+        limit: Largest failure probability allowed.
+    """
+    sizes, shifted = shift.curves()
+    log_widths, widened = widening.curves()
+    worst = dict(zip(draws.result.study.laws, shift.found.worst.amounts, strict=True))
+    columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
+    part = np.array([worst[name] for name in draws.names])
+    columns |= knowledge_columns(draws, shift.draws.confidence, limit)
+    columns["worst_shift"] = (TABLE, part, deviations("part in the worst shift of all means"))
+    for curve, prefix, dimension in ((shifted, "shifted", "size"), (widened, "widened", "width")):
+        columns[prefix] = (dimension, curve[:, 0], share("worst failure probability"))
+        columns[f"{prefix}_limit"] = (dimension, curve[:, 1], share("its upper limit"))
+        columns[f"{prefix}_guaranteed"] = (dimension, curve[:, 2], share("upper limit whatever draws fail"))
+    coordinates = {
+        TABLE: (TABLE, np.array(draws.names), {"long_name": "uncertain number"}),
+        "size": ("size", sizes, deviations("shift of all means")),
+        "width": ("width", np.exp(log_widths), share("relative width of all laws")),
+    }
+    return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.result.study.name})
+
+
+def law_columns(
+    draws: ScoredDraws, shifts: WeightedDraws, widenings: WeightedDraws, bounds: AnyFailures, limit: float
+) -> dict[str, Column]:
+    """How wrong each law may be while all others are right."""
+    table = np.empty((len(draws.names), 5))
+    for row, name in zip(table, draws.names, strict=True):
+        free = draws.free([name])
+        shift = largest_change(replace(shifts, free=free), limit)
+        widening = largest_change(replace(widenings, free=free), limit)
+        row[0] = max(shift.bound, bounds.largest_shift(free, limit))
+        row[1] = np.nan if shift.estimate is None else shift.estimate
+        row[2] = direction(shifts, free)
+        row[3] = max(float(np.exp(widening.bound)), bounds.largest_widening(free, limit) or 1.0)
+        row[4] = np.nan if widening.estimate is None else np.exp(widening.estimate)
+    return {
+        "shift": (TABLE, table[:, 0], deviations("shift of the mean, with confidence")),
+        "shift_estimate": (TABLE, table[:, 1], deviations("shift of the mean, estimate")),
+        "towards": (TABLE, table[:, 2].astype(int), {"long_name": "1: larger values fail, -1: smaller ones, 0: none"}),
+        "widening": (TABLE, table[:, 3], share("relative width, with confidence")),
+        "widening_estimate": (TABLE, table[:, 4], share("relative width, estimate")),
+    }
+
+
+def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
+    """What it is worth to know each number, and where it lies in failed draws."""
+    laws = list(draws.result.study.laws)
+    columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING)}
+    for name in draws.names:
+        levels = special.ndtr(draws.scores[:, laws.index(name)])
+        part = known_part(levels, draws.failed, limit, confidence)
+        numbers = (0, *[np.nan] * 6)
+        if part is not None:
+            numbers = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
+        failing = levels[draws.failed]
+        quantiles = np.quantile(failing, list(FAILING.values())) if failing.size else [np.nan] * len(FAILING)
+        for column, number in zip(columns.values(), (*numbers, *quantiles), strict=True):
+            column.append(float(number))
+    described = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
+    for name, quantile in FAILING.items():
+        meaning = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
+        described[name] = (TABLE, np.array(columns[name]), share(meaning))
+    return described
+
+
+def direction(shifts: WeightedDraws, free: np.ndarray) -> int:
+    """1 if the mean score of the failed draws is clearly above 0, -1 if it is below, 0 if neither is clear."""
+    failing = shifts.scores[shifts.failed][:, free]
+    total = float(failing.sum())
+    return int(np.sign(total)) if abs(total) > CLEAR * np.sqrt(failing.size) else 0
+
+
+def in_words(towards: int) -> str:
+    """A direction in words."""
+    return {1: "larger", -1: "smaller", 0: "not clear"}[towards]
+
+
+def deviations(meaning: str) -> dict[str, str]:
+    """Attributes of a shift."""
+    return {"units": DEVIATIONS, "long_name": meaning}
+
+
+def share(meaning: str) -> dict[str, str]:
+    """Attributes of a number without a unit."""
+    return {"units": "1", "long_name": meaning}

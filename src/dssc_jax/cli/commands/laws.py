@@ -1,0 +1,64 @@
+"""dssc-jax laws: how wrong the laws may be."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from dssc_jax.analyses.laws.law_errors import laws
+from dssc_jax.cli.analysing import finish, free_folder
+from dssc_jax.cli.declarations.statistics import Laws
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.loading import stored_result, study_of
+from dssc_jax.cli.parsing import parse_assignment
+from dssc_jax.cli.running import require_unset
+from dssc_jax.console.laws import show_laws
+from dssc_jax.console.terminal import progress_bar
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.result import Result
+from dssc_jax.study import Study
+
+
+def run(options: Laws) -> int:
+    """Find how wrong the laws may be, save and print it."""
+    within = parse_within(options.within)
+    subject = subject_of(options)
+    stored = isinstance(subject, Result)
+    study = subject.study if isinstance(subject, Result) else subject
+    asked = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
+    given = (options.study if stored else None, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "laws", "laws", options.out, *asked, *given)
+    with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not stored) as advance:
+        errors = laws(
+            subject,
+            limit=options.limit,
+            within=within,
+            shift=options.shift,
+            widening=options.widening,
+            fresh=options.fresh,
+            progress=advance,
+        )
+    if isinstance(subject, Result):  # its integration was checked when it was simulated
+        errors.integration = subject.manifest.get("integration")
+        options = replace(options, no_check=True)
+    finish(errors, folder, options, show_laws)
+    return DONE
+
+
+def subject_of(options: Laws) -> Result | Study:
+    """The result in the folder that the user names, or the study."""
+    folder = Path(options.study)
+    if not folder.is_dir():
+        return study_of(options).without_sweep()
+    require_unset("a result", set=options.settings, draws=options.draws, seed=options.seed)
+    return stored_result(folder, options.trust_code, options.allow_local)
+
+
+def parse_within(texts: list[str] | None) -> dict[str, float]:
+    """Parse all ``--within`` options, ``NAME=RADIUS`` each."""
+    radii = {}
+    for text in texts or []:
+        name, value = parse_assignment(text, "--within")
+        try:
+            radii[name] = float(value)
+        except ValueError:
+            raise ConfigError("--within", f"must be NAME=RADIUS, got '{text}'") from None
+    return radii

@@ -1,0 +1,224 @@
+"""Interval arithmetic on arrays, and the range of a function over a box.
+
+An operation's ends are computed in float64 as the operation itself would compute them. So an interval encloses what
+float64 gives at every point of its arguments, up to the last bit of exp, log, sin, cos and powers; it is no enclosure
+in exact arithmetic.
+
+Reference:
+    R. E. Moore, R. B. Kearfott, M. J. Cloud, Introduction to Interval Analysis (2009): inclusion and subdivision.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+ROUNDS = 60  # of subdivision
+MOST_BOXES = 4096
+MOST_CORNERS = 8  # of a box's sides, whose corners are all tried
+TOLERANCE = 1e-4  # of the range's width
+LARGEST = float(np.finfo(float).max)
+SMALLEST = math.ulp(0.0)
+TURN = 2.0 * math.pi
+
+
+class Interval(NamedTuple):
+    """Values between two ends.
+
+    Args:
+        low: Lowest value, any shape.
+        high: Highest value, of the same shape.
+        defined: Whether the function that gave it has a value everywhere.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    defined: np.ndarray
+
+    @classmethod
+    def of(cls, low: np.ndarray | float, high: np.ndarray | float) -> "Interval":
+        """The interval between two ends; unbounded ends are the largest numbers."""
+        lowest, highest = np.broadcast_arrays(np.clip(low, -LARGEST, LARGEST), np.clip(high, -LARGEST, LARGEST))
+        return cls(lowest, highest, np.ones(lowest.shape, bool))
+
+
+Function: TypeAlias = Callable[..., Interval]
+"""(Interval of each argument) -> interval of the values."""
+
+
+def hull(corners: Sequence[np.ndarray], *arguments: Interval, defined: np.ndarray | bool = True) -> Interval:
+    """The interval of the least and the greatest of several values; nothing bounds a value that is no number."""
+    stacked = np.stack(np.broadcast_arrays(*corners))
+    low = np.where(np.isnan(stacked), -np.inf, stacked).min(axis=0)
+    high = np.where(np.isnan(stacked), np.inf, stacked).max(axis=0)
+    for argument in arguments:
+        defined = defined & argument.defined
+    return Interval(low, high, np.broadcast_to(defined, low.shape))
+
+
+def add(a: Interval, b: Interval) -> Interval:
+    """a + b."""
+    return hull([a.low + b.low, a.high + b.high], a, b)
+
+
+def subtract(a: Interval, b: Interval) -> Interval:
+    """a - b."""
+    return hull([a.low - b.high, a.high - b.low], a, b)
+
+
+def negative(a: Interval) -> Interval:
+    """-a."""
+    return Interval(-a.high, -a.low, a.defined)
+
+
+def multiply(a: Interval, b: Interval) -> Interval:
+    """a b."""
+    return hull([x * y for x, y in itertools.product(a[:2], b[:2])], a, b)
+
+
+def divide(a: Interval, b: Interval) -> Interval:
+    """a/b, undefined where b may vanish."""
+    return hull([x / y for x, y in itertools.product(a[:2], b[:2])], a, b, defined=~contains(b, 0.0))
+
+
+def contains(a: Interval, value: float) -> np.ndarray:
+    """Whether a value lies in an interval."""
+    return (a.low <= value) & (value <= a.high)
+
+
+def power(a: Interval, b: Interval) -> Interval:
+    """a^b, undefined where a may be negative and b is not a fixed whole number, or a vanishes and b is not positive."""
+    corners = [np.power(x, y) for x, y in itertools.product(a[:2], b[:2])]
+    whole = (b.low == b.high) & (b.low == np.round(b.low))
+    has_zero = contains(a, 0.0)
+    defined = np.where(has_zero, (b.low > 0.0) | (whole & (b.low == 0.0)), True) & ((a.low >= 0.0) | whole)
+    even = whole & (np.mod(b.low, 2.0) == 0.0)
+    corners.append(np.where(even & has_zero & (b.low > 0.0), 0.0, corners[0]))
+    return hull(corners, a, b, defined=defined)
+
+
+def square_root(a: Interval) -> Interval:
+    """The square root of a, undefined below 0."""
+    return hull([np.sqrt(a.low), np.sqrt(a.high)], a, defined=a.low >= 0.0)
+
+
+def exponential(a: Interval) -> Interval:
+    """exp a, which is positive even where it underflows."""
+    return hull([np.maximum(np.exp(a.low), SMALLEST), np.exp(a.high)], a)
+
+
+def logarithm(a: Interval) -> Interval:
+    """log a, undefined at and below 0."""
+    return hull([np.log(a.low), np.log(a.high)], a, defined=a.low > 0.0)
+
+
+def wave(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
+    """A sine whose greatest values are at ``crest`` + 2 pi k."""
+    first = np.ceil((a.low - crest) / TURN)
+    last = np.ceil((a.low - crest - math.pi) / TURN)
+    rises = crest + TURN * first <= a.high
+    falls = crest + math.pi + TURN * last <= a.high
+    found = hull([function(a.low), function(a.high)], a)
+    low = np.where(falls, -1.0, np.maximum(found.low, -1.0))
+    return Interval(low, np.where(rises, 1.0, np.minimum(found.high, 1.0)), found.defined)
+
+
+def sine(a: Interval) -> Interval:
+    """sin a."""
+    return wave(np.sin, math.pi / 2.0, a)
+
+
+def cosine(a: Interval) -> Interval:
+    """cos a."""
+    return wave(np.cos, 0.0, a)
+
+
+def minimum(a: Interval, b: Interval) -> Interval:
+    """The smaller of a and b."""
+    return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high), a.defined & b.defined)
+
+
+def maximum(a: Interval, b: Interval) -> Interval:
+    """The greater of a and b."""
+    return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high), a.defined & b.defined)
+
+
+class Range(NamedTuple):
+    """The range of a function over a box.
+
+    Args:
+        low: A lower bound of its values, near the least one.
+        high: An upper bound, near the greatest.
+        undefined: A point near which it may have no value, one coordinate for each side; None if it has one everywhere.
+    """
+
+    low: float
+    high: float
+    undefined: tuple[float, ...] | None
+
+
+def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
+    """Bound the values of a function over a box; parts of the box that may hold its extremes are halved.
+
+    Args:
+        function: Takes an interval for each side, of arrays of any shape.
+        sides: Ends of each argument.
+    """
+    with np.errstate(all="ignore"):
+        box = Interval.of(*np.array(sides, float).reshape(-1, 2).T[:, None, :])
+        least, greatest = values_at(function, corner_points(box))
+        low, high = math.inf, -math.inf
+        lows, highs = box.low, box.high
+        for remaining in reversed(range(ROUNDS)):
+            found = function(*intervals(lows, highs))
+            shape = (len(lows),)
+            outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in found)
+            inner = values_at(function, 0.5 * lows + 0.5 * highs)
+            least, greatest = min(least, inner[0]), max(greatest, inner[1])
+            slack = TOLERANCE * (greatest - least) if greatest > least else 0.0
+            unsettled = ~defined | (outer_low < least - slack) | (outer_high > greatest + slack)
+            if not remaining or 2 * np.count_nonzero(unsettled) > MOST_BOXES:
+                unsettled = np.zeros(shape, bool)
+            settled = ~unsettled
+            if np.any(settled & ~defined):
+                centre = 0.5 * lows[settled & ~defined][0] + 0.5 * highs[settled & ~defined][0]
+                return Range(-math.inf, math.inf, tuple(centre.tolist()))
+            low = min(low, outer_low[settled].min(initial=math.inf))
+            high = max(high, outer_high[settled].max(initial=-math.inf))
+            if not unsettled.any():
+                break
+            lows, highs = halved(lows[unsettled], highs[unsettled], (box.high - box.low)[0])
+    return Range(float(low), float(high), None)
+
+
+def intervals(lows: np.ndarray, highs: np.ndarray) -> list[Interval]:
+    """The sides of boxes, shape (boxes, sides), as one interval for each side."""
+    return [Interval.of(low, high) for low, high in zip(lows.T, highs.T, strict=True)]
+
+
+def corner_points(box: Interval) -> np.ndarray:
+    """The corners of one box, shape (points, sides); of a box with many sides only two."""
+    ends = list(zip(box.low[0], box.high[0], strict=True))
+    points = list(itertools.product(*ends)) if len(ends) <= MOST_CORNERS else [*zip(*ends, strict=True)]
+    return np.array(points).reshape(len(points), len(ends))
+
+
+def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
+    """The least and the greatest value at points, shape (n, sides), where the function has one."""
+    found = function(*intervals(points, points))
+    fine = np.broadcast_to(found.defined, (len(points),))
+    low, high = (np.broadcast_to(end, (len(points),))[fine] for end in found[:2])
+    return float(low.min(initial=math.inf)), float(high.max(initial=-math.inf))
+
+
+def halved(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes halved along their longest sides, relative to the widths of the whole."""
+    side = np.argmax((highs - lows) / np.where(widths > 0.0, widths, 1.0), axis=1)
+    rows = np.arange(len(lows))
+    middle = 0.5 * lows[rows, side] + 0.5 * highs[rows, side]
+    upper_lows, lower_highs = lows.copy(), highs.copy()
+    upper_lows[rows, side] = middle
+    lower_highs[rows, side] = middle
+    return np.concatenate([lows, upper_lows]), np.concatenate([lower_highs, highs])

@@ -1,0 +1,161 @@
+"""From a certificate's file to the bounds that a monitor watches: verified first, and only for the study's own loop."""
+
+import json
+
+from dssc_jax.closed_loop.control import is_angle
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.design.certification import NotCovered
+from dssc_jax.flight_code.controller import channel_labels
+from dssc_jax.flight_code.premises import ChannelPremises, DisturbancePremises, Premises
+from dssc_jax.proofs.coverage import problem_of
+from dssc_jax.proofs.prove import check_certificate
+from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict
+from dssc_jax.proofs.verifier.verdict import ProofVerdict
+from dssc_jax.study import Study
+
+LAG_ORDERS = {(1.0, 1.0): 1, (1.0, 2.0, 1.0): 2}
+"""Number of equal lags, by the denominator of G(mu s) whose numerator is 1."""
+CHANNELS_OF_VEHICLE = ("x", "x", "z", "psi")
+"""The certificate's channel of each channel of the loop."""
+PLANE = 2
+"""Number of the loop's channels whose errors are a vector of the plane, from the first one on."""
+
+
+def certified_premises(study: Study, content: object, source: str) -> Premises:
+    """The premises and bounds of a study's certificate.
+
+    Args:
+        study: The study, without a sweep.
+        content: The content of the certificate's file.
+        source: What messages call the certificate.
+
+    Raises:
+        ConfigError: The verifier rejects the certificate, or it is that of another loop.
+    """
+    verdict = check_certificate(content)
+    if not verdict.proved:
+        raise ConfigError(source, f"is rejected by the verifier: {verdict.reason}")
+    assert isinstance(content, dict)
+    try:
+        problem = json.loads(json.dumps(problem_of(study).to_dict()))
+    except NotCovered as error:
+        raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
+    if problem != content["problem"]:
+        entry = first_difference(problem, content["problem"])
+        raise ConfigError(
+            source, f"is the certificate of another loop than the study's: `{entry}` differs; prove the study as it is"
+        )
+    if isinstance(verdict, VehicleVerdict):
+        return vehicle_premises(study, content, verdict)
+    return axis_premises(study, content, verdict)
+
+
+def first_difference(problem: JsonObject, proved: JsonObject) -> str:
+    """The name of the first entry in which two problems differ."""
+    names = [*problem, *proved]
+    return next((name for name in names if problem.get(name) != proved.get(name)), "kind")
+
+
+def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict) -> Premises:
+    """The premises of a vehicle's certificate."""
+    problem = content["problem"]
+    labels = channel_labels(study.loop.channels)
+    channels = []
+    for i, name in enumerate(CHANNELS_OF_VEHICLE):
+        controller = problem["channels"][name]
+        bounds = verdict.bounds[name]
+        far, fast = controller["initial"]
+        channels.append(
+            ChannelPremises(
+                label=labels[i],
+                l0=controller["l0"],
+                angle=is_angle(study.loop, i),
+                e=bounds["e"],
+                e_dot=bounds["e_dot"],
+                sigma=bounds["sigma"],
+                sigma_slope=verdict.slopes[name],
+                slides=True,
+                start=None if i < PLANE else ((-far, far), (-fast, fast)),
+                disturbance=None,
+                units=study.units[i],
+            )
+        )
+    wind_h, wind_z = problem["wind"]
+    far, fast = problem["channels"]["x"]["initial"]
+    return Premises(
+        sample_time=problem["sample_time"],
+        channels=tuple(channels),
+        plane_start=(far, fast),
+        tilt=verdict.tilt,
+        rotors=(verdict.rotor_min, verdict.rotor_max),
+        rotor_count=problem["rotors"],
+        statement=f"a hover in every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s",
+        unwatched="Wind, mass and inertia are not measured: the monitor sees only what they do to the flight.",
+    )
+
+
+def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> Premises:
+    """The premises of a certificate of one axis."""
+    problem = content["problem"]
+    units = study.units[0]
+    stages = [proof["stages"][0] for proof in content["proofs"]]
+    by_state = any(problem["by_state"])
+    level = max(stage["level"] for stage in stages) if by_state else problem["level"]
+    slope = max(stage["slope"] for stage in stages) if by_state else problem["slope"]
+    order = LAG_ORDERS.get(tuple(map(float, problem["denominator"])), 0)
+    unseen = why_unseen(problem, order)
+    seen = None
+    if not unseen:
+        seen = DisturbancePremises(
+            level=level,
+            slope=slope,
+            k_p=tuple(problem["k_p"]),
+            a_p=tuple(problem["a_p"]),
+            mu=tuple(problem["mu"]),
+            lag_order=order,
+            delay_weights=delay_weights(problem["delay"]),
+        )
+    e, e_dot = problem["initial"][:2]
+    channel = ChannelPremises(
+        label="",
+        l0=problem["l0"],
+        angle=False,
+        e=verdict.largest_error,
+        e_dot=None,
+        sigma=max(stage["sigma"] for stage in stages),
+        sigma_slope=None,
+        slides=problem["rho"] is not None,
+        start=(tuple(e), tuple(e_dot)),
+        disturbance=seen,
+        units=units,
+    )
+    return Premises(
+        sample_time=problem["sample_time"],
+        channels=(channel,),
+        plane_start=None,
+        tilt=None,
+        rotors=None,
+        rotor_count=0,
+        statement=f"one axis with |d| <= {level:g} {units.of('u')} and |d'| <= {slope:g} {units.of('u/s')}",
+        unwatched=f"The disturbance is not seen: {unseen}." if unseen else "",
+    )
+
+
+def why_unseen(problem: JsonObject, order: int) -> str:
+    """Why the disturbance cannot be told from the measurements; empty if it can."""
+    if problem["zero_a"]:
+        return "the state of the zero dynamics, which acts like one, is not measured"
+    if problem["sensor_lag"]:
+        return "the sensor lags behind the output"
+    if problem["denominator"] and (not order or tuple(problem["numerator"]) != (1.0,)):
+        return "the output of a general transfer function is not enclosed"
+    return ""
+
+
+def delay_weights(delay: float) -> tuple[float, ...]:
+    """Weights of the commands of ages 0, 1, ... samples in what acts."""
+    whole = int(delay)
+    fraction = delay - whole
+    weights = (*(0.0 for _ in range(whole)), 1.0 - fraction)
+    return (*weights, fraction) if fraction > 0.0 else weights

@@ -1,0 +1,229 @@
+"""The monitor of a flight: a pure step function that tells which premise of a certificate the flight has left.
+
+``initial_monitor(premises)`` is its state before the first sample, ``monitor(premises, state, sample)`` one sample. The
+emitter of the controllers writes it as C. A number that is not finite is a number that is not known: it raises no flag,
+and clears none that is latched.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.numerics import turned_near
+from dssc_jax.core.signals import Measurement, ReferencePoint, Scalar, State, tracking_error
+from dssc_jax.flight_code.premises import ChannelPremises, Interval, Premises
+from dssc_jax.flight_code.seen_disturbance import initial_seen, roundings, see
+
+NEVER = -1
+"""In place of the first sample of a flag that was never raised."""
+LAST_SAMPLE = 2**31 - 1
+"""Where the count of samples stays."""
+
+
+class ChannelSample(NamedTuple):
+    """What the monitor sees of a channel at a sample; () is not looked at.
+
+    Args:
+        y: The output, as the controller gets it.
+        y_dot: Its rate.
+        y_ref: The reference.
+        y_ref_dot: Its rate.
+        u_p: The whole command that the controller gives.
+        sliding_margin: What the controller reports of rho - abs(u_eq).
+    """
+
+    y: Scalar
+    y_dot: Scalar
+    y_ref: Scalar
+    y_ref_dot: Scalar
+    u_p: State
+    sliding_margin: State
+
+
+class MonitorSample(NamedTuple):
+    """What the monitor sees at a sample; the tilt [rad] and the rotors' commands [N] are () without a bound."""
+
+    channels: tuple[ChannelSample, ...]
+    tilt: State
+    rotor: tuple[Scalar, ...]
+
+
+class ChannelMemory(NamedTuple):
+    """The last measured sigma of a channel, the samples since then (0: none yet), and the disturbance that was seen."""
+
+    sigma: Scalar
+    gap: Scalar
+    seen: State
+
+
+class MonitorState(NamedTuple):
+    """State of the monitor.
+
+    Args:
+        latched: Flags that were raised so far, a bit each.
+        sample: Number of the sample that comes, from 0 on.
+        first: The sample at which each flag was first raised; :data:`NEVER`.
+        started: 1 once the start was compared, else 0.
+        channels: Memories of the channels.
+    """
+
+    latched: jax.Array
+    sample: jax.Array
+    first: tuple[jax.Array, ...]
+    started: Scalar
+    channels: tuple[ChannelMemory, ...]
+
+
+class Deviation(NamedTuple):
+    """e, e', sigma, the room for their roundings, and whether they are known."""
+
+    e: Scalar
+    e_dot: Scalar
+    sigma: Scalar
+    rounding: Scalar
+    known: jax.Array
+
+
+def initial_monitor(premises: Premises) -> MonitorState:
+    """The state before the first sample."""
+    memories = []
+    for channel in premises.channels:
+        seen = () if channel.disturbance is None else initial_seen(channel.disturbance)
+        memories.append(ChannelMemory(0.0, 0.0, seen))
+    none = jnp.zeros((), jnp.uint32)
+    never = jnp.full((), NEVER, jnp.int32)
+    first = (never,) * len(premises.flags())
+    return MonitorState(none, jnp.zeros((), jnp.int32), first, 0.0, tuple(memories))
+
+
+def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
+    """One sample.
+
+    Args:
+        premises: The bounds.
+        state: The state before it.
+        sample: What is seen at it.
+
+    Returns:
+        The next state, and the flags that this sample raises: a bit each, in the order of ``premises.flags()``.
+    """
+    deviations = []
+    for channel, seen in zip(premises.channels, sample.channels, strict=True):
+        deviations.append(deviation(channel, seen))
+    started, outside = leaves_start(premises, state, deviations)
+    raised = [outside]
+    memories = []
+    for i, channel in enumerate(premises.channels):
+        memory, flags = channel_flags(premises, channel, state.channels[i], sample.channels[i], deviations[i])
+        memories.append(memory)
+        raised += flags
+    if premises.tilt is not None:
+        raised.append(exceeds(sample.tilt, premises.tilt))
+    if premises.rotors is not None:
+        low, high = premises.rotors
+        raised.append(any_of([is_finite(rotor) & jnp.less(rotor, low) for rotor in sample.rotor]))
+        raised.append(any_of([is_finite(rotor) & jnp.greater(rotor, high) for rotor in sample.rotor]))
+    current = flag_word(raised)
+    first = []
+    for flag, earlier in zip(raised, state.first, strict=True):
+        first.append(jnp.where(flag & (earlier < 0), state.sample, earlier))
+    following = jnp.where(state.sample < LAST_SAMPLE, state.sample + 1, state.sample)
+    return MonitorState(state.latched | current, following, tuple(first), started, tuple(memories)), current
+
+
+def deviation(channel: ChannelPremises, seen: ChannelSample) -> Deviation:
+    """The errors of a channel; 0 where a measurement or a reference is not finite."""
+    known = is_finite(seen.y) & is_finite(seen.y_dot) & is_finite(seen.y_ref) & is_finite(seen.y_ref_dot)
+    y = jnp.where(known, seen.y, 0.0)
+    y_dot = jnp.where(known, seen.y_dot, 0.0)
+    y_ref = jnp.where(known, seen.y_ref, 0.0)
+    y_ref_dot = jnp.where(known, seen.y_ref_dot, 0.0)
+    desired = turned_near(y_ref, y) if channel.angle else y_ref
+    error = tracking_error(Measurement(y, y_dot), ReferencePoint(desired, y_ref_dot, 0.0), channel.l0)
+    sizes = jnp.abs(y_dot) + jnp.abs(y_ref_dot) + channel.l0 * (jnp.abs(y) + jnp.abs(desired))
+    return Deviation(error.e, y_dot - y_ref_dot, error.sigma, roundings() * sizes, known)
+
+
+def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[Deviation]) -> tuple[Scalar, jax.Array]:
+    """Whether the start was compared, and whether it is outside: at the first sample that has every channel."""
+    outside = []
+    for channel, at in zip(premises.channels, deviations, strict=True):
+        if channel.start is not None:
+            within_e, within_e_dot = channel.start
+            outside.append(is_outside(at.e, within_e, at.rounding / channel.l0))
+            outside.append(is_outside(at.e_dot, within_e_dot, at.rounding))
+    if premises.plane_start is not None:
+        x, y = deviations[:2]
+        l0 = premises.channels[0].l0
+        far, fast = premises.plane_start
+        outside.append(jnp.greater(plane_norm(x.e, y.e), far + (x.rounding + y.rounding) / l0))
+        outside.append(jnp.greater(plane_norm(x.e_dot, y.e_dot), fast + (x.rounding + y.rounding)))
+    known = deviations[0].known
+    for at in deviations[1:]:
+        known = known & at.known
+    begins = known & jnp.equal(state.started, 0.0)
+    return jnp.where(begins, 1.0, state.started), begins & any_of(outside)
+
+
+def channel_flags(
+    premises: Premises, channel: ChannelPremises, memory: ChannelMemory, sample: ChannelSample, at: Deviation
+) -> tuple[ChannelMemory, list[jax.Array]]:
+    """The next memory of a channel, and its flags in the order of ``channel.flags()``."""
+    begun = jnp.greater(memory.gap, 0.0)
+    flags = [at.known & jnp.greater(jnp.abs(at.e), channel.e)]
+    if channel.e_dot is not None:
+        flags.append(at.known & jnp.greater(jnp.abs(at.e_dot), channel.e_dot))
+    flags.append(at.known & jnp.greater(jnp.abs(at.sigma), channel.sigma))
+    if channel.sigma_slope is not None:
+        allowed = channel.sigma_slope * premises.sample_time * memory.gap + 2.0 * at.rounding
+        change = jnp.abs(at.sigma - memory.sigma)
+        flags.append(at.known & begun & jnp.greater(change, allowed))
+    if channel.slides:
+        flags.append(is_finite(sample.sliding_margin) & jnp.less(sample.sliding_margin, 0.0))
+    seen = memory.seen
+    if channel.disturbance is not None:
+        seen, beyond = see(
+            channel.disturbance, memory.seen, sample.y, sample.y_dot, at.known, sample.u_p, premises.sample_time
+        )
+        flags += [beyond.level, beyond.slope]
+    gap = jnp.where(at.known, 1.0, jnp.where(begun, memory.gap + 1.0, 0.0))
+    return ChannelMemory(jnp.where(at.known, at.sigma, memory.sigma), gap, seen), flags
+
+
+def is_finite(number: Scalar) -> jax.Array:
+    """Whether a number is known: neither infinite nor NaN."""
+    return jnp.less_equal(jnp.abs(number), float(jnp.finfo(jnp.result_type(float)).max))
+
+
+def exceeds(number: Scalar, bound: float) -> jax.Array:
+    """Whether a known number is beyond a bound."""
+    return is_finite(number) & jnp.greater(jnp.abs(number), bound)
+
+
+def is_outside(number: Scalar, interval: Interval, rounding: Scalar) -> jax.Array:
+    """Whether a number is outside of an interval."""
+    low, high = interval
+    return jnp.less(number, low - rounding) | jnp.greater(number, high + rounding)
+
+
+def plane_norm(x: Scalar, y: Scalar) -> Scalar:
+    """The norm of a vector of the plane."""
+    return jnp.sqrt(x * x + y * y)
+
+
+def any_of(flags: Sequence[jax.Array]) -> jax.Array:
+    """Whether at least one flag is raised."""
+    raised = flags[0]
+    for flag in flags[1:]:
+        raised = raised | flag
+    return raised
+
+
+def flag_word(flags: Sequence[jax.Array]) -> jax.Array:
+    """The flags as the bits of a number, the first one lowest."""
+    word = jnp.zeros((), jnp.uint32)
+    for bit, flag in enumerate(flags):
+        word = word | jnp.where(flag, jnp.asarray(1 << bit, jnp.uint32), jnp.zeros((), jnp.uint32))
+    return word

@@ -1,0 +1,122 @@
+"""Recorded flights of a study with what its monitor makes of them, in strict arithmetic, for the bench.
+
+Of each draw there are two: the flight itself, and the same with deviations that grow from sample to sample and with
+numbers that are missing, so that most flags are raised.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import Scalar
+from dssc_jax.engine.compiled_lanes import compiled_lanes
+from dssc_jax.engine.sampling import draw as draw_values
+from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_code.monitor import ChannelSample, MonitorSample, MonitorState, initial_monitor, monitor
+from dssc_jax.flight_code.premises import Premises
+from dssc_jax.flight_code.traced_monitor import TracedMonitor, typed
+from dssc_jax.lanes.llvm.machine import usable_cores
+from dssc_jax.study import Study
+
+MAGIC = b"dssc-jax monitor 1"
+GROWTH = 0.25
+"""Growth of the deviations from sample to sample, as a share of those of the flight."""
+MISSING_EVERY = 61
+"""Samples from one missing number to the next."""
+
+Row: TypeAlias = tuple[Scalar, ...]
+"""The sample's numbers, its flags, the latched ones, and the floating-point numbers of the state after it."""
+Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
+
+
+def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
+    """What the monitor sees of a simulated sample."""
+    channels = []
+    for channel, controlled, reference in zip(premises.channels, recorded.controlled, recorded.references, strict=True):
+        command = () if channel.disturbance is None else controlled.command.total
+        margin = controlled.info.sliding_margin if channel.slides else ()
+        reading = controlled.reading
+        channels.append(ChannelSample(reading.y, reading.y_dot, reference.y, reference.y_dot, command, margin))
+    vehicle = recorded.instant.plant
+    tilt = () if premises.tilt is None else vehicle.tilt
+    return MonitorSample(tuple(channels), tilt, tuple(vehicle.rotor) if premises.rotor_count else ())
+
+
+def strained(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
+    """The sample with larger deviations; every now and then a number is missing."""
+    factor = 1.0 + GROWTH * k
+    missing = k % MISSING_EVERY == MISSING_EVERY - 1
+    channels = []
+    for channel, at in zip(premises.channels, sample.channels, strict=True):
+        y = at.y_ref + (at.y - at.y_ref) * factor
+        y_dot = at.y_ref_dot + (at.y_dot - at.y_ref_dot) * factor
+        command = () if channel.disturbance is None else at.u_p * factor
+        margin = at.sliding_margin - 0.01 * factor if channel.slides else ()
+        channels.append(at._replace(y=jnp.where(missing, jnp.nan, y), y_dot=y_dot, u_p=command, sliding_margin=margin))
+    tilt = () if premises.tilt is None else sample.tilt * factor
+    return MonitorSample(tuple(channels), tilt, tuple(rotor + 0.1 * (k % 9 - 4) for rotor in sample.rotor))
+
+
+def recording_lane(
+    study: Study, premises: Premises, samples: int
+) -> Callable[[dict[str, Scalar], jax.Array], tuple[Row, Row]]:
+    """The program of a lane: (numbers by name, draw index) -> a column of each member of a row, for both flights."""
+
+    def lane(values: dict[str, Scalar], index: jax.Array) -> tuple[Row, Row]:
+        loop = study.loop
+        params = study.params(values)
+        key = draw_key(study.config.seed, index)
+        advance = held_between_samples(loop, params)
+
+        def sample(carry: Carry, _: None) -> tuple[Carry, tuple[Row, Row]]:
+            state, k, monitors = carry
+            after, recorded = step(loop, params, key, state, k, advance)
+            seen = sample_of(premises, recorded)
+            plain, plain_row = watched(premises, monitors[0], seen)
+            harsh, harsh_row = watched(premises, monitors[1], strained(premises, seen, k))
+            return (after, k + 1, (plain, harsh)), (plain_row, harsh_row)
+
+        monitors = (typed(initial_monitor(premises)), typed(initial_monitor(premises)))
+        initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32), monitors)
+        return jax.lax.scan(sample, initial, length=samples)[1]
+
+    return lane
+
+
+def watched(premises: Premises, state: MonitorState, seen: MonitorSample) -> tuple[MonitorState, Row]:
+    """One sample of the monitor, and its row."""
+    after, current = monitor(premises, state, seen)
+    after = typed(after)
+    memories = [leaf for leaf in jax.tree.leaves(after) if leaf.dtype.kind == "f"]
+    row = (*jax.tree.leaves(seen), current, after.latched, *memories)
+    real = jnp.result_type(float)
+    return after, tuple(jnp.asarray(number, real) for number in row)
+
+
+def recorded_flights(study: Study, traced: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
+    """The rows of both flights of the first draws of a study, shape (samples, members of a row) each."""
+    with arithmetic(traced.precision):
+        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+        index = jax.ShapeDtypeStruct((), jnp.uint32)
+        lane = recording_lane(study, traced.premises, samples)
+        lanes = compiled_lanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
+        width = lanes.signature.width
+        for first in range(0, draws, width):
+            indices = np.arange(first, min(first + width, draws))
+            flights = lanes.start((draw_values(study, indices), indices), len(indices), usable_cores())()
+            for place in range(len(indices)):
+                for columns in flights:
+                    yield np.stack([column[place] for column in columns], axis=1)
+
+
+def monitor_recording(flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:
+    """The bytes of recorded flights for the bench: little-endian, each with its number of samples."""
+    real = np.dtype(f"<f{precision // 8}")
+    yield MAGIC + bytes([precision]) + bytes(1)
+    for rows in flights:
+        yield np.array([len(rows)], "<u4").tobytes() + np.ascontiguousarray(rows, real).tobytes()

@@ -1,0 +1,176 @@
+"""What a monitor compares a flight with: the bounds of a certificate, in plain numbers, and the flags that follow."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from dssc_jax.core.units import ChannelUnits
+
+Interval: TypeAlias = tuple[float, float]
+"""Both ends of an interval."""
+
+
+class Flag(NamedTuple):
+    """A flag: its bit's name in C without the study's, and what it says in a sentence."""
+
+    name: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class DisturbancePremises:
+    """What a certificate of one axis takes for granted of y'' = -a_p y' + k_p (G(mu s) u + d).
+
+    Args:
+        level: Bound of |d|, in the unit of the command.
+        slope: Bound of |d'|, in that unit per second.
+        k_p: Interval of the high-frequency gain.
+        a_p: Interval of the damping [1/s].
+        mu: Interval of the lag's time constant [s]; (0, 0) for none.
+        lag_order: Number of first-order lags 1/(mu s + 1) between command and plant.
+        delay_weights: Weights of the commands of ages 0, 1, ... samples in what acts.
+    """
+
+    level: float
+    slope: float
+    k_p: Interval
+    a_p: Interval
+    mu: Interval = (0.0, 0.0)
+    lag_order: int = 0
+    delay_weights: tuple[float, ...] = (1.0,)
+
+
+@dataclass(frozen=True)
+class ChannelPremises:
+    """The bounds of one channel, in its units.
+
+    Args:
+        label: Name in C; empty for the only channel.
+        l0: Error pole [1/s].
+        angle: Whether the output is an angle, whose error is wrapped.
+        e: Bound of |e|.
+        e_dot: Bound of |e'|; None: the certificate states none.
+        sigma: Bound of |sigma|.
+        sigma_slope: Bound of |sigma'|; None: the certificate states none.
+        slides: Whether the controller has a clip, which is not to be active.
+        start: Intervals of e and e' at the first sample; None: those of the plane count.
+        disturbance: What is taken for granted of the disturbance; None: it cannot be seen.
+        units: Units of the output and of the command.
+    """
+
+    label: str
+    l0: float
+    angle: bool
+    e: float
+    e_dot: float | None
+    sigma: float
+    sigma_slope: float | None
+    slides: bool
+    start: tuple[Interval, Interval] | None
+    disturbance: DisturbancePremises | None
+    units: ChannelUnits
+
+    def flags(self) -> list[Flag]:
+        """The channel's flags, in the order of their bits."""
+        y, rate, change = (self.units.of(symbol) for symbol in ("y", "y/s", "y/s^2"))
+        place = f" of {self.label}" if self.label else ""
+        found = [Flag("e", f"|e|{place} exceeds {self.e:.4g} {y}, the certificate's bound.")]
+        if self.e_dot is not None:
+            found.append(Flag("e_dot", f"|e'|{place} exceeds {self.e_dot:.4g} {rate}, the certificate's bound."))
+        found.append(Flag("sigma", f"|sigma|{place} exceeds {self.sigma:.4g} {rate}, the certificate's bound."))
+        if self.sigma_slope is not None:
+            bound = f"{self.sigma_slope:.4g} {change}"
+            text = f"sigma{place} changes faster than {bound}: what acts on the channel is too large or too sudden."
+            found.append(Flag("sigma_slope", text))
+        if self.slides:
+            text = f"The equivalent control{place} exceeds rho: the clip is active, and the loop does not slide."
+            found.append(Flag("sliding", text))
+        if self.disturbance is not None:
+            level = f"{self.disturbance.level:.4g} {self.units.of('u')}"
+            slope = f"{self.disturbance.slope:.4g} {self.units.of('u/s')}"
+            found.append(Flag("disturbance", f"The disturbance{place} that the plant shows exceeds {level}."))
+            found.append(Flag("disturbance_slope", f"The disturbance{place} changes faster than {slope}."))
+        prefix = f"{self.label}_" if self.label else ""
+        return [flag._replace(name=prefix + flag.name) for flag in found]
+
+
+@dataclass(frozen=True)
+class Premises:
+    """What a verified certificate states of a flight.
+
+    Args:
+        sample_time: T_s [s].
+        channels: One for each channel of the loop.
+        plane_start: Bounds of the norms of (e_x, e_y) [m] and (e_x', e_y') [m/s] at the first sample, or None.
+        tilt: Bound of the tilt [rad]; None: there is none.
+        rotors: Interval of the rotors' commanded thrusts [N]; None: there is none.
+        rotor_count: Number of rotors.
+        statement: What the certificate proves, in words.
+        unwatched: What the monitor cannot see, in words; empty: nothing to say.
+    """
+
+    sample_time: float
+    channels: tuple[ChannelPremises, ...]
+    plane_start: tuple[float, float] | None
+    tilt: float | None
+    rotors: Interval | None
+    rotor_count: int
+    statement: str
+    unwatched: str
+
+    def flags(self) -> tuple[Flag, ...]:
+        """All flags, in the order of their bits."""
+        start = "At the first sample e or e' is outside of the certificate's start: nothing is proved of this flight."
+        found = [Flag("start", start)]
+        for channel in self.channels:
+            found += channel.flags()
+        if self.tilt is not None:
+            found.append(Flag("tilt", f"The tilt exceeds {self.tilt:.4g} rad, the certificate's bound."))
+        if self.rotors is not None:
+            low, high = self.rotors
+            found.append(Flag("rotor_low", f"The command of a rotor is below {low:.5g} N, the certificate's bound."))
+            found.append(Flag("rotor_high", f"The command of a rotor is above {high:.5g} N, the certificate's bound."))
+        return tuple(found)
+
+    def rounded(self, real: np.dtype) -> "Premises":
+        """The same bounds in another type of numbers, each rounded outwards."""
+        channels = tuple(rounded_channel(channel, real) for channel in self.channels)
+        plane = self.plane_start and (above(self.plane_start[0], real), above(self.plane_start[1], real))
+        tilt = None if self.tilt is None else above(self.tilt, real)
+        rotors = self.rotors and outwards(self.rotors, real)
+        return replace(self, channels=channels, plane_start=plane, tilt=tilt, rotors=rotors)
+
+
+def above(value: float, real: np.dtype) -> float:
+    """The smallest number of a type that is not below a value."""
+    near = real.type(value)
+    return float(near if float(near) >= value else np.nextafter(near, real.type(np.inf)))
+
+
+def outwards(interval: Interval, real: np.dtype) -> Interval:
+    """An interval of numbers of a type that holds another one."""
+    return -above(-interval[0], real), above(interval[1], real)
+
+
+def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
+    """A channel's bounds, rounded outwards."""
+    seen = channel.disturbance
+    if seen is not None:
+        seen = replace(
+            seen,
+            level=above(seen.level, real),
+            slope=above(seen.slope, real),
+            k_p=outwards(seen.k_p, real),
+            a_p=outwards(seen.a_p, real),
+        )
+    start = channel.start and (outwards(channel.start[0], real), outwards(channel.start[1], real))
+    return replace(
+        channel,
+        e=above(channel.e, real),
+        e_dot=None if channel.e_dot is None else above(channel.e_dot, real),
+        sigma=above(channel.sigma, real),
+        sigma_slope=None if channel.sigma_slope is None else above(channel.sigma_slope, real),
+        start=start,
+        disturbance=seen,
+    )

@@ -1,0 +1,119 @@
+"""The monitor of a study's flight, traced: what its C is written from, and what its bits are compared with."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import keystr, tree_flatten_with_path
+
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import Scalar
+from dssc_jax.flight_code.controller import FlightCode, TracedFunction
+from dssc_jax.flight_code.monitor import ChannelSample, MonitorSample, MonitorState, initial_monitor, monitor
+from dssc_jax.flight_code.premises import Premises
+from dssc_jax.lanes.tracing.origins import translate_with_origins
+
+Tree = TypeVar("Tree", MonitorState, MonitorSample)
+
+
+@dataclass(frozen=True)
+class TracedMonitor:
+    """A monitor: (state, sample) -> next state, flags of the sample.
+
+    Args:
+        premises: Its bounds, rounded outwards to the type of its numbers.
+        prefix: Of its functions and types in C.
+        inputs: Names of the sample's numbers in C.
+        memories: Names of the state's floating-point numbers in C, in the order of its leaves.
+        step: The traced step.
+        precision: Bits of a number.
+    """
+
+    premises: Premises
+    prefix: str
+    inputs: tuple[str, ...]
+    memories: tuple[str, ...]
+    step: TracedFunction
+    precision: int
+
+    @property
+    def real(self) -> np.dtype:
+        """The type of its numbers."""
+        return np.dtype(f"float{self.precision}")
+
+
+def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
+    """Trace the monitor of a study's flight."""
+    rounded = premises.rounded(np.dtype(f"float{code.precision}"))
+
+    def step(state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Scalar]:
+        after, current = monitor(rounded, state, sample)
+        return typed(after), current
+
+    with arithmetic(code.precision):
+        state = monitor_state(rounded)
+        sample = sample_shape(rounded)
+        program, _, origins = translate_with_origins(step, state, sample)
+    labels = [channel.label for channel in premises.channels]
+    inputs = member_names_of(sample, labels)
+    memories = [
+        name
+        for name, leaf in zip(member_names_of(state, labels), jax.tree.leaves(state), strict=True)
+        if leaf.dtype.kind == "f"
+    ]
+    return TracedMonitor(
+        rounded,
+        f"{code.name}_monitor",
+        tuple(inputs),
+        tuple(memories),
+        TracedFunction(program, origins),
+        code.precision,
+    )
+
+
+def typed(state: MonitorState) -> MonitorState:
+    """The state with arrays of its types in place of plain numbers."""
+
+    def array(leaf: Scalar) -> jax.Array:
+        value = jnp.asarray(leaf)
+        return value if value.dtype.kind in "iu" else value.astype(jnp.result_type(float))
+
+    return jax.tree.map(array, state)
+
+
+def monitor_state(premises: Premises) -> MonitorState:
+    """Shapes and types of the state; to be called in the arithmetic of the monitor."""
+    return shapes(typed(initial_monitor(premises)))
+
+
+def shapes(tree: Tree) -> Tree:
+    """The tree with the shape and type of each scalar in its place."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((), leaf.dtype), tree)
+
+
+def sample_shape(premises: Premises) -> MonitorSample:
+    """Shapes and types of a sample; to be called in the arithmetic of the monitor."""
+    number = jnp.zeros((), jnp.result_type(float))
+    channels = []
+    for channel in premises.channels:
+        command = () if channel.disturbance is None else number
+        margin = number if channel.slides else ()
+        channels.append(ChannelSample(number, number, number, number, command, margin))
+    tilt = () if premises.tilt is None else number
+    return shapes(MonitorSample(tuple(channels), tilt, (number,) * premises.rotor_count))
+
+
+def member_names_of(tree: MonitorState | MonitorSample, labels: list[str]) -> list[str]:
+    """A name in C for each leaf; those of a channel begin with its label."""
+    names = []
+    for path, _ in tree_flatten_with_path(tree)[0]:
+        fields = keystr(path, simple=True, separator=".").split(".")
+        if fields[0] == "channels":
+            label = labels[int(fields[1])]
+            fields = [label, *fields[2:]] if label else fields[2:]
+        elif fields[0] == "rotor":
+            fields[1] = str(int(fields[1]) + 1)
+        names.append("_".join(fields))
+    return names

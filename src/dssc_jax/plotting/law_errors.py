@@ -1,0 +1,85 @@
+"""Figure of how wrong the laws may be."""
+
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, label, styled, title
+from dssc_jax.study import Study
+
+ROW_GAP = 0.14  # of the two points of a law
+ROOM = 1.08  # of the axis of shifts, beyond the largest
+
+
+class PlottedLawErrors(Protocol):
+    """What the figure takes from :class:`dssc_jax.LawErrors`."""
+
+    study: Study
+    dataset: xr.Dataset
+    limit: float
+
+    def summary(self) -> JsonObject:
+        """The answer in plain numbers."""
+        ...
+
+
+@styled
+def law_errors(errors: PlottedLawErrors) -> Figure:
+    """Plot the failure probability over changes of all laws, and how far each law alone may be wrong.
+
+    Args:
+        errors: The return value of :func:`dssc_jax.laws`.
+    """
+    data = errors.dataset
+    summary = errors.summary()
+    numbers = data.sizes["number"]
+    figure = Figure(figsize=(SLIDE[0] + 4.0, max(SLIDE[1], 2.6 + 0.36 * numbers)), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    for ax, prefix, dimension in ((left, "shifted", "size"), (middle, "widened", "width")):
+        change_panel(ax, data, prefix, dimension, errors.limit)
+    left.set_ylabel("failure probability")
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    law_panel(right, data)
+    config = errors.study.config
+    level = f"{100 * summary['confidence']:g} % confidence of each statement, {summary['draws']} draws"
+    title(figure, f"{config.description or config.name}\n{level}")
+    return figure
+
+
+def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit: float) -> None:
+    """Draw the failure probability over one kind of change of all laws."""
+    sizes = data[dimension].values
+    worst = data[prefix].values
+    upper = data[f"{prefix}_limit"].values
+    bound = data[f"{prefix}_guaranteed"].values
+    ax.plot(sizes, worst, color=BLUE, label="worst direction, from the draws' weights")
+    ax.plot(sizes, upper, "--", color=BLUE, label="its upper limit")
+    ax.plot(sizes, bound, color=ORANGE, label="upper limit whatever draws fail")
+    ax.axhline(limit, color=RED, linewidth=1.2, label=f"{100 * limit:g} % may fail")
+    shown = [limit, *worst[np.isfinite(worst)], *bound[np.isfinite(bound)][:1]]
+    ax.set(xlabel=label(data[dimension].attrs), ylim=(0.0, min(1.0, max(2.5 * limit, 1.2 * max(shown)))))
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+
+def law_panel(ax: Axes, data: xr.Dataset) -> None:
+    """Draw how far the mean of each law alone may be wrong, the most important law on top."""
+    estimate = data["shift_estimate"].values
+    bound = data["shift"].values
+    order = np.argsort(np.where(np.isnan(estimate), np.inf, estimate) + 1e-6 * bound, kind="stable")
+    rows = np.arange(len(order))
+    ax.plot(bound[order], rows + ROW_GAP, "o", color=BLUE, label="with confidence")
+    ax.plot(estimate[order], rows - ROW_GAP, "D", color=GREY, label="estimate")
+    for row in rows[np.isnan(estimate[order])]:
+        place = (bound[order][row], row - ROW_GAP)
+        ax.annotate("limit not reached", place, color=GREY, fontsize=10, va="center", ha="right")
+    ax.set_yticks(rows, [str(name) for name in data["number"].values[order]])
+    ax.set_ylim(len(order) - 0.5, -0.5)
+    ax.set_xlim(0.0, ROOM * max(np.nanmax(estimate, initial=0.0), bound.max(), 0.1))
+    ax.set_xlabel("shift of one mean alone\n[standard deviations]")
+    ax.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))

@@ -1,0 +1,34 @@
+"""What a proof covers, and which error it bounds, in words for figures, reports and consoles."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from dssc_jax.study import Study
+
+
+class Claim(NamedTuple):
+    """The words for the proofs of a kind of loop.
+
+    Args:
+        covered: What a proof is for.
+        error: The error of which a proof gives the bound.
+    """
+
+    covered: str
+    error: str
+
+
+AXIS_CLAIM = Claim("every plant of the laws", "|e|")
+VEHICLE_CLAIM = Claim("every wind and vehicle within the bounds", "|e| along x and y")
+VEHICLE_BOUNDS = "bounds"
+"""Entry that only the summary of a vehicle's proof has."""
+
+
+def claim_of(summary: Mapping[str, object]) -> Claim:
+    """The words for a proof, from its summary."""
+    return VEHICLE_CLAIM if VEHICLE_BOUNDS in summary else AXIS_CLAIM
+
+
+def claim_for(study: Study) -> Claim:
+    """The words for the proofs of a study: of loops with several channels they cover the vehicle only."""
+    return VEHICLE_CLAIM if len(study.units) > 1 else AXIS_CLAIM

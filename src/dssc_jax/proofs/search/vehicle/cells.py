@@ -1,0 +1,314 @@
+"""Bounds in cells of time, for a vehicle that starts away from where it hovers, searched in floating point.
+
+Cell after cell, the bounds are fixed points: what earlier cells still cause is known. docs/vehicle_proofs.md has the
+theorem.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.proofs.search.vehicle.bounds import (
+    ChannelDeviations,
+    Slopes,
+    VehicleBounds,
+    best_bounds,
+    best_slopes,
+    deviations_of,
+    inflated,
+    linear_channels,
+    middle_of,
+    points_of,
+    proof_of,
+    slides,
+)
+from dssc_jax.proofs.search.vehicle.channels import (
+    GRAVITY,
+    ONE_AXIS,
+    ChannelResponse,
+    ChannelSeries,
+    channel_response,
+    channel_series,
+)
+from dssc_jax.proofs.search.vehicle.remainders import OutOfRange, Rotors, Signals, remainders_of, slopes_of
+from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
+
+LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
+"""Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
+REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
+"""Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
+EXTRA_CELLS = 20
+"""Cells beyond the first ones over which what they cause in the last cell is compared."""
+ITERATIONS = 400
+LARGEST_GROWTH = 100.0
+SETTLED = 1e-4
+TABLE_RATIO = 1.005
+"""Ratio of the regions at which the deviations are tabulated."""
+SMALLEST_REGION = 1e-7
+
+
+@dataclass(frozen=True)
+class CellBounds:
+    """Bounds in cells of time.
+
+    Args:
+        last: The bounds of the last cell, all the time after the others, with slopes and damping.
+        settled: Those of the vehicle that starts at rest, with slopes and damping for upper limits.
+        samples: Number of samples of the other cells.
+        cells: Bounds of the signals in each of these.
+    """
+
+    last: VehicleBounds
+    settled: VehicleBounds
+    samples: int
+    cells: list[Signals]
+
+
+@dataclass(frozen=True)
+class Kernels:
+    """What inputs of size 1 from some cell on cause in a channel, by the number of cells since.
+
+    Args:
+        response: The channel's response without cells.
+        most: Up to the last sample of the cell, (cells, rows, inputs).
+        least: Before its first sample, (cells, rows, inputs).
+        whole: In the end, (rows, inputs).
+        constant: The largest response to the constant in each cell, the last one included, (cells, rows).
+        starts: The largest responses in each cell to e and e' together, and to q_(-1), (cells, rows, 2).
+    """
+
+    response: ChannelResponse
+    most: np.ndarray
+    least: np.ndarray
+    whole: np.ndarray
+    constant: np.ndarray
+    starts: np.ndarray
+
+
+class DeviationTable:
+    """The deviations of a channel's functions by the size of the region, on a grid."""
+
+    def __init__(self, problem: VehicleProblem, name: str, slopes: Slopes) -> None:
+        """An empty table."""
+        self.problem = problem
+        self.name = name
+        self.slopes = slopes
+        self.known: dict[int, ChannelDeviations] = {}
+
+    def at(self, sigma: float) -> ChannelDeviations:
+        """The deviations in the smallest tabulated region that holds |sigma|."""
+        step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
+        if step not in self.known:
+            region = TABLE_RATIO**step
+            self.known[step] = deviations_of(points_of(self.problem, self.name, region), self.slopes)
+        return self.known[step]
+
+
+def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
+    """Bounds in cells of time, or why there are none; ``room`` multiplies the room for the verifier."""
+    resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
+    settled = best_bounds(replace(problem, channels=resting), room)
+    if isinstance(settled, str):
+        return settled
+    found: CellBounds | str = "gain"
+    for duration, horizon in LAYOUTS:
+        samples = max(1, round(duration / problem.sample_time))
+        for share in REGION_SHARES:
+            slopes = {name: slopes_between(problem, name, settled.bounds[name]["sigma"], share) for name in CHANNELS}
+            found = marched(problem, settled, slopes, samples, round(horizon / duration), room)
+            if not isinstance(found, str):
+                return found
+    return found
+
+
+def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float) -> Slopes:
+    """The best slopes for a region between that of the settled vehicle and that of the start."""
+    channel = problem.channels[name]
+    first = channel.initial[1] + channel.l0 * channel.initial[0]
+    region = sigma * (first / sigma) ** share if first > sigma else sigma
+    return best_slopes(points_of(problem, name, region))
+
+
+def marched(
+    problem: VehicleProblem,
+    settled: VehicleBounds,
+    slopes: dict[str, Slopes],
+    samples: int,
+    count: int,
+    room: float,
+) -> CellBounds | str:
+    """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
+    linear = linear_channels(problem, settled.damping)
+    kernels = {}
+    for name in CHANNELS:
+        channel = problem.channels[name]
+        response = channel_response(problem, channel, linear[name], slopes[name])
+        if response is None:
+            return "gain"
+        length = samples * (count + EXTRA_CELLS)
+        series = channel_series(problem, channel, linear[name], slopes[name], length)
+        kernels[name] = kernels_of(problem, name, response, series, samples, count)
+    tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
+    cells: list[Signals] = []
+    inputs: dict[str, list[np.ndarray]] = {name: [] for name in CHANNELS}
+    rotors: Rotors | None = None
+    y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
+    for _ in range(count + 1):
+        closed = closed_cell(
+            problem, kernels, tables, inputs, settled.damping, y, rotors, room, last=len(cells) == count
+        )
+        if closed is None:
+            return "gain"
+        y, sizes, rotors = closed
+        cells.append(y)
+        for name in CHANNELS:
+            inputs[name].append(sizes[name])
+    if not slides_in_all(problem, tables, cells, settled.damping):
+        return "sliding"
+    assert rotors is not None
+    return CellBounds(VehicleBounds(slopes, settled.damping, cells[-1], rotors), settled, samples, cells[:-1])
+
+
+def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
+    """The proof as a certificate holds it."""
+    bounds = {
+        name: {key: [cell[name][key] for cell in found.cells] for key in found.cells[0][name]} for name in CHANNELS
+    }
+    cells = {"samples": found.samples, "bounds": bounds}
+    return proof_of(problem, found.last) | {"cells": cells, "settled": middle_of(problem, found.settled)}
+
+
+def kernels_of(
+    problem: VehicleProblem, name: str, response: ChannelResponse, series: ChannelSeries, samples: int, count: int
+) -> Kernels:
+    """The kernels of a channel, from its responses sample by sample."""
+    e, speed = problem.channels[name].initial
+    together = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
+    starts = np.stack([together, np.abs(series.starts[..., 2])], axis=-1)
+    sums = np.cumsum(series.effects, axis=0)
+    axes = axes_of(name, response)
+    factors = np.ones((axes.size, sums.shape[-1]))
+    factors[:, :2] = axes[:, None]  # the deviations of both axes as one vector
+    by_start = with_last(in_cells(starts, samples), count)
+    by_start[..., 1] *= axes
+    constant = with_last(in_cells(np.abs(series.constant), samples), count)
+    whole = response.gains.reshape(axes.size, -1) * factors
+    most = sums[samples - 1 :: samples] * factors
+    least = np.concatenate([sums[:1] * factors, most[:-1]])
+    return Kernels(response, most, least, whole, constant, by_start)
+
+
+def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
+    """2^(1/2) for norms of vectors of the plane, 1 elsewhere, for each point of a sample and signal."""
+    in_plane = [name == "x" and key not in ONE_AXIS for key in response.names]
+    axes = np.where(in_plane, math.sqrt(2.0), 1.0)
+    return np.tile(axes, response.gains.shape[0])
+
+
+def in_cells(values: np.ndarray, samples: int) -> np.ndarray:
+    """The largest value in each cell."""
+    return values.reshape(-1, samples, *values.shape[1:]).max(axis=1)
+
+
+def with_last(values: np.ndarray, count: int) -> np.ndarray:
+    """The values of the first cells, and the largest of all later ones."""
+    return np.concatenate([values[:count], values[count:].max(axis=0)[None]])
+
+
+def closed_cell(
+    problem: VehicleProblem,
+    kernels: dict[str, Kernels],
+    tables: dict[str, DeviationTable],
+    inputs: dict[str, list[np.ndarray]],
+    damping: tuple[float, float],
+    start: Signals,
+    earlier: Rotors | None,
+    room: float,
+    *,
+    last: bool,
+) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
+    """Bounds of a cell that imply themselves, what they allow, and the rotors; None if there are none.
+
+    The search for the fixed point begins at the bounds of the cell before: in the last cell, smaller bounds are not
+    better ones, since earlier inputs exceed them by more.
+    """
+    base = {name: begun(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
+    y = start
+    for _ in range(ITERATIONS):
+        try:
+            remainders, rotors = remainders_of(problem, y, damping, earlier)
+        except OutOfRange:
+            return None
+        slopes = slopes_of(problem, y, remainders, damping)
+        sizes = {}
+        reached = {}
+        for name in CHANNELS:
+            kernel = kernels[name]
+            sizes[name] = sizes_of(kernel.response, tables[name], y[name]["sigma"], remainders[name])
+            rows = base[name] + caused(kernel, inputs[name], sizes[name], last=last)
+            bound = rows.reshape(kernel.response.gains.shape[:2]).max(axis=0)
+            eighth = problem.sample_time / 8.0
+            reached[name] = {
+                key: inflated(key, float(bound[i]) + eighth * slopes[name][key], room)
+                for i, key in enumerate(kernel.response.names)
+            }
+        changes = [abs(reached[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in reached[name]]
+        y = reached
+        if max(changes) <= SETTLED:
+            return y, sizes, rotors
+    return None
+
+
+def sizes_of(
+    response: ChannelResponse, table: DeviationTable, sigma: float, remainders: dict[str, float]
+) -> np.ndarray:
+    """Bounds of omega_u, omega_q and the remainders."""
+    law = table.at(sigma)
+    by_u = min(law.distance[2], law.ratio[2] * sigma)
+    by_q = min(law.distance[1], law.ratio[1] * sigma)
+    return np.array([by_u, by_q, *(remainders[key] for key in response.remainders)])
+
+
+def caused(kernel: Kernels, inputs: list[np.ndarray], now: np.ndarray, *, last: bool) -> np.ndarray:
+    """What the inputs of earlier cells, and those of this one, cause in it, (rows,).
+
+    An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
+    """
+    sizes = np.array([*inputs, now])
+    changes = np.diff(sizes, axis=0)
+    count = len(changes)
+    if last:
+        result = kernel.whole @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
+    else:
+        result = kernel.most[count] @ sizes[0]
+        result = result + np.einsum("cri,ci->r", kernel.most[:count][::-1], np.maximum(changes, 0.0))
+    return result - np.einsum("cri,ci->r", kernel.least[:count][::-1], np.maximum(-changes, 0.0))
+
+
+def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
+    """What the start and the constant cause in a cell, (rows,)."""
+    channel = problem.channels[name]
+    first = channel.initial[1] + channel.l0 * channel.initial[0]
+    law = table.at(first)
+    late = 0.0 if channel.start == "zero" else min(law.distance[0], law.ratio[0] * first)
+    if channel.start == "midpoint":
+        late += 0.5 * problem.sample_time * min(law.distance[1], law.ratio[1] * first)
+    result = kernel.starts[cell, :, 0] + late * kernel.starts[cell, :, 1]
+    if name == "z":
+        result = result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
+    return result
+
+
+def slides_in_all(
+    problem: VehicleProblem, tables: dict[str, DeviationTable], cells: list[Signals], damping: tuple[float, float]
+) -> bool:
+    """Whether the loop slides under the largest bounds of all cells."""
+    largest = {name: {key: max(y[name][key] for y in cells) for key in cells[0][name]} for name in CHANNELS}
+    try:
+        remainders, _ = remainders_of(problem, largest, damping)
+    except OutOfRange:
+        return False
+    deviations = {name: tables[name].at(largest[name]["sigma"]) for name in CHANNELS}
+    return slides(problem, deviations, largest, remainders)

@@ -1,0 +1,145 @@
+"""Upper bounds of what the inputs of each time cell do in each time cell; docs/vehicle_proofs.md has the definitions.
+
+All is summed in float64 from samples with bounds of their errors. The terms are not negative. ``SUMMED`` covers the
+rounding of a sum.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from flint import arb
+
+from dssc_jax.proofs.verifier.balls import Rejected, side_by_side
+from dssc_jax.proofs.verifier.impulse_responses import (
+    ROUNDED,
+    SUMMED,
+    TAIL_SHARE,
+    UNDERFLOW,
+    magnitudes,
+    middles,
+    response_blocks,
+)
+from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.deviations import float_above
+from dssc_jax.proofs.verifier.vehicle.responses import PIECES, SeenChannel, integral_within, seen_channel
+
+OMEGAS = 2
+"""The inputs omega_u and omega_q, before the remainders."""
+SMALL = 1e-6
+"""Share of a response's peak at which the rest of it no longer counts in the last cell."""
+
+
+class CellResponses(NamedTuple):
+    """Upper bounds for J cells and the last one. The inputs are omega_u, omega_q and the remainders.
+
+    Args:
+        signals: The signal of each row.
+        remainders: The names of the inputs after omega_u and omega_q.
+        most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
+        least: G_(c m - 1), or g_0 for m = 0, of the same g_l, from below, (J, rows, inputs).
+        whole: Bound of the limit of G, (rows, inputs).
+        starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
+        deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
+        constants: The largest response to a constant 1 from t = 0 on, (J + 1, rows).
+    """
+
+    signals: list[str]
+    remainders: list[str]
+    most: np.ndarray
+    least: np.ndarray
+    whole: np.ndarray
+    starts: np.ndarray
+    deviations: np.ndarray
+    constants: np.ndarray
+
+
+def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, samples: int, count: int) -> CellResponses:
+    """(V1) The responses of a channel in cells.
+
+    Args:
+        problem: The certificate's problem.
+        name: The channel.
+        proof: Its proof.
+        samples: Samples c of a cell.
+        count: Number J of cells before the last one, at least 1.
+    """
+    seen = seen_channel(problem, name, proof)
+    t = arb(problem["sample_time"])
+    initial = np.array([float(value) for value in problem["channels"][name]["initial"]])
+    weights = input_weights(seen, t)
+    q = seen.inputs.ncols()
+    added = middles(seen.offsets)
+    added_error = ROUNDED * magnitudes(seen.offsets)
+    summed_tail = float_above((2 / seen.decay).upper())
+    first = direct_effects(seen, t)
+    parts = np.zeros((count + 1, *first.shape))  # sums of g_l over l from c m to c m + c - 1, and over all l behind
+    parts[0] = first
+    peaks = np.zeros((count + 1, len(seen.sights), 3))
+    done = 0
+    for block in response_blocks(seen.sampled.a, seen.rows, side_by_side(seen.inputs, seen.starts), seen.p):
+        sizes = np.abs(block.response[..., :q]) + (block.error + block.lost)[:, :q]
+        sizes = sizes @ weights
+        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # g_(done + 1) is the first
+        parts[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
+        reached, places = cells_of(done, len(sizes), samples, count)
+        sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
+        peaks[reached] = np.maximum(
+            peaks[reached], np.maximum.reduceat(start_responses(sizes, initial), places, axis=0)
+        )
+        done += len(sizes)
+        tail = (block.tail[:, :q] * summed_tail) @ weights
+        later = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial)
+        decaying = start_responses(block.tail[:, q:], initial)
+        ends = np.all(tail <= TAIL_SHARE * parts.sum(axis=0))
+        enough = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
+        enough[:, :2] = np.maximum(enough[:, :2], peaks[-1, :, :2])
+        if done > samples * (count + 1) and ends and np.all(decaying <= enough):
+            peaks[-1] = np.maximum(peaks[-1], later)
+            sums = np.concatenate([first[None], np.cumsum(parts[:-1], axis=0)])
+            whole = SUMMED * (sums[-1] + parts[-1] + tail)
+            signals = [sight.signal for sight in seen.sights]
+            scaled = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
+            return CellResponses(signals, list(seen.curved), SUMMED * sums[1:], sums[:-1] / SUMMED, whole, *scaled)
+    raise Rejected(f"V1: the responses of {name} decay too slowly")
+
+
+def start_responses(sizes: np.ndarray, initial: np.ndarray) -> np.ndarray:
+    """Those to the start, to the deviation of the first sum q and to the constant, from sizes (..., 4)."""
+    return np.stack([sizes[..., :2] @ initial, sizes[..., 2], sizes[..., 3]], axis=-1)
+
+
+def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The cells that successive samples after ``done`` others belong to, and the place of the first sample of each."""
+    cells = np.minimum((done + np.arange(length)) // samples, count)
+    places = np.flatnonzero(np.diff(cells, prepend=-1))
+    return cells[places], places
+
+
+def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
+    """Weights of the columns of ``seen.inputs`` in the bounds of g, rounded up, (columns, inputs).
+
+    The integral of |row e^(F r) b| over a sample is at most that of straight lines plus that of the bend.
+    """
+    columns = PIECES + 2
+    weights = np.zeros((seen.inputs.ncols(), OMEGAS + len(seen.curved)))
+    weights[:OMEGAS, :OMEGAS] = np.eye(OMEGAS)
+    piece = t / PIECES
+    bend = (PIECES * piece**3 / 12).upper()
+    for place, parts in enumerate(seen.curved.values()):
+        of_points = np.full(PIECES + 1, float_above(piece.upper()))
+        of_points[[0, -1]] = float_above((piece / 2).upper())
+        start = OMEGAS + columns * place
+        weights[start : start + columns, OMEGAS + place] = [*of_points, float_above(bend)]
+        radii = [float_above((bend * radius).upper()) for radius in parts.radii]
+        weights[OMEGAS + columns * len(seen.curved) :, OMEGAS + place] = radii
+    return weights
+
+
+def direct_effects(seen: SeenChannel, t: arb) -> np.ndarray:
+    """g_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
+    rows = []
+    for sight in seen.sights:
+        within = [integral_within(seen.channel, sight, parts.points[0]) for parts in seen.curved.values()]
+        effects = [sight.direct, sight.direct_integral, *within]
+        rows.append([float_above(effect.upper()) for effect in effects])
+    return np.array(rows)

@@ -1,0 +1,164 @@
+"""The worst failure probability over all laws within a distance of the assumed one, and the distance a limit allows.
+
+Let P be the assumed law of a draw, Q the true one, F the set of draws that fail, p = P(F) and q = Q(F). No divergence
+grows when a draw is reduced to "fails or not": D(Ber(q), Ber(p)) <= D(Q, P). A law whose density relative to P is q/p
+on F and (1-q)/(1-p) elsewhere attains the bound. So the worst case over all laws within D(Q, P) <= r, of any number of
+uncertain numbers, is a problem in one dimension: the largest q with D(Ber(q), Ber(p)) <= r.
+
+Both the worst probability and the radius that a limit allows are monotone in p. An end of an interval of p therefore
+gives a bound with the confidence of that interval.
+
+References:
+    I. Csiszár, Studia Scientiarum Mathematicarum Hungarica 2 (1967) 299-318: a divergence does not grow when a draw is
+    reduced to its outcome.
+    A. Ben-Tal, D. den Hertog, A. De Waegenaere, B. Melenberg, G. Rennen, Management Science 59 (2013) 341-357: the
+    worst case over such balls.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+from scipy import special
+
+from dssc_jax.core.bisection import bisect
+
+HALVINGS = 80  # of [p, 1]: the last digit of any probability above 1e-8
+
+
+@dataclass(frozen=True)
+class DivergenceBall(ABC):
+    """All laws within a divergence of the assumed one."""
+
+    title: ClassVar[str]
+    """Name of the divergence in words."""
+
+    @abstractmethod
+    def divergence(self, q: float, p: float) -> float:
+        """D(Ber(q), Ber(p)): the least divergence of a law with failure probability q from one with p."""
+
+    @abstractmethod
+    def worst(self, p: float, radius: float) -> float:
+        """The largest failure probability of a law within the radius.
+
+        Args:
+            p: Failure probability of the assumed law, in [0, 1].
+            radius: Largest divergence, >= 0.
+
+        Raises:
+            ValueError: An argument is out of range.
+        """
+
+    def best(self, p: float, radius: float) -> float:
+        """The smallest failure probability of a law within the radius; arguments as of :meth:`worst`."""
+        return 1.0 - self.worst(1.0 - p, radius)
+
+    def interval(self, interval: tuple[float, float], radius: float) -> tuple[float, float]:
+        """An interval of the true failure probability, from one of the assumed law's with the same confidence."""
+        low, high = interval
+        return self.best(low, radius), self.worst(high, radius)
+
+    def largest_radius(self, p: float, limit: float) -> float:
+        """The radius within which no law has a failure probability above the limit.
+
+        Args:
+            p: Failure probability of the assumed law, in [0, 1]; its upper limit gives a lower limit of the radius.
+            limit: Largest failure probability allowed, in (0, 1).
+
+        Returns:
+            0 if p is at the limit or above; infinity if p is 0 and every law within any radius agrees with it.
+
+        Raises:
+            ValueError: An argument is out of range.
+
+        Example:
+            >>> round(KullbackLeibler().largest_radius(0.01, 0.05), 6)
+            0.041291
+        """
+        require_probability(p=p)
+        if not 0.0 < limit < 1.0:
+            raise ValueError(f"limit must lie in (0, 1), got {limit!r}")
+        return 0.0 if p >= limit else self.divergence(limit, p)
+
+
+class TotalVariation(DivergenceBall):
+    """Total variation: the largest difference between the probabilities that the two laws give to one set."""
+
+    title = "total variation"
+
+    def divergence(self, q: float, p: float) -> float:
+        """|q - p|."""
+        return abs(q - p)
+
+    def worst(self, p: float, radius: float) -> float:
+        """min(1, p + r)."""
+        require_ball(p, radius)
+        return min(1.0, p + radius)
+
+
+class KullbackLeibler(DivergenceBall):
+    """Kullback-Leibler divergence of the true law from the assumed one, the mean of ln dQ/dP under Q [nat]."""
+
+    title = "Kullback-Leibler divergence"
+
+    def divergence(self, q: float, p: float) -> float:
+        """q ln(q/p) + (1-q) ln((1-q)/(1-p))."""
+        return float(special.rel_entr(q, p) + special.rel_entr(1.0 - q, 1.0 - p))
+
+    def worst(self, p: float, radius: float) -> float:
+        """The root q >= p of the divergence at the radius."""
+        require_ball(p, radius)
+        if p in (0.0, 1.0) or radius == 0.0:
+            return p
+        if radius >= -math.log(p):
+            return 1.0
+        _, above = bisect(lambda q: self.divergence(float(q), p) <= radius, p, 1.0, HALVINGS)
+        return float(above)
+
+
+class ChiSquare(DivergenceBall):
+    """Chi-square divergence of the true law from the assumed one: the variance of dQ/dP under P."""
+
+    title = "chi-square divergence"
+
+    def divergence(self, q: float, p: float) -> float:
+        """(q - p)^2 / (p (1 - p))."""
+        if q == p:
+            return 0.0
+        return (q - p) ** 2 / (p * (1.0 - p)) if 0.0 < p < 1.0 else math.inf
+
+    def worst(self, p: float, radius: float) -> float:
+        """min(1, p + sqrt(r p (1 - p)))."""
+        require_ball(p, radius)
+        return min(1.0, p + math.sqrt(radius * p * (1.0 - p)))
+
+
+BALLS: dict[str, DivergenceBall] = {
+    "total_variation": TotalVariation(),
+    "kl": KullbackLeibler(),
+    "chi_square": ChiSquare(),
+}
+"""The divergences by the names that commands use."""
+
+
+def require_probability(**probabilities: float) -> None:
+    """Require that each lies in [0, 1].
+
+    Raises:
+        ValueError: one does not.
+    """
+    for name, value in probabilities.items():
+        if not 0.0 <= value <= 1.0:
+            raise ValueError(f"{name} must lie in [0, 1], got {value!r}")
+
+
+def require_ball(p: float, radius: float) -> None:
+    """Require a probability in [0, 1] and a radius >= 0.
+
+    Raises:
+        ValueError: one is out of range.
+    """
+    require_probability(p=p)
+    if not radius >= 0.0:
+        raise ValueError(f"radius must be 0 or more, got {radius!r}")

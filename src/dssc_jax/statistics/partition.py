@@ -1,0 +1,104 @@
+"""What it is worth to know in which part of its law a number lies, from the draws that failed.
+
+The law of a number is divided into B parts of equal probability. Given that a draw fails, its number lies in part b
+with probability q_b; the failure probability of that part alone is p_b = B p q_b. Knowing the part removes the share
+
+    Var(p_b) / (p (1 - p)) = (B sum q_b^2 - 1) p / (1 - p)
+
+of the variance of "fails or not". The sum is the probability that two failed draws lie in the same part, which pairs of
+failed draws estimate without bias.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
+
+MOST_PARTS = 10
+LEAST_IN_PART = 5
+"""Failed draws that a part holds on average, at least."""
+
+
+class KnownPart(NamedTuple):
+    """What knowing the part of a number's law is worth.
+
+    Args:
+        parts: B; fewer if few draws failed.
+        removed: Share of the variance of "fails or not" that the knowledge removes; it may be slightly below 0.
+        removed_interval: Its interval.
+        changes: Probability that the part's failure probability is on the other side of the limit than that of all.
+        changes_interval: Its interval.
+    """
+
+    parts: int
+    removed: float
+    removed_interval: tuple[float, float]
+    changes: float
+    changes_interval: tuple[float, float]
+
+
+def known_part(
+    levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float = CONFIDENCE
+) -> KnownPart | None:
+    """What it is worth to know in which part of its law a number lies.
+
+    The interval of the removed share is Student's with B - 1 degrees of freedom and the variance of a mean over pairs.
+    That of the probability of another decision counts the parts that are certainly, or possibly, on the other side of
+    the limit, by exact intervals that hold for all parts together.
+
+    Args:
+        levels: Of the number in each draw, in (0, 1), shape (n,).
+        failed: Whether the draw failed, shape (n,).
+        limit: Largest failure probability allowed.
+        confidence: Coverage, in (0, 1).
+
+    Returns:
+        None if fewer than ten draws failed.
+    """
+    failures = int(np.count_nonzero(failed))
+    parts = min(MOST_PARTS, failures // LEAST_IN_PART)
+    if parts < 2:
+        return None
+    place = np.minimum((levels * parts).astype(int), parts - 1)
+    counts = np.bincount(place[failed], minlength=parts)
+    sizes = np.bincount(place, minlength=parts)
+    removed, interval = removed_share(counts, len(failed), confidence)
+    passes = failures <= limit * len(failed)
+    each = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
+    above = counts > limit * sizes
+    surely_above = each[:, 0] > limit
+    possibly_above = each[:, 1] > limit
+    if passes:
+        shares = above.mean(), surely_above.mean(), possibly_above.mean()
+    else:
+        shares = (~above).mean(), (~possibly_above).mean(), (~surely_above).mean()
+    changes, low, high = map(float, shares)
+    return KnownPart(parts, removed, interval, changes, (low, high))
+
+
+def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[float, tuple[float, float]]:
+    """Share of the variance of "fails or not" that the knowledge of the part removes, with its interval.
+
+    Args:
+        counts: Failed draws in each part, shape (B,).
+        draws: Number of draws.
+        confidence: Coverage, in (0, 1).
+
+    Reference:
+        W. Hoeffding, Annals of Mathematical Statistics 19 (1948) 293-325: the variance of means over pairs.
+    """
+    parts = len(counts)
+    failures = int(counts.sum())
+    together = float(np.sum(counts * (counts - 1.0))) / (failures * (failures - 1.0))
+    shares = counts / failures
+    second = float(np.sum(shares**2))
+    third = float(np.sum(shares**3))
+    pairs = failures * (failures - 1.0)
+    variance = (2.0 * (second - second**2) + 4.0 * (failures - 2.0) * (third - second**2)) / pairs
+    odds = failures / max(draws - failures, 1)
+    removed = odds * (parts * together - 1.0)
+    spread = np.hypot(odds * parts * np.sqrt(variance), removed / np.sqrt(failures))
+    reach = float(special.stdtrit(parts - 1, 0.5 * (1.0 + confidence)) * spread)
+    return removed, (removed - reach, removed + reach)

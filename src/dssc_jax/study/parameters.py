@@ -1,0 +1,389 @@
+"""Named numbers: the table ``[parameters]``, and expressions of them in place of a number.
+
+A parameter is a number, a law, or an expression of other parameters. An expression stays in the study's template like a
+law does, and :meth:`dssc_jax.study.Study.params` computes it from each draw's values.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, TypeAlias
+
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.intervals import Interval, range_of
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.study.expressions import (
+    RESERVED,
+    Numeric,
+    evaluate_intervals,
+    evaluate_numbers,
+    is_expression,
+    names_of,
+    parse_expression,
+)
+from dssc_jax.study.laws import LAWS, Law, Uncertain, is_law, is_number, parse_law
+from dssc_jax.study.schema import LONGEST_PHRASE, unit_text
+from dssc_jax.study.tables import DESCRIPTION, PARAMETERS
+
+TEXTS = ("name", "description", "units")
+"""Entries of a study that hold no numbers, and no expressions."""
+MOST_PARAMETERS = 200
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+FORMS = "a number, a law, an expression, or a table such as { value = 1e-5, unit = 'H', meaning = 'inductance' }"
+
+Content: TypeAlias = float | Law | str
+"""A number, a law, or the text of an expression."""
+
+
+class Parameter(NamedTuple):
+    """A parameter with its content."""
+
+    name: str
+    content: Content
+
+    @property
+    def dotted(self) -> str:
+        """Its name in the study."""
+        return f"{PARAMETERS}.{self.name}"
+
+
+@dataclass(frozen=True, repr=False)
+class Expression(Uncertain):
+    """An expression of parameters.
+
+    Args:
+        text: As in the study file.
+        parameters: Those that it depends on, each after those that it depends on itself.
+    """
+
+    text: str
+    parameters: tuple[Parameter, ...]
+
+    def __repr__(self) -> str:
+        return repr(self.text)
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dotted names of the parameters that it depends on."""
+        return tuple(parameter.dotted for parameter in self.parameters)
+
+    @cached_property
+    def laws(self) -> dict[str, Law]:
+        """The laws of the parameters that it depends on, by dotted name."""
+        return {p.dotted: p.content for p in self.parameters if isinstance(p.content, Law)}
+
+    def at(self, values: Mapping[str, Numeric]) -> Numeric:
+        """Its value where parameters have the given values, by dotted name; a missing one without a law has its own."""
+        known: dict[str, Numeric] = {}
+        for parameter in self.parameters:
+            if parameter.dotted in values:
+                known[parameter.name] = values[parameter.dotted]
+            elif isinstance(parameter.content, str):
+                known[parameter.name] = evaluate_numbers(parse_expression(parameter.content), known.__getitem__)
+            elif isinstance(parameter.content, float):
+                known[parameter.name] = parameter.content
+        return evaluate_numbers(parse_expression(self.text), known.__getitem__)
+
+    def between(self, ends: Mapping[str, Interval]) -> Interval:
+        """An interval that holds its values where parameters lie between the given ends, by dotted name."""
+        known: dict[str, Interval] = {}
+        for parameter in self.parameters:
+            if parameter.dotted in ends:
+                known[parameter.name] = ends[parameter.dotted]
+            elif isinstance(parameter.content, str):
+                known[parameter.name] = evaluate_intervals(parse_expression(parameter.content), known.__getitem__)
+            elif isinstance(parameter.content, float):
+                known[parameter.name] = Interval.of(parameter.content, parameter.content)
+        return evaluate_intervals(parse_expression(self.text), known.__getitem__)
+
+    @property
+    def median(self) -> float:
+        """Its value where every law has its median."""
+        return float(self.at({name: law.median for name, law in self.laws.items()}))
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Ends between which all its values lie, near the least and the greatest one.
+
+        Raises:
+            ValueError: It may have no finite value.
+        """
+        return support_of(self)
+
+    def place_of(self, point: tuple[float, ...]) -> str:
+        """Where it has no value, as the end of a sentence."""
+        values = dict(zip(self.laws, point, strict=True)) if point else {}
+        values |= {p.dotted: p.content for p in self.parameters if isinstance(p.content, float)}
+        if not values:
+            return ""
+        listed = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+        return f" near {listed}; the laws must exclude that" if point else f" at {listed}"
+
+    @property
+    def leaf(self) -> "float | Expression":
+        """What stands in the loop's template: the value if no parameter has a law, else the expression itself."""
+        return self if self.laws else self.support[0]
+
+
+@lru_cache(maxsize=4096)
+def support_of(expression: Expression) -> tuple[float, float]:
+    """See :attr:`Expression.support`; a study and its variants share the work."""
+    text = repr(expression.text)
+    if not expression.laws:
+        value = expression.median
+        if not math.isfinite(value):
+            raise ValueError(f"{text} has no finite value{expression.place_of(())}")
+        return value, value
+    names = list(expression.laws)
+
+    def values(*sides: Interval) -> Interval:
+        return expression.between(dict(zip(names, sides, strict=True)))
+
+    found = range_of(values, [law.support for law in expression.laws.values()])
+    bounded = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
+    if found.undefined is not None:
+        raise ValueError(f"{text} has no finite value{expression.place_of(found.undefined)}")
+    if bounded and not math.isfinite(found.low - found.high):
+        raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
+    return found.low, found.high
+
+
+@dataclass
+class ParameterTable:
+    """The parameters of a study, of which its expressions are made.
+
+    Args:
+        contents: Content of each parameter, after those that it depends on.
+        quantities: Unit and meaning of each.
+        plain: The parameters that something needs as plain numbers before tracing, and the first such place.
+    """
+
+    contents: dict[str, Content]
+    quantities: dict[str, Quantity]
+    plain: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: TomlTable) -> "ParameterTable":
+        """Read ``[parameters]``.
+
+        Raises:
+            ConfigError: A name, a number, a law or an expression is not valid, or parameters depend on one another.
+        """
+        if len(table) > MOST_PARAMETERS:
+            raise ConfigError(PARAMETERS, f"holds at most {MOST_PARAMETERS} parameters, got {len(table)}")
+        raw = {}
+        parameters = cls({}, {})
+        for name, value in table.items():
+            check_name(name)
+            raw[name], parameters.quantities[name] = described(name, value)
+        for name in in_order(raw):
+            parameters.contents[name] = parameters.content(name, raw[name])
+        return parameters
+
+    def content(self, name: str, value: Any) -> Content:
+        """Parse the content of a parameter; those that it depends on are known.
+
+        Raises:
+            ConfigError: it is not valid.
+        """
+        place = f"{PARAMETERS}.{name}"
+        try:
+            if is_expression(value):
+                return self.expression(value).text
+            if isinstance(value, dict):
+                return parse_law(self.replaced(value, place, self.expression))
+        except ConfigError:
+            raise
+        except ValueError as error:
+            raise ConfigError(place, str(error)) from None
+        if not is_number(value):
+            raise ConfigError(place, f"must be {FORMS}; got {value!r}")
+        return float(value)
+
+    def expression(self, text: str) -> Expression:
+        """Parse an expression; it has a finite value for all values of its parameters.
+
+        Raises:
+            ValueError: it is not valid.
+        """
+        needed: set[str] = set()
+        waiting = list(names_of(parse_expression(text)))
+        for name in waiting:
+            if name not in self.contents:
+                known = nearest(name, self.contents) if self.contents else "name numbers in [parameters]"
+                raise ValueError(f"{text!r} names '{name}', which is no parameter; {known}")
+        while waiting:
+            name = waiting.pop()
+            content = self.contents[name]
+            if name not in needed and isinstance(content, str):
+                waiting += names_of(parse_expression(content))
+            needed.add(name)
+        parameters = tuple(Parameter(name, content) for name, content in self.contents.items() if name in needed)
+        expression = Expression(text, parameters)
+        _ = expression.support  # raises where it has no finite value
+        return expression
+
+    def constant(self, text: str, place: str) -> float:
+        """The value of an expression that must be known before tracing.
+
+        Raises:
+            ValueError: it is not valid, or depends on a law.
+        """
+        expression = self.expression(text)
+        require_plain(expression)
+        self.need(expression, place)
+        value = expression.support[0]
+        return int(value) if value.is_integer() and abs(value) < 2.0**53 else value
+
+    def need(self, expression: Expression, place: str) -> None:
+        """Take down that something needs the value of an expression before tracing."""
+        for parameter in expression.parameters:
+            self.plain.setdefault(parameter.name, place)
+
+    def resolved(self, value: object, place: str) -> Any:
+        """A part of a study's table with an :class:`Expression` in place of the text of each.
+
+        Raises:
+            ConfigError: one is not valid.
+        """
+        return self.replaced(value, place, self.expression)
+
+    def constants(self, value: object, place: str) -> Any:
+        """A part of a study's table with a number in place of each expression.
+
+        Raises:
+            ConfigError: one is not valid, or depends on a law.
+        """
+        return self.replaced(value, place, lambda text: self.constant(text, place))
+
+    def replaced(self, value: object, place: str, read: Callable[[str], object]) -> Any:
+        """A part of a study's table with something else in place of each expression; laws get plain numbers.
+
+        Raises:
+            ConfigError: one is not valid.
+        """
+        if is_law(value):
+            return {kind: self.constants(arguments, place) for kind, arguments in value.items()}
+        if isinstance(value, dict):
+            return {key: self.replaced(item, f"{place}.{key}", read) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            if not any(isinstance(item, str | dict | list | tuple) for item in value):
+                return value
+            return [self.replaced(item, f"{place}.{index}", read) for index, item in enumerate(value)]
+        if not is_expression(value):
+            return value
+        try:
+            return read(value)
+        except ValueError as error:
+            raise ConfigError(place, str(error)) from None
+
+
+def require_plain(expression: Expression) -> None:
+    """Require that no parameter of an expression has a law.
+
+    Raises:
+        ValueError: one has.
+    """
+    if expression.laws:
+        name = next(iter(expression.laws))
+        raise ValueError(f"must be known before tracing, and {expression.text!r} depends on the law of {name}")
+
+
+def check_name(name: str) -> None:
+    """Require that a name can stand in an expression.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    place = f"{PARAMETERS}.{name}"
+    if not NAME.fullmatch(name):
+        raise ConfigError(place, "a parameter's name consists of letters, digits and _, and begins with no digit")
+    if name in RESERVED:
+        raise ConfigError(place, f"'{name}' has a meaning in expressions; take another name, such as '{name}_0'")
+    try:
+        parse_expression(name)
+    except ValueError:
+        raise ConfigError(place, f"'{name}' is a word of Python; take another name, such as '{name}_0'") from None
+
+
+def described(name: str, value: object) -> tuple[object, Quantity]:
+    """The content of a parameter as in the file, with its unit and meaning.
+
+    Raises:
+        ConfigError: the table is none of a parameter.
+    """
+    place = f"{PARAMETERS}.{name}"
+    if not isinstance(value, dict):
+        return value, Quantity("SI", f"parameter {name}")
+    content = {key: item for key, item in value.items() if key not in DESCRIPTION}
+    if "value" in content or not is_law(content):
+        unknown = [key for key in content if key != "value" and key not in LAWS]
+        if unknown:
+            valid = nearest(unknown[0], ["value", *DESCRIPTION, *LAWS])
+            raise ConfigError(f"{place}.{unknown[0]}", f"is no entry of a parameter; {valid}")
+        if list(content) != ["value"]:
+            raise ConfigError(place, f"must be {FORMS}; got {value!r}")
+    try:
+        unit = unit_text(value.get("unit", "SI"))
+    except ValueError as error:
+        raise ConfigError(f"{place}.unit", str(error)) from None
+    meaning = value.get("meaning", f"parameter {name}")
+    if not isinstance(meaning, str) or not meaning.isprintable() or not 0 < len(meaning) <= LONGEST_PHRASE:
+        raise ConfigError(f"{place}.meaning", f"must be a text of 1 to {LONGEST_PHRASE} characters, got {meaning!r}")
+    return content.get("value", content), Quantity(unit, meaning)
+
+
+def in_order(raw: Mapping[str, object]) -> list[str]:
+    """The parameters, each after those that it depends on.
+
+    Raises:
+        ConfigError: an expression is not valid, or parameters depend on one another.
+    """
+    order: list[str] = []
+    for first in raw:
+        path: list[str] = [first]
+        while path:
+            name = path[-1]
+            waiting = [other for other in dependencies(name, raw[name]) if other in raw and other not in order]
+            if name in order or not waiting:
+                order += [name] if name not in order else []
+                path.pop()
+            elif waiting[0] in path:
+                circle = [*path[path.index(waiting[0]) :], waiting[0]]
+                raise ConfigError(f"{PARAMETERS}.{waiting[0]}", f"depends on itself: {' -> '.join(circle)}")
+            else:
+                path.append(waiting[0])
+    return order
+
+
+def dependencies(name: str, value: object) -> Iterator[str]:
+    """The names in the expressions of a parameter's content.
+
+    Raises:
+        ConfigError: an expression is not valid.
+    """
+    try:
+        yield from named_in(value)
+    except ValueError as error:
+        raise ConfigError(f"{PARAMETERS}.{name}", str(error)) from None
+
+
+def named_in(value: object) -> Iterator[str]:
+    """The names in the expressions of a part of a study's table.
+
+    Raises:
+        ValueError: an expression is not valid.
+    """
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from named_in(item)
+    elif is_expression(value):
+        yield from names_of(parse_expression(value))

@@ -1,0 +1,108 @@
+"""Parsing of the loop's slots: one part for the whole loop, a sum of winds, a reference, or one part a channel."""
+
+from dataclasses import replace
+from itertools import chain
+
+from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_winds
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.registry import single
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.core.units import ChannelUnits
+from dssc_jax.models.actuators import UNMODELLED
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.differentiators import DIFFERENTIATORS
+from dssc_jax.models.disturbances import DISTURBANCES
+from dssc_jax.models.plants import PLANTS
+from dssc_jax.models.references import REFERENCES, TRAJECTORIES
+from dssc_jax.models.sensors import SENSORS
+from dssc_jax.models.uav import UAV
+from dssc_jax.models.wind import WINDS
+from dssc_jax.study.components import Component, as_table, parse_component
+from dssc_jax.study.numbers import dotted
+from dssc_jax.study.tables import has_dotted, merged
+
+REGISTRIES = {
+    "plant": {**PLANTS, "uav": single(UAV, "the full UAV: rigid body, rotors, aerodynamics, inner loops (1)")},
+    "reference": REFERENCES,
+    "trajectory": TRAJECTORIES,
+    "controller": CONTROLLERS,
+    "sensor": SENSORS,
+    "differentiator": DIFFERENTIATORS,
+    "unmodelled": UNMODELLED,
+    "disturbance": DISTURBANCES,
+    "wind": WINDS,
+}
+PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
+SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
+
+
+def with_units(component: Component, units: ChannelUnits) -> Component:
+    """The component whose numbers have the channel's own units."""
+    numbers = (replace(n, quantity=replace(n.quantity, unit=units.of(n.quantity.unit))) for n in component.numbers)
+    return replace(component, numbers=tuple(numbers))
+
+
+def parse_whole(table: TomlTable, slot: str) -> Component:
+    """Parse the component of a slot that the loop has once."""
+    component = parse_component(table, REGISTRIES[slot], slot)
+    return replace(component, numbers=tuple(number.under(slot, slot) for number in component.numbers))
+
+
+def parse_winds(table: TomlTable | list[TomlTable]) -> Component:
+    """Parse the wind, or the sum of the winds in a list; a number of the second one is called ``wind.1.speed``.
+
+    Raises:
+        ConfigError: The list is empty, or a wind is not valid.
+    """
+    if not isinstance(table, list):
+        return parse_whole(table, "wind")
+    if not table:
+        raise ConfigError("wind", "needs at least one [[wind]]")
+    parts = []
+    for index, part in enumerate(table):
+        name = f"wind.{index}"
+        component = parse_component(part, REGISTRIES["wind"], name)
+        parts.append(replace(component, numbers=tuple(number.under(name, name) for number in component.numbers)))
+    model = sum_of_winds(tuple(part.model for part in parts))
+    numbers = tuple(chain.from_iterable(part.numbers for part in parts))
+    return Component(" + ".join(part.kind for part in parts), model, tuple(part.params for part in parts), numbers)
+
+
+def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> Component:
+    """Parse the reference: one signal, or a trajectory in which ``[reference.x]`` replaces that of channel x."""
+    slot = "reference"
+    if len(channels) == 1:
+        return with_units(parse_whole(table, slot), units[0])
+    common = {name: value for name, value in table.items() if name not in channels}
+    joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
+    named = [channel for channel in channels if channel in table]
+    if not named:
+        return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))
+    replacements = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
+    numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
+    for place, (channel, part) in enumerate(replacements.items()):
+        numbers_of_part = with_units(part, units[channels.index(channel)]).numbers
+        numbers += [number.under(f"{slot}.replaced.{place}", dotted(slot, channel)) for number in numbers_of_part]
+    models = {channels.index(channel): part.model for channel, part in replacements.items()}
+    model = replace_channels(joint.model, models)
+    params = ReplacedParams(joint.params, tuple(part.params for part in replacements.values()))
+    return Component(joint.kind, model, params, tuple(numbers))
+
+
+def parse_channels(table: TomlTable, slot: str, channels: tuple[str, ...]) -> list[Component]:
+    """Parse one component per channel. A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
+
+    A number that no channel overrides is one number for all channels: one draw of its law, one axis.
+    """
+    common = {name: value for name, value in table.items() if name not in channels}
+    components = []
+    for index, channel in enumerate(channels):
+        own_path = dotted(slot, channel)
+        override = as_table(table.get(channel, {}), own_path) if channel else {}
+        component = parse_component(merged(common, override), REGISTRIES[slot], own_path if override else slot)
+        numbers = tuple(
+            number.under(f"{slot}.{index}", own_path if has_dotted(override, number.name) else slot)
+            for number in component.numbers
+        )
+        components.append(replace(component, numbers=numbers))
+    return components

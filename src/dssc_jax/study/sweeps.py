@@ -1,0 +1,113 @@
+"""Checks of a study's axes: each is a number of the loop, and the rules of its part hold for all values."""
+
+import copy
+from collections.abc import Mapping
+
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.core.units import UNNAMED_UNITS
+from dssc_jax.study.components import field_specs
+from dssc_jax.study.numbers import Number, parse_number
+from dssc_jax.study.parameters import ParameterTable
+from dssc_jax.study.schema import StudyTable
+from dssc_jax.study.sections import params_of
+from dssc_jax.study.slots import (
+    PER_CHANNEL,
+    REGISTRIES,
+    SLOTS,
+    parse_channels,
+    parse_reference,
+    parse_whole,
+    parse_winds,
+)
+from dssc_jax.study.tables import PARAMETERS, set_dotted
+
+
+def check_axes(config: StudyTable, numbers: Mapping[str, Number]) -> None:
+    """Require that every axis is a number of the loop, and every value of it admissible.
+
+    Raises:
+        ConfigError: otherwise.
+    """
+    for name, values in config.sweep.items():
+        with errors_under(f"sweep.{name}"):
+            if name.startswith("loop."):
+                raise ConfigError("", "the clock is fixed before tracing; run once per value")
+            if name not in numbers:
+                raise ConfigError("", f"unknown parameter; {nearest_number(name, config, numbers)}")
+            if numbers[name].expression:
+                raise ConfigError("", numbers[name].follows)
+            if not numbers[name].quantity.law:
+                raise ConfigError("", "is fixed before tracing; run once per value")
+            for value in (min(values), max(values)):
+                try:
+                    parse_number(value, numbers[name].quantity)
+                except ValueError as error:
+                    raise ConfigError("", str(error)) from None
+
+
+def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number]) -> str:
+    """Return the end of the message about an unknown number: its part has no numbers, or the nearest name."""
+    slot = name.partition(".")[0]
+    table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
+    if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
+        field = name.rpartition(".")[2]
+        kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
+        remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
+        return f"the study's {slot} is of the kind '{table.get('kind')}', which has no numbers{remedy}"
+    return nearest(name, numbers)
+
+
+def check_swept_parts(
+    table: TomlTable, config: StudyTable, channels: tuple[str, ...], numbers: Mapping[str, Number]
+) -> None:
+    """Require that the rules spanning several fields of a part hold for all swept values.
+
+    The parts are parsed once more, with a law of the swept values in place of each swept number.
+
+    Raises:
+        ConfigError: a rule does not hold, or a swept number is used up before tracing.
+    """
+    if not config.sweep:
+        return
+    table = copy.deepcopy(table)
+    for name, values in config.sweep.items():
+        set_dotted(table, name, {"choice": list(values)})
+    slots = {name.partition(".")[0] for name in config.sweep}
+    if PARAMETERS in slots:
+        slots = {slot for slot in SLOTS if slot in table}
+    try:
+        parameters = ParameterTable.of(table.get(PARAMETERS, {}))
+        for slot in sorted(slots):
+            part = parameters.resolved(table[slot], slot)
+            if slot in PER_CHANNEL:
+                parse_channels(part, slot, channels)
+            elif slot == "reference":
+                parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))
+            elif slot == "wind":
+                parse_winds(part)
+            else:
+                parse_whole(part, slot)
+        check_expressions(parameters, config, numbers)
+    except ConfigError as error:
+        raise error.within("sweep") from None
+
+
+def check_expressions(parameters: ParameterTable, config: StudyTable, numbers: Mapping[str, Number]) -> None:
+    """Require that the numbers that follow from swept parameters are admissible for all swept values.
+
+    Args:
+        parameters: The parameters, with a law of the swept values in place of each swept one.
+        config: The study's tables.
+        numbers: The numbers of the loop, with the intervals that their parts require.
+
+    Raises:
+        ConfigError: one is not.
+    """
+    for name, number in numbers.items():
+        if number.expression and config.sweep.keys() & set(number.expression.names):
+            with errors_under(name):
+                try:
+                    parse_number(parameters.expression(number.expression.text), number.quantity)
+                except ValueError as error:
+                    raise ConfigError("", str(error)) from None
