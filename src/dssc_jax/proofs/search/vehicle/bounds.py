@@ -38,6 +38,8 @@ FAST_INFLATION = 1.5e-2
 SMALLEST_BOUND = 1e-12
 DISTANCE_ROOM = 1.01
 """Widening of a distance, for the verifier's enclosure."""
+RATIO_ROOM = 1.001
+"""Widening of a distance over |sigma|, likewise."""
 SMALLEST_REGION = 1e-9
 ROUNDS = 12
 """Times that the slopes are chosen anew."""
@@ -68,7 +70,7 @@ class ChannelDeviations:
         slopes: k_1, k_2 and k_n.
         distance: Of phi_1, phi_2 and phi_1 + n.
         ratio: The same over |sigma|.
-        steepest: Largest K_P, K_I and tau_av.
+        steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
     """
 
     slopes: Slopes
@@ -136,14 +138,17 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     """What the functions deviate by from straight lines with these slopes."""
     size = np.abs(points.sigma)
     columns = points.columns
-    ratios = columns["mean"], columns["k_i"], columns["mean"] + columns["k_n"]
-    straight = slopes[0], slopes[1], slopes[0] + slopes[2]
-    pairs = list(zip(ratios, straight, strict=True))
-    distance = tuple(distance_of(size, ratio, slope) for ratio, slope in pairs)
-    share = tuple(1.001 * float(np.max(np.abs(ratio - slope))) for ratio, slope in pairs)
+    ratios = (columns["mean"], columns["k_i"], columns["mean"] + columns["k_n"])
+    straight = (slopes[0], slopes[1], slopes[0] + slopes[2])
+    first, second, both = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
+    share_1, share_2, share_b = (
+        RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
+    )
     steepest = float(np.max(columns["k_p"]))
-    reach = float(np.max(columns["slide_p"])) / steepest  # 1 + tau_av/T_s
-    return ChannelDeviations(slopes, distance, share, (steepest, float(np.max(columns["k_i"])), reach))  # type: ignore[arg-type]
+    reach = float(np.max(columns["slide_p"])) / steepest
+    return ChannelDeviations(
+        slopes, (first, second, both), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
+    )
 
 
 def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]) -> dict[str, ChannelDeviations]:
