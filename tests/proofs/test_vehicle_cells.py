@@ -85,10 +85,10 @@ def test_sums_and_starts_bound_brute_force(lag, delay, name):
     for i, signal in enumerate(signals):
         g, starts = brute_force(content, name, proof, PHASES[i // per_phase], signal)
         sums = np.cumsum(g, axis=0)
-        pairs = [(sums[SAMPLES * (m + 1) - 1], responses.most[m, i]) for m in range(CELLS)]
-        pairs += [(sums[-1], responses.whole[i])]
-        pairs += [(sums[SAMPLES * m - 1], responses.least[m, i]) for m in range(1, CELLS)]
-        assert np.all(np.abs(responses.least[0, i] - g[0]) <= 0.01 * g[0] + 1e-5 * sums[-1])
+        pairs = [(sums[SAMPLES * (m + 1) - 1], responses.upper[m, i]) for m in range(CELLS)]
+        pairs += [(sums[-1], responses.total_sum[i])]
+        pairs += [(sums[SAMPLES * m - 1], responses.lower[m, i]) for m in range(1, CELLS)]
+        assert np.all(np.abs(responses.lower[0, i] - g[0]) <= 0.01 * g[0] + 1e-5 * sums[-1])
         for j in range(CELLS):
             within = starts[SAMPLES * j : SAMPLES * (j + 1)]
             pairs += [((within[:, :2] @ initial).max(), responses.starts[j, i])]

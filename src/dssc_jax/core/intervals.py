@@ -91,10 +91,10 @@ def contains(a: Interval, value: float) -> np.ndarray:
 def power(a: Interval, b: Interval) -> Interval:
     """a^b, undefined where a may be negative and b is not a fixed whole number, or a vanishes and b is not positive."""
     corners = [np.power(x, y) for x, y in itertools.product(a[:2], b[:2])]
-    whole = (b.low == b.high) & (b.low == np.round(b.low))
+    integer = (b.low == b.high) & (b.low == np.round(b.low))
     has_zero = contains(a, 0.0)
-    defined = np.where(has_zero, (b.low > 0.0) | (whole & (b.low == 0.0)), True) & ((a.low >= 0.0) | whole)
-    even = whole & (np.mod(b.low, 2.0) == 0.0)
+    defined = np.where(has_zero, (b.low > 0.0) | (integer & (b.low == 0.0)), True) & ((a.low >= 0.0) | integer)
+    even = integer & (np.mod(b.low, 2.0) == 0.0)
     corners.append(np.where(even & has_zero & (b.low > 0.0), 0.0, corners[0]))
     return hull(corners, a, b, defined=defined)
 
@@ -117,9 +117,9 @@ def logarithm(a: Interval) -> Interval:
 def wave(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
     """A sine whose greatest values are at ``crest`` + 2 pi k."""
     first = np.ceil((a.low - crest) / TURN)
-    last = np.ceil((a.low - crest - math.pi) / TURN)
+    end = np.ceil((a.low - crest - math.pi) / TURN)
     rises = crest + TURN * first <= a.high
-    falls = crest + math.pi + TURN * last <= a.high
+    falls = crest + math.pi + TURN * end <= a.high
     found = hull([function(a.low), function(a.high)], a)
     low = np.where(falls, -1.0, np.maximum(found.low, -1.0))
     return Interval(low, np.where(rises, 1.0, np.minimum(found.high, 1.0)), found.defined)
@@ -168,7 +168,7 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
     """
     with np.errstate(all="ignore"):
         box = Interval.of(*np.array(sides, float).reshape(-1, 2).T[:, None, :])
-        least, greatest = values_at(function, corner_points(box))
+        lowest, greatest = values_at(function, corner_points(box))
         low, high = math.inf, -math.inf
         lows, highs = box.low, box.high
         for remaining in reversed(range(ROUNDS)):
@@ -176,9 +176,9 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
             shape = (len(lows),)
             outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in found)
             inner = values_at(function, 0.5 * lows + 0.5 * highs)
-            least, greatest = min(least, inner[0]), max(greatest, inner[1])
-            slack = TOLERANCE * (greatest - least) if greatest > least else 0.0
-            unsettled = ~defined | (outer_low < least - slack) | (outer_high > greatest + slack)
+            lowest, greatest = min(lowest, inner[0]), max(greatest, inner[1])
+            slack = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
+            unsettled = ~defined | (outer_low < lowest - slack) | (outer_high > greatest + slack)
             if not remaining or 2 * np.count_nonzero(unsettled) > MOST_BOXES:
                 unsettled = np.zeros(shape, bool)
             settled = ~unsettled

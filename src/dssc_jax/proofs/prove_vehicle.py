@@ -99,12 +99,12 @@ class VehicleProved:
             ends = f" It ends within |e_x|, |e_y| <= {settled['x']['e']:.4g} m and |e_z| <= {settled['z']['e']:.4g} m."
         wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
         plane = f"|e_x|, |e_y| <= {bounds['x']['e']:.4g} m"
-        others = f"|e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad"
+        heights = f"|e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad"
         tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
         rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
         return (
             f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
-            f"exceeds {plane}, {others} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"exceeds {plane}, {heights} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:

@@ -246,12 +246,12 @@ def starts_of(ends: Ends) -> dict[str, tuple[float, float]]:
     """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms."""
     plants: list[UavParams] = [end.plant for end in ends]
     hover = ends.low.reference
-    apart = [largest_of([end.position[i] - hover.position[i] for end in plants]) for i in range(3)]
+    distances = [largest_of([end.position[i] - hover.position[i] for end in plants]) for i in range(3)]
     speeds = [largest_of([end.velocity[i] for end in plants]) for i in range(3)]
     turned = largest_of([end.yaw - hover.yaw for end in plants])
     return {
-        "x": (math.hypot(apart[0], apart[1]), math.hypot(speeds[0], speeds[1])),
-        "z": (apart[2], speeds[2]),
+        "x": (math.hypot(distances[0], distances[1]), math.hypot(speeds[0], speeds[1])),
+        "z": (distances[2], speeds[2]),
         "psi": (turned, 0.0),
     }
 

@@ -84,7 +84,7 @@ def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
     pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
     stated: JsonObject = {
-        when: by_channel(signals) | {"tilt": tilt, **rotors} for when, (signals, tilt) in pairs.items()
+        moment: by_channel(signals) | {"tilt": tilt, **rotors} for moment, (signals, tilt) in pairs.items()
     }
     if verdict.cell:
         stated |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}

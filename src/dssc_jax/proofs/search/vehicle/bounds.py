@@ -115,9 +115,9 @@ def best_slopes(points: GainPoints) -> Slopes:
     """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2."""
     size = np.abs(points.sigma)
     columns = points.columns
-    both = nearest_slope(size, columns["mean"] + columns["k_n"])
+    combined = nearest_slope(size, columns["mean"] + columns["k_n"])
     pole = float(np.mean(columns["k_n"]))
-    return both - pole, nearest_slope(size, columns["k_i"]), pole
+    return combined - pole, nearest_slope(size, columns["k_i"]), pole
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
@@ -140,14 +140,14 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     columns = points.columns
     ratios = (columns["mean"], columns["k_i"], columns["mean"] + columns["k_n"])
     straight = (slopes[0], slopes[1], slopes[0] + slopes[2])
-    first, second, both = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
+    first, second, combined = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
     share_1, share_2, share_b = (
         RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
     )
     steepest = float(np.max(columns["k_p"]))
     reach = float(np.max(columns["slide_p"])) / steepest
     return ChannelDeviations(
-        slopes, (first, second, both), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
+        slopes, (first, second, combined), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
     )
 
 
@@ -235,8 +235,8 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
         if name == "z":
             pushed += problem.thrust_deviation * GRAVITY
         second = integral * y[name]["sigma"]
-        before = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
-        if before + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
+        level = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
+        if level + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
             return False
         first = channel.initial[1] + channel.l0 * channel.initial[0]
         if channel.start == "zero" and reach * (steepest + t * integral) * first > channel.rho:

@@ -60,7 +60,7 @@ class CellBounds:
         cells: Bounds of the signals in each of these.
     """
 
-    last: VehicleBounds
+    final: VehicleBounds
     settled: VehicleBounds
     samples: int
     cells: list[Signals]
@@ -80,9 +80,9 @@ class Kernels:
     """
 
     response: ChannelResponse
-    most: np.ndarray
-    least: np.ndarray
-    whole: np.ndarray
+    upper: np.ndarray
+    lower: np.ndarray
+    total_sum: np.ndarray
     constant: np.ndarray
     starts: np.ndarray
 
@@ -157,7 +157,7 @@ def marched(
     y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
         closed = closed_cell(
-            problem, kernels, tables, inputs, settled.damping, y, rotors, room, last=len(cells) == count
+            problem, kernels, tables, inputs, settled.damping, y, rotors, room, final=len(cells) == count
         )
         if closed is None:
             return "gain"
@@ -177,7 +177,7 @@ def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
         name: {key: [cell[name][key] for cell in found.cells] for key in found.cells[0][name]} for name in CHANNELS
     }
     cells = {"samples": found.samples, "bounds": bounds}
-    return proof_of(problem, found.last) | {"cells": cells, "settled": middle_of(problem, found.settled)}
+    return proof_of(problem, found.final) | {"cells": cells, "settled": middle_of(problem, found.settled)}
 
 
 def kernels_of(
@@ -185,8 +185,8 @@ def kernels_of(
 ) -> Kernels:
     """The kernels of a channel, from its responses sample by sample."""
     e, speed = problem.channels[name].initial
-    together = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
-    starts = np.stack([together, np.abs(series.starts[..., 2])], axis=-1)
+    by_error = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
+    starts = np.stack([by_error, np.abs(series.starts[..., 2])], axis=-1)
     sums = np.cumsum(series.effects, axis=0)
     axes = axes_of(name, response)
     factors = np.ones((axes.size, sums.shape[-1]))
@@ -194,10 +194,10 @@ def kernels_of(
     by_start = with_last(in_cells(starts, samples), count)
     by_start[..., 1] *= axes
     constant = with_last(in_cells(np.abs(series.constant), samples), count)
-    whole = response.gains.reshape(axes.size, -1) * factors
-    most = sums[samples - 1 :: samples] * factors
-    least = np.concatenate([sums[:1] * factors, most[:-1]])
-    return Kernels(response, most, least, whole, constant, by_start)
+    total_sum = response.gains.reshape(axes.size, -1) * factors
+    upper = sums[samples - 1 :: samples] * factors
+    lower = np.concatenate([sums[:1] * factors, upper[:-1]])
+    return Kernels(response, upper, lower, total_sum, constant, by_start)
 
 
 def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
@@ -227,7 +227,7 @@ def closed_cell(
     earlier: Rotors | None,
     room: float,
     *,
-    last: bool,
+    final: bool,
 ) -> tuple[Signals, dict[str, np.ndarray], Rotors] | None:
     """Bounds of a cell that imply themselves, what they allow, and the rotors; None if there are none.
 
@@ -247,7 +247,7 @@ def closed_cell(
         for name in CHANNELS:
             kernel = kernels[name]
             sizes[name] = sizes_of(kernel.response, tables[name], y[name]["sigma"], remainders[name])
-            rows = base[name] + caused(kernel, inputs[name], sizes[name], last=last)
+            rows = base[name] + caused(kernel, inputs[name], sizes[name], final=final)
             bound = rows.reshape(kernel.response.gains.shape[:2]).max(axis=0)
             eighth = problem.sample_time / 8.0
             reached[name] = {
@@ -271,20 +271,20 @@ def sizes_of(
     return np.array([by_u, by_q, *(remainders[key] for key in response.remainders)])
 
 
-def caused(kernel: Kernels, inputs: list[np.ndarray], now: np.ndarray, *, last: bool) -> np.ndarray:
+def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
     """What the inputs of earlier cells, and those of this one, cause in it, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
     """
-    sizes = np.array([*inputs, now])
+    sizes = np.array([*inputs, current])
     changes = np.diff(sizes, axis=0)
     count = len(changes)
-    if last:
-        result = kernel.whole @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
+    if final:
+        result = kernel.total_sum @ (sizes[0] + np.maximum(changes, 0.0).sum(axis=0))
     else:
-        result = kernel.most[count] @ sizes[0]
-        result = result + np.einsum("cri,ci->r", kernel.most[:count][::-1], np.maximum(changes, 0.0))
-    return result - np.einsum("cri,ci->r", kernel.least[:count][::-1], np.maximum(-changes, 0.0))
+        result = kernel.upper[count] @ sizes[0]
+        result = result + np.einsum("cri,ci->r", kernel.upper[:count][::-1], np.maximum(changes, 0.0))
+    return result - np.einsum("cri,ci->r", kernel.lower[:count][::-1], np.maximum(-changes, 0.0))
 
 
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:

@@ -86,22 +86,22 @@ def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
     lagged = problem.rotor_lag > 0.0
     m = 5 if lagged else 4
     unit = np.eye(m)
-    wanted = (-k_v * unit[1], k_v)
-    turn = (a_0 * (wanted[0] - unit[2]) - a_1 * unit[3], a_0 * k_v)
+    demand = (-k_v * unit[1], k_v)
+    turn = (a_0 * (demand[0] - unit[2]) - a_1 * unit[3], a_0 * k_v)
     f = np.zeros((m, m))
     g = np.zeros(m)
     f[0] = unit[1]
     f[1] = unit[2] - damping * unit[1]
     f[2] = unit[3]
     b = {"force": unit[1], "torque": unit[3]}
-    signals = {"alpha": (unit[2], 0.0), "alpha_dot": (unit[3], 0.0), "wanted": wanted, "turn": turn}
+    signals = {"alpha": (unit[2], 0.0), "alpha_dot": (unit[3], 0.0), "wanted": demand, "turn": turn}
     if lagged:
         f[3] = unit[4]
-        behind = (turn[0] - unit[4], turn[1])
-        f[4] = behind[0] / problem.rotor_lag
-        g[4] = behind[1] / problem.rotor_lag
+        shortfall = (turn[0] - unit[4], turn[1])
+        f[4] = shortfall[0] / problem.rotor_lag
+        g[4] = shortfall[1] / problem.rotor_lag
         b["lag"] = unit[4]
-        signals |= {"gamma": (unit[4], 0.0), "behind": behind}
+        signals |= {"gamma": (unit[4], 0.0), "behind": shortfall}
     else:
         f[3] = turn[0]
         g[3] = turn[1]
@@ -116,22 +116,22 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
     lagged = problem.rotor_lag > 0.0
     m = 3 if lagged else 2
     unit = np.eye(m)
-    wanted = (-k_v * unit[1], k_v)
+    demand = (-k_v * unit[1], k_v)
     f = np.zeros((m, m))
     g = np.zeros(m)
     f[0] = unit[1]
     b = {"force": unit[1]}
-    signals = {"wanted": wanted}
+    signals = {"wanted": demand}
     if lagged:
         f[1] = unit[2] - damping * unit[1]
-        behind = (wanted[0] - unit[2], wanted[1])
-        f[2] = behind[0] / problem.rotor_lag
-        g[2] = behind[1] / problem.rotor_lag
+        shortfall = (demand[0] - unit[2], demand[1])
+        f[2] = shortfall[0] / problem.rotor_lag
+        g[2] = shortfall[1] / problem.rotor_lag
         b["lag"] = unit[2]
-        signals |= {"lift": (unit[2], 0.0), "behind": behind}
+        signals |= {"lift": (unit[2], 0.0), "behind": shortfall}
     else:
-        f[1] = wanted[0] - damping * unit[1]
-        g[1] = wanted[1]
+        f[1] = demand[0] - damping * unit[1]
+        g[1] = demand[1]
     acceleration = (f[1], g[1])
     return with_errors(problem.channels["z"], Linear(f, g, b, signals | {"acceleration": acceleration}), acceleration)
 
@@ -142,24 +142,24 @@ def yaw_channel(problem: VehicleProblem) -> Linear:
     lagged = problem.rotor_lag > 0.0
     m = 4 if lagged else 3
     unit = np.eye(m)
-    wanted = (-k_y * unit[1] + i_y * unit[2], k_y)
+    demand = (-k_y * unit[1] + i_y * unit[2], k_y)
     f = np.zeros((m, m))
     g = np.zeros(m)
     f[0] = unit[1]
     f[2] = -unit[1]
     g[2] = 1.0
     b = {"torque": unit[1]}
-    signals = {"wanted": wanted, "follow": (-unit[1], 1.0)}
+    signals = {"wanted": demand, "follow": (-unit[1], 1.0)}
     if lagged:
         f[1] = unit[3]
-        behind = (wanted[0] - unit[3], wanted[1])
-        f[3] = behind[0] / problem.rotor_lag
-        g[3] = behind[1] / problem.rotor_lag
+        shortfall = (demand[0] - unit[3], demand[1])
+        f[3] = shortfall[0] / problem.rotor_lag
+        g[3] = shortfall[1] / problem.rotor_lag
         b["lag"] = unit[3]
-        signals |= {"gamma": (unit[3], 0.0), "behind": behind}
+        signals |= {"gamma": (unit[3], 0.0), "behind": shortfall}
     else:
-        f[1] = wanted[0]
-        g[1] = wanted[1]
+        f[1] = demand[0]
+        g[1] = demand[1]
     return with_errors(problem.channels["psi"], Linear(f, g, b, signals), (f[1], g[1]))
 
 
@@ -333,8 +333,8 @@ def channel_series(
     seen = seen_channel(problem, channel, linear, slopes)
     a = seen.step.a
     n = a.shape[0]
-    rest = np.linalg.solve(np.eye(n) - a, seen.held)
-    z = np.column_stack([seen.columns, -rest, *start_columns(problem, channel, n, slopes)])
+    equilibrium = np.linalg.solve(np.eye(n) - a, seen.held)
+    z = np.column_stack([seen.columns, -equilibrium, *start_columns(problem, channel, n, slopes)])
     inputs = seen.columns.shape[1]
     answers = np.zeros((length, seen.rows.shape[0], z.shape[1]))
     for k in range(length):
@@ -343,7 +343,7 @@ def channel_series(
     effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
     effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
     effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), problem.sample_time)
-    constant = answers[..., inputs] + seen.rows @ rest + seen.within
+    constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
     return ChannelSeries(effects, constant, answers[..., inputs + 1 :])
 
 
@@ -383,6 +383,6 @@ def constant_response(
     a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The largest response to a constant 1 from t = 0 on, and its final value."""
-    rest = np.linalg.solve(np.eye(a.shape[0]) - a, held)
-    final = rows @ rest + within
-    return constant_peaks(a, rows, -rest, final), np.abs(final)
+    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, held)
+    final = rows @ equilibrium + within
+    return constant_peaks(a, rows, -equilibrium, final), np.abs(final)

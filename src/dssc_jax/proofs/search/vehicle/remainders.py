@@ -86,7 +86,7 @@ class Rotors:
     largest: float
     spread: float
     sum: float
-    behind: float
+    shortfall: float
     defect: float
     spin_up: float
 
@@ -191,20 +191,20 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     if not problem.rotor_lag:
         return Rotors(smallest, largest, spread, total, 0.0, 0.0, 0.0)
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
-    behind = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
-    behind += mass * y["z"]["behind"] * at.secant / n
-    bent = math.sqrt(n - 4) * behind / (2.0 * smallest)
+    shortfall = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
+    shortfall += mass * y["z"]["behind"] * at.secant / n
+    bent = math.sqrt(n - 4) * shortfall / (2.0 * smallest)
     if bent >= 1.0:
         raise OutOfRange
-    behind = 2.0 * behind / (1.0 + math.sqrt(1.0 - bent))
+    shortfall = 2.0 * shortfall / (1.0 + math.sqrt(1.0 - bent))
     if n > 4 and earlier is not None:
-        behind = max(behind, earlier.behind)
-    defect = behind**2 / (4.0 * problem.rotor_lag * smallest)
-    spin_up = n * behind / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
-    return Rotors(smallest, largest, spread, total, behind, defect, spin_up)
+        shortfall = max(shortfall, earlier.shortfall)
+    defect = shortfall**2 / (4.0 * problem.rotor_lag * smallest)
+    spin_up = n * shortfall / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
+    return Rotors(smallest, largest, spread, total, shortfall, defect, spin_up)
 
 
-def drag_in_plane(own: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
     """The largest |-x r + c v| over |v| <= own, |v - r| <= wind in the plane.
 
     Args:
@@ -214,15 +214,15 @@ def drag_in_plane(own: float, wind: float, drag: tuple[float, float], across: fl
         across: Bound of the other part of the relative speed [m/s].
         c: Damping [1/s].
     """
-    a = np.linspace(0.0, own, DRAG_POINTS)[:, None]
+    a = np.linspace(0.0, speed_bound, DRAG_POINTS)[:, None]
     r = np.abs(wind - a) + (wind + a - np.abs(wind - a)) * np.linspace(0.0, 1.0, DRAG_POINTS)
     along = np.maximum(-a * r, 0.5 * (a**2 + r**2 - wind**2))
     return largest_drag(a, r, along, drag, across, c)
 
 
-def drag_along(own: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
+def drag_along(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
     """The same along one axis."""
-    v = np.linspace(-own, own, 4 * DRAG_POINTS)
+    v = np.linspace(-speed_bound, speed_bound, 4 * DRAG_POINTS)
     r = v - wind
     return largest_drag(np.abs(v), np.abs(r), v * r, drag, across, c)
 

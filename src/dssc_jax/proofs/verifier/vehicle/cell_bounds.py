@@ -26,17 +26,17 @@ from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
 
 def bounds_in_cells(proof: VehicleProof) -> list[SignalBalls]:
     """The bounds of all signals in each cell; the last cell is the only one of a proof without cells."""
-    last = {name: {signal: arb(y) for signal, y in proof["channels"][name]["bounds"].items()} for name in CHANNELS}
+    final = {name: {signal: arb(y) for signal, y in proof["channels"][name]["bounds"].items()} for name in CHANNELS}
     cells = proof["cells"]
     if cells is None:
-        return [last]
+        return [final]
     count = number_of_cells(cells)
     listed = cells["bounds"]
     first = [
         {name: {signal: arb(values[j]) for signal, values in listed[name].items()} for name in CHANNELS}
         for j in range(count)
     ]
-    return [*first, last]
+    return [*first, final]
 
 
 def number_of_cells(cells: CellsProof) -> int:
@@ -105,14 +105,14 @@ def answers_in_cells(
     vehicle: Vehicle, name: str, bounds: Sequence[SignalBalls], inputs: Sequence[Inputs], responses: CellResponses
 ) -> np.ndarray:
     """The bounds at the phases in each cell, (J + 1, rows)."""
-    last = len(bounds) - 1
+    final = len(bounds) - 1
     shares = np.array([float_above(vector_share(name, signal).upper()) for signal in responses.signals])
-    sizes = np.array([input_sizes(name, bounds[j], inputs[j], responses.remainders) for j in range(last + 1)])
+    sizes = np.array([input_sizes(name, bounds[j], inputs[j], responses.remainders) for j in range(final + 1)])
     constant = float_above(inputs[0].remainders.constant)
     deviation = float_above(start_sizes(vehicle, name)[2])
     result = responses.starts + shares * deviation * responses.deviations + constant * responses.constants
-    for j in range(last + 1):
-        effects = effects_of(responses, sizes[: j + 1], j == last)
+    for j in range(final + 1):
+        effects = effects_of(responses, sizes[: j + 1], j == final)
         result[j] += shares * effects[:, :OMEGAS].sum(axis=1) + effects[:, OMEGAS:].sum(axis=1)
     return SUMMED * result
 
@@ -132,10 +132,10 @@ def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np
     rises = np.maximum(changes, 0.0)
     falls = np.maximum(-changes, 0.0)
     if is_last:
-        added = responses.whole * (sizes[0] + SUMMED * rises.sum(axis=0))
+        added = responses.total_sum * (sizes[0] + SUMMED * rises.sum(axis=0))
     else:
-        added = responses.most[j] * sizes[0] + np.einsum("iru,iu->ru", responses.most[:j], rises)
-    taken = np.einsum("iru,iu->ru", responses.least[:j], falls)
+        added = responses.upper[j] * sizes[0] + np.einsum("iru,iu->ru", responses.upper[:j], rises)
+    taken = np.einsum("iru,iu->ru", responses.lower[:j], falls)
     return SUMMED * added - taken / SUMMED
 
 
@@ -144,7 +144,7 @@ def input_sizes(name: str, bounds: SignalBalls, inputs: Inputs, remainders: Sequ
     law = inputs.deviations[name]
     sigma = bounds[name]["sigma"]
     rests = inputs.remainders.channels[name]
-    sizes = [law.of_command(sigma), law.of_integral(sigma), *[rests[rest] for rest in remainders]]
+    sizes = [law.of_command(sigma), law.of_integral(sigma), *[rests[remainder] for remainder in remainders]]
     return [float_above(size) for size in sizes]
 
 
@@ -160,8 +160,8 @@ def with_slopes(
         reached[signal] = max(value, reached.get(signal, 0.0))
     result = Balls()
     for signal, value in reached.items():
-        between = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
-        result[signal] = (arb(value) + between).upper()
+        growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
+        result[signal] = (arb(value) + growth).upper()
     return result
 
 
@@ -176,7 +176,10 @@ def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
     """The largest deviations, remainders and tilt, and the farthest thrusts, over the cells."""
     rests = [part.remainders for part in inputs]
     channels = {
-        name: {rest: largest([part.channels[name][rest] for part in rests]) for rest in rests[0].channels[name]}
+        name: {
+            remainder: largest([part.channels[name][remainder] for part in rests])
+            for remainder in rests[0].channels[name]
+        }
         for name in CHANNELS
     }
     rotors = Rotors(
@@ -196,7 +199,7 @@ def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
 
 def largest(values: Sequence[arb]) -> arb:
     """The largest of exact numbers."""
-    first, *others = values
-    for value in others:
+    first, *following = values
+    for value in following:
         first = maximum(first, value)
     return first

@@ -45,9 +45,9 @@ class CellResponses(NamedTuple):
 
     signals: list[str]
     remainders: list[str]
-    most: np.ndarray
-    least: np.ndarray
-    whole: np.ndarray
+    upper: np.ndarray
+    lower: np.ndarray
+    total_sum: np.ndarray
     starts: np.ndarray
     deviations: np.ndarray
     constants: np.ndarray
@@ -88,18 +88,18 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
         )
         done += len(sizes)
         tail = (block.tail[:, :q] * summed_tail) @ weights
-        later = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial)
+        tail_peaks = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial)
         decaying = start_responses(block.tail[:, q:], initial)
         ends = np.all(tail <= TAIL_SHARE * parts.sum(axis=0))
-        enough = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
-        enough[:, :2] = np.maximum(enough[:, :2], peaks[-1, :, :2])
-        if done > samples * (count + 1) and ends and np.all(decaying <= enough):
-            peaks[-1] = np.maximum(peaks[-1], later)
+        negligible = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
+        negligible[:, :2] = np.maximum(negligible[:, :2], peaks[-1, :, :2])
+        if done > samples * (count + 1) and ends and np.all(decaying <= negligible):
+            peaks[-1] = np.maximum(peaks[-1], tail_peaks)
             sums = np.concatenate([first[None], np.cumsum(parts[:-1], axis=0)])
-            whole = SUMMED * (sums[-1] + parts[-1] + tail)
+            total_sum = SUMMED * (sums[-1] + parts[-1] + tail)
             signals = [sight.signal for sight in seen.sights]
             scaled = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
-            return CellResponses(signals, list(seen.curved), SUMMED * sums[1:], sums[:-1] / SUMMED, whole, *scaled)
+            return CellResponses(signals, list(seen.curved), SUMMED * sums[1:], sums[:-1] / SUMMED, total_sum, *scaled)
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 
 

@@ -70,14 +70,14 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
     match name:
         case "x":
             names |= {"speed", "alpha", "alpha_dot", "turn", "acceleration"}
-            behind = {"gamma", "behind"}
+            lagged = {"gamma", "behind"}
         case "z":
             names |= {"acceleration"}
-            behind = {"lift", "behind"}
+            lagged = {"lift", "behind"}
         case _:
             names |= {"follow"}
-            behind = {"gamma", "behind"}
-    return names | behind if lagging else names
+            lagged = {"gamma", "behind"}
+    return names | lagged if lagging else names
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
@@ -95,15 +95,15 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of x and y."""
     lag = rotor_rate(problem)
-    e, e_dot, alpha, alpha_dot, *behind, command = unit_rows(5 if lag is None else 6)
-    wanted = (command - e_dot) * arb(problem["velocity_gain"])
-    turn = (wanted - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
+    e, e_dot, alpha, alpha_dot, *lagged, command = unit_rows(5 if lag is None else 6)
+    demand = (command - e_dot) * arb(problem["velocity_gain"])
+    turn = (demand - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
     acceleration = alpha - e_dot * damping
     signals = kinematics(e, e_dot, l0) | {"bend": acceleration + e_dot * l0, "speed": e_dot}
-    signals |= {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": wanted, "turn": turn, "acceleration": acceleration}
+    signals |= {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": demand, "turn": turn, "acceleration": acceleration}
     if lag is None:
         return Channel(stack([e_dot, acceleration, alpha_dot, turn]), input_columns(4, force=1, torque=3), signals)
-    (gamma,) = behind
+    (gamma,) = lagged
     signals |= {"gamma": gamma, "behind": turn - gamma}
     slopes = [e_dot, acceleration, alpha_dot, gamma, (turn - gamma) * lag]
     return Channel(stack(slopes), input_columns(5, force=1, torque=3, lag=4), signals)
@@ -112,32 +112,32 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of z; the constant o enters where the force does."""
     lag = rotor_rate(problem)
-    e, e_dot, *behind, command = unit_rows(3 if lag is None else 4)
-    wanted = (command - e_dot) * arb(problem["velocity_gain"])
-    lift = wanted if lag is None else behind[0]
+    e, e_dot, *lagged, command = unit_rows(3 if lag is None else 4)
+    demand = (command - e_dot) * arb(problem["velocity_gain"])
+    lift = demand if lag is None else lagged[0]
     acceleration = lift - e_dot * damping
-    signals = kinematics(e, e_dot, l0) | {"wanted": wanted}
+    signals = kinematics(e, e_dot, l0) | {"wanted": demand}
     signals |= {"acceleration": acceleration, "bend": acceleration + e_dot * l0}
     if lag is None:
         inputs = input_columns(2, force=1)
         return Channel(stack([e_dot, acceleration]), inputs, signals, inputs["force"])
-    signals |= {"lift": lift, "behind": wanted - lift}
+    signals |= {"lift": lift, "behind": demand - lift}
     inputs = input_columns(3, force=1, lag=2)
-    return Channel(stack([e_dot, acceleration, (wanted - lift) * lag]), inputs, signals, inputs["force"])
+    return Channel(stack([e_dot, acceleration, (demand - lift) * lag]), inputs, signals, inputs["force"])
 
 
 def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
     """The channel of psi."""
     lag = rotor_rate(problem)
-    e, e_dot, integral, *behind, command = unit_rows(4 if lag is None else 5)
+    e, e_dot, integral, *lagged, command = unit_rows(4 if lag is None else 5)
     follow = command - e_dot
-    wanted = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])
-    gamma = wanted if lag is None else behind[0]
-    signals = kinematics(e, e_dot, l0) | {"wanted": wanted, "follow": follow, "bend": gamma + e_dot * l0}
+    demand = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])
+    gamma = demand if lag is None else lagged[0]
+    signals = kinematics(e, e_dot, l0) | {"wanted": demand, "follow": follow, "bend": gamma + e_dot * l0}
     if lag is None:
-        return Channel(stack([e_dot, wanted, follow]), input_columns(3, torque=1), signals)
-    signals |= {"gamma": gamma, "behind": wanted - gamma}
-    slopes = [e_dot, gamma, follow, (wanted - gamma) * lag]
+        return Channel(stack([e_dot, demand, follow]), input_columns(3, torque=1), signals)
+    signals |= {"gamma": gamma, "behind": demand - gamma}
+    slopes = [e_dot, gamma, follow, (demand - gamma) * lag]
     return Channel(stack(slopes), input_columns(4, torque=1, lag=3), signals)
 
 
@@ -221,13 +221,13 @@ def sampled_channel(
     moved = [command, *units[n : m - 2]] if memories else []
     a = stack([free + by_held * acting, *moved, next_integral])
     by_command = [-fresh * row[0] for row in by_held.tolist()]
-    rest = [arb(0)] * memories
+    remainder = [arb(0)] * memories
     if memories:
-        rest[0] = arb(-1)
-    by_integral = [t * x for x in [*by_command, *rest]]
+        remainder[0] = arb(-1)
+    by_integral = [t * x for x in [*by_command, *remainder]]
     return SampledChannel(
         a,
-        arb_mat([[x] for x in [*by_command, *rest, arb(0)]]),
+        arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]),
         arb_mat([[x] for x in [*by_integral, t]]),
         acting,
         fresh,
@@ -238,12 +238,12 @@ def sampled_channel(
 
 def delay_weights(delay: float) -> tuple[arb, list[arb]]:
     """The weights of u_k, and of u_(k-1), ..., u_(k-D), in the command that acts."""
-    whole = math.floor(delay)
-    fraction = arb(delay) - whole
+    integer = math.floor(delay)
+    fraction = arb(delay) - integer
     weights = [arb(0)] * (math.ceil(delay) + 1)
-    weights[whole] = 1 - fraction
+    weights[integer] = 1 - fraction
     if fraction > 0:
-        weights[whole + 1] = fraction
+        weights[integer + 1] = fraction
     return weights[0], weights[1:]
 
 

@@ -56,19 +56,19 @@ def vertical_drag(region: DragRegion) -> arb:
       it is c a - k (a - W)^2/M_+, which rises until a - W = c M_+/(2 k), to c W + c^2 M_+/(4 k).
     """
     speed, wind, damping = region.speed, region.wind, region.damping
-    together = speed + wind
+    sum_of_speeds = speed + wind
     against = smaller(speed, wind)
-    rest = wind - against
+    remaining = wind - against
     candidates = [
         steepest(region, wind) * wind,
-        steepest(region, rest) * rest + damping * against,
-        abs(steepest(region, together) * together - damping * speed),
+        steepest(region, remaining) * remaining + damping * against,
+        abs(steepest(region, sum_of_speeds) * sum_of_speeds - damping * speed),
     ]
-    beyond = speed - wind
-    if beyond > 0:
+    excess = speed - wind
+    if excess > 0:
         peak = damping * region.mass_high / 2  # where a - W is this over k
-        if region.drag * beyond <= peak:
-            candidates.append(damping * speed - region.drag * beyond * beyond / region.mass_high)
+        if region.drag * excess <= peak:
+            candidates.append(damping * speed - region.drag * excess * excess / region.mass_high)
         else:
             candidates.append(damping * wind + damping * peak / (2 * region.drag))
     result = arb(0)
@@ -96,19 +96,19 @@ def plane_drag(region: DragRegion) -> arb:
     edges = farthest * np.linspace(0.0, 1.0, CELLS + 1)
     b = Intervals(edges[:-1], edges[1:])
     speed, wind, damping, drag, light, heavy, across, by_rotors = map(enclosed, region)
-    least = drag * b / heavy
-    most = drag * square_roots(b * b + across * across) / light + by_rotors
+    lowest = drag * b / heavy
+    highest = drag * square_roots(b * b + across * across) / light + by_rotors
     difference = b - wind
-    apart = Intervals(
+    gap = Intervals(
         np.where(difference.low > 0.0, difference.low, np.maximum(-difference.high, 0.0)),
         np.maximum(np.abs(difference.low), np.abs(difference.high)),
     )
     squares = []
-    for a in (limited(apart, speed), limited(b + wind, speed)):
+    for a in (limited(gap, speed), limited(b + wind, speed)):
         product = a * b
         against = (a * a + b * b - wind * wind) * exactly(0.5)
         smallest = Intervals(np.maximum(-product.high, against.low), np.maximum(-product.low, against.high))
-        for x in (least, most):
+        for x in (lowest, highest):
             pull = x * b
             ease = damping * a
             square = pull * pull + ease * ease - exactly(2.0) * damping * x * smallest

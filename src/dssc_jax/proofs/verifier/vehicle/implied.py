@@ -63,11 +63,11 @@ def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviati
 
 
 def inputs_under(
-    vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], before: Inputs | None = None
+    vehicle: Vehicle, bounds: SignalBalls, deviations: Mapping[str, Deviations], earlier: Inputs | None = None
 ) -> Inputs:
     """(V3) What bounds of the signals allow, after the inputs of the time cell before."""
-    past = before.remainders if before is not None else None
-    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings, past), deviations)
+    history = earlier.remainders if earlier is not None else None
+    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings, history), deviations)
 
 
 def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, started: bool) -> dict[str, Balls]:
@@ -91,8 +91,8 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
                 value = answered(name, bounds, inputs, response, starts, vector_share(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
                 reached = maximum(reached, value.upper())
-            between = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
-            result[name][signal] = (reached + between).upper()
+            growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
+            result[name][signal] = (reached + growth).upper()
     return result
 
 
@@ -113,7 +113,7 @@ def answered(
         share * deviations.of_integral(sigma) * response.integral,
         inputs.remainders.constant * (response.constant if starts else response.settled_constant),
     ]
-    terms += [rests[rest] * size for rest, size in response.remainders.items()]
+    terms += [rests[remainder] * size for remainder, size in response.remainders.items()]
     if starts:
         e, e_dot, deviation = starts
         by_e, by_e_dot, by_deviation = response.starts

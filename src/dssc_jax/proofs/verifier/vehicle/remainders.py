@@ -121,7 +121,7 @@ def attitude_of(problem: VehicleProblem, at: Ranges, bounds: SignalBalls) -> Att
     )
 
 
-def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude, before: Remainders | None = None) -> Rotors:
+def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude, earlier: Remainders | None = None) -> Rotors:
     """(V3) The thrusts of the rotors, where all are within their limits, and their speeds.
 
     With a lag the thrusts follow their commands, so that those of the cells before still count.
@@ -139,9 +139,9 @@ def rotors_of(problem: VehicleProblem, at: Ranges, body: Attitude, before: Remai
     require_premise(bool(smallest > 0), "V3: a rotor's commanded thrust may reach 0")
     require_premise(bool(largest < arb(problem["rotor_limit"])), "V3: a rotor's commanded thrust may reach its limit")
     lift = g + maximum(body.a, body.q)
-    if before is not None and problem["rotor_lag"] > 0:
-        smallest = smallest if smallest <= before.rotors.smallest else before.rotors.smallest
-        largest = maximum(largest, before.rotors.largest)
+    if earlier is not None and problem["rotor_lag"] > 0:
+        smallest = smallest if smallest <= earlier.rotors.smallest else earlier.rotors.smallest
+        largest = maximum(largest, earlier.rotors.largest)
     return Rotors(
         smallest,
         largest,
@@ -156,7 +156,7 @@ def behind_of(
     bounds: SignalBalls,
     body: Attitude,
     rotors: Rotors,
-    before: Remainders | None = None,
+    earlier: Remainders | None = None,
 ) -> Behind:
     """What rotors with a lag are behind by; zero without.
 
@@ -178,10 +178,10 @@ def behind_of(
     d = d + 2 * at.believed_h * (bounds["x"]["behind"] + r_mh) / (g * n * arb(problem["arm"]))
     d = d + at.believed_z * (bounds["psi"]["behind"] + r_mz) / (n * arb(problem["torque_coefficient"]))
     d = farthest_behind(n, d, rotors.smallest)
-    if before is not None and problem["rotors"] > LEAST_ROTORS:
-        kept = (n - LEAST_ROTORS).sqrt() * before.behind_by <= 4 * rotors.smallest
+    if earlier is not None and problem["rotors"] > LEAST_ROTORS:
+        kept = (n - LEAST_ROTORS).sqrt() * earlier.behind_by <= 4 * rotors.smallest
         require_premise(bool(kept), "V3: the rotors may be too far behind their commands")
-        d = maximum(d, before.behind_by)
+        d = maximum(d, earlier.behind_by)
     rho = d * d / (4 * lag * rotors.smallest)
     slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
     return Behind(r_mh, r_mz, d, rho.upper(), (n * d / (2 * lag * slowest)).upper())
@@ -207,7 +207,7 @@ def drag_of(
     dampings: Mapping[str, float],
     body: Attitude,
     rotors: Rotors,
-    behind: Behind,
+    delayed: Behind,
 ) -> DragBounds:
     """What structure and propellers drag by, and the gyroscopic torque of the rotors."""
     n = arb(problem["rotors"])
@@ -235,7 +235,7 @@ def drag_of(
         x_h=(turned * (s * v_h + z) * s + by_speeds).upper(),
         x_z=(turned * (s * s * z + s * v_h) + by_speeds).upper(),
         tau_h=((blades + gyroscopic) / at.inertia_h).upper(),
-        tau_z=((blades + hub * behind.spin_up) / at.inertia_z).upper(),
+        tau_z=((blades + hub * delayed.spin_up) / at.inertia_z).upper(),
     )
 
 
@@ -244,7 +244,7 @@ def remainders_of(
     at: Ranges,
     bounds: SignalBalls,
     dampings: Mapping[str, float],
-    before: Remainders | None = None,
+    earlier: Remainders | None = None,
 ) -> Remainders:
     """(V3) The remainders under bounds of the signals.
 
@@ -256,9 +256,9 @@ def remainders_of(
         before: The remainders of the time cell before; None in the first one.
     """
     body = attitude_of(problem, at, bounds)
-    rotors = rotors_of(problem, at, body, before)
-    behind = behind_of(problem, at, bounds, body, rotors, before)
-    drag = drag_of(problem, at, bounds, dampings, body, rotors, behind)
+    rotors = rotors_of(problem, at, body, earlier)
+    delayed = behind_of(problem, at, bounds, body, rotors, earlier)
+    drag = drag_of(problem, at, bounds, dampings, body, rotors, delayed)
     g = at.gravity
     k = at.k
     s = body.s
@@ -266,13 +266,13 @@ def remainders_of(
     if problem["rotor_lag"] == 0:
         plane, yaw = torques(problem, at, body, drag)
     else:
-        plane, yaw = torques_behind(problem, at, bounds, body, drag, behind)
+        plane, yaw = torques_behind(problem, at, bounds, body, drag, delayed)
     by_lift = {"force": (k * body.q + drag.d_z + drag.x_z).upper()}
     if problem["rotor_lag"] > 0:
-        shortfall = arb(problem["rotors"]) * behind.rho / arb(problem["believed_mass"])
+        shortfall = arb(problem["rotors"]) * delayed.rho / arb(problem["believed_mass"])
         by_lift["lag"] = (shortfall + (g + body.q) * body.t * body.turning).upper()
     channels = {"x": {"force": force.upper()} | plane, "z": by_lift, "psi": yaw}
-    return Remainders(channels, (k * g).upper(), s, rotors, behind.d)
+    return Remainders(channels, (k * g).upper(), s, rotors, delayed.d)
 
 
 def torques(problem: VehicleProblem, at: Ranges, body: Attitude, drag: DragBounds) -> tuple[Balls, Balls]:
@@ -290,7 +290,7 @@ def torques(problem: VehicleProblem, at: Ranges, body: Attitude, drag: DragBound
 
 
 def torques_behind(
-    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, behind: Behind
+    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, delayed: Behind
 ) -> tuple[Balls, Balls]:
     """The same with a rotor lag."""
     s, t, psi_1 = body.s, body.t, body.psi_1
@@ -303,11 +303,11 @@ def torques_behind(
     yaw = (t * mu_h + (body.secant - 1) * mu_z + t * m_h + body.secant * m_z).upper()
     turned = (mu_z + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
     turned = turned + s * t * mu_h + t * mu_z + (1 + s * t) * m_h + t * m_z
-    shortfall = arb(problem["rotors"]) * behind.rho / 2
+    shortfall = arb(problem["rotors"]) * delayed.rho / 2
     by_arm = g * arb(problem["arm"]) * shortfall / at.believed_l
     plane = {
         "torque": (g * turned).upper(),
-        "lag": (behind.r_mh / lag + psi_1 * bounds["x"]["gamma"] + by_arm).upper(),
+        "lag": (delayed.r_mh / lag + psi_1 * bounds["x"]["gamma"] + by_arm).upper(),
     }
     by_spin = arb(problem["torque_coefficient"]) * shortfall / at.believed_z
-    return plane, {"torque": yaw, "lag": (behind.r_mz / lag + by_spin).upper()}
+    return plane, {"torque": yaw, "lag": (delayed.r_mz / lag + by_spin).upper()}

@@ -205,16 +205,16 @@ def first_columns(matrix: arb_mat, count: int) -> arb_mat:
 
 def joined(columns: Sequence[arb_mat]) -> arb_mat:
     """Matrices beside each other."""
-    first, *others = columns
-    for other in others:
-        first = side_by_side(first, other)
-    return first
+    result, *following = columns
+    for column_block in following:
+        result = side_by_side(result, column_block)
+    return result
 
 
 def extended(part: arb_mat, sampled: SampledChannel) -> arb_mat:
     """A column over chi as one over z, (m, 1)."""
-    rest = sampled.a.nrows() - part.nrows()
-    return stack([part, arb_mat(rest, 1)])
+    remainder = sampled.a.nrows() - part.nrows()
+    return stack([part, arb_mat(remainder, 1)])
 
 
 def start_columns(
@@ -228,25 +228,25 @@ def start_columns(
     slope_1, slope_2, _ = map(arb, proof["slopes"])
     ratio = {"zero": arb(0), "matched": slope_1, "midpoint": slope_1 + t * slope_2 / 2}[start]
     units = identity(m)
-    last = column(units, m - 1)
+    end = column(units, m - 1)
     columns = []
     for place in range(2):  # of sigma_0 = e' + l_0 e
-        columns.append(column(units, place) - last * (ratio * sampled.sigma[0, place]))
-    columns.append(last)
+        columns.append(column(units, place) - end * (ratio * sampled.sigma[0, place]))
+    columns.append(end)
     offsets = arb_mat(len(sights), 4)
     b = channel.constant
     if b is None:
         return joined([*columns, arb_mat(m, 1)]), offsets
     try:
-        rest = (units - sampled.a).solve(extended(forced(channel, b, t), sampled))
+        remainder = (units - sampled.a).solve(extended(forced(channel, b, t), sampled))
     except ZeroDivisionError:
         raise Rejected("V1: the response to the constant cannot be enclosed") from None
     for i, sight in enumerate(sights):
-        offsets[i, 3] = (sight.row * rest)[0, 0]
+        offsets[i, 3] = (sight.row * remainder)[0, 0]
         if sight.signal != EQUIVALENT:
             within = with_zeros(channel.signals[sight.signal], channel.order, channel.order)
             offsets[i, 3] = offsets[i, 3] + (within * forced(channel, b, sight.time))[0, 0]
-    return joined([*columns, -rest]), offsets
+    return joined([*columns, -remainder]), offsets
 
 
 def response_of(
@@ -265,9 +265,9 @@ def response_of(
     piece = t / PIECES
     remainders = Balls()
     for place, (name, parts) in enumerate(curved.items()):
-        first, *inner, last, middle = sums[count * place : count * (place + 1)]
+        first, *inner, end, middle = sums[count * place : count * (place + 1)]
         bent = middle + total([radius * unit for radius, unit in zip(parts.radii, units, strict=True)])
-        lines = piece * ((first + last) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent
+        lines = piece * ((first + end) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent
         remainders[name] = (lines + integral_within(channel, sight, parts.points[0])).upper()
     peaks = [arb(float(value)) for value in reached.peaks[i]]
     return SignalResponse(
@@ -289,5 +289,5 @@ def integral_within(channel: Channel, sight: Sight, b: arb_mat) -> arb:
     over_time = (f * (sight.time * interval_ball(0.0, 1.0))).exp()
     bent = abs((row * over_time * (f * (f * b)))[0, 0])
     piece = sight.time / PIECES
-    first, *inner, last = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(PIECES + 1)]
-    return (piece * ((first + last) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent).upper()
+    first, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(PIECES + 1)]
+    return (piece * ((first + end) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent).upper()

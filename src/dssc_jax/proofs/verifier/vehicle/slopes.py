@@ -39,8 +39,8 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
     lagging = problem["rotor_lag"] > 0
     e_dot = y["acceleration"] + rests["force"]
     alpha_dot = (y["gamma"] if lagging else y["turn"]) + rests["torque"]
-    wanted = arb(problem["velocity_gain"]) * e_dot
-    turn = stiffness * (wanted + y["alpha_dot"]) + arb(problem["damping"]) * alpha_dot
+    demand = arb(problem["velocity_gain"]) * e_dot
+    turn = stiffness * (demand + y["alpha_dot"]) + arb(problem["damping"]) * alpha_dot
     slopes = {
         "e": y["e_dot"],
         "e_dot": e_dot,
@@ -48,7 +48,7 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
         "alpha": y["alpha_dot"],
         "alpha_dot": alpha_dot,
         "sigma": y["bend"] + rests["force"],
-        "wanted": wanted,
+        "wanted": demand,
         "turn": turn,
         "acceleration": y["alpha_dot"] + damping * e_dot,
         "bend": y["alpha_dot"] + abs(l0 - damping) * e_dot,
@@ -63,12 +63,12 @@ def vertical_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb],
     """Those of z, which the constant o joins."""
     l0 = arb(problem["channels"]["z"]["l0"])
     e_dot = y["acceleration"] + rests["force"] + constant
-    wanted = arb(problem["velocity_gain"]) * e_dot
-    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + rests["force"] + constant, "wanted": wanted}
-    lift = wanted
+    demand = arb(problem["velocity_gain"]) * e_dot
+    slopes = {"e": y["e_dot"], "e_dot": e_dot, "sigma": y["bend"] + rests["force"] + constant, "wanted": demand}
+    lift = demand
     if problem["rotor_lag"] > 0:
         lift = y["behind"] / arb(problem["rotor_lag"]) + rests["lag"]
-        slopes |= {"lift": lift, "behind": wanted + lift}
+        slopes |= {"lift": lift, "behind": demand + lift}
     return slopes | {"acceleration": damping * e_dot + lift, "bend": abs(l0 - damping) * e_dot + lift}
 
 
@@ -77,16 +77,16 @@ def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], rests: Balls) -> B
     l0 = arb(problem["channels"]["psi"]["l0"])
     lagging = problem["rotor_lag"] > 0
     e_dot = (y["gamma"] if lagging else y["wanted"]) + rests["torque"]
-    wanted = arb(problem["yaw_gain"]) * e_dot + arb(problem["yaw_integral_gain"]) * y["follow"]
+    demand = arb(problem["yaw_gain"]) * e_dot + arb(problem["yaw_integral_gain"]) * y["follow"]
     slopes = {
         "e": y["e_dot"],
         "e_dot": e_dot,
         "sigma": y["bend"] + rests["torque"],
-        "wanted": wanted,
+        "wanted": demand,
         "follow": e_dot,
-        "bend": wanted + l0 * e_dot,
+        "bend": demand + l0 * e_dot,
     }
     if lagging:
         gamma = y["behind"] / arb(problem["rotor_lag"]) + rests["lag"]
-        slopes |= {"gamma": gamma, "behind": wanted + gamma, "bend": gamma + l0 * e_dot}
+        slopes |= {"gamma": gamma, "behind": demand + gamma, "bend": gamma + l0 * e_dot}
     return slopes

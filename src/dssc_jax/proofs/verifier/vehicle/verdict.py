@@ -106,25 +106,25 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
                 place = cell_place(j, len(cells))
                 require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
     largest = largest_bounds(cells)
-    most = largest_inputs(inputs)
+    extremes = largest_inputs(inputs)
     for name in CHANNELS:
-        require_sliding(problem, name, largest, most)
+        require_sliding(problem, name, largest, extremes)
     settled = settled_bounds(vehicle, cells[-1])
     if proof["settled"] is not None:
         begun = moved_bounds(proof["channels"], proof["settled"], settled)
         settled = settled_bounds(vehicle_of(problem, proof["settled"]), begun)
     gravity = vehicle.ranges.gravity
-    rotors = most.remainders.rotors
+    rotors = extremes.remainders.rotors
     return VehicleVerdict(
         True,
         "",
         rounded(largest),
         rounded(settled),
-        float_above(most.remainders.tilt),
+        float_above(extremes.remainders.tilt),
         float_above((settled["x"]["alpha"] / gravity).upper()),
         math.nextafter(float(rotors.smallest), -math.inf),
         float_above(rotors.largest),
-        {name: float_above(sigma_slope(name, largest, most).upper()) for name in CHANNELS},
+        {name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
         0.0 if listed is None else listed["samples"] * problem["sample_time"],
         {} if listed is None else envelope_of(cells),
     )
@@ -144,9 +144,9 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     y = bounds[name]
     law = inputs.deviations[name]
     slope = sigma_slope(name, bounds, inputs)
-    before = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
-    wanted = before + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
-    require_premise(bool(wanted <= rho), f"V5: the equivalent control of {name} may exceed rho")
+    level = maximum((y["u_av"] + law.d_1).upper(), (t / 2 * law.k_i * y["sigma"]).upper())
+    equivalent = level + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
+    require_premise(bool(equivalent <= rho), f"V5: the equivalent control of {name} may exceed rho")
     if controller["start"] == "zero":
         first = first_equivalent(problem, name, law)
         require_premise(bool(first <= rho), f"V5: the first equivalent control of {name} may exceed rho")
@@ -159,13 +159,13 @@ def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb
 
 
 def moved_bounds(
-    middles: Mapping[str, MiddleProof], others: Mapping[str, MiddleProof], bounds: SignalBalls
+    middles: Mapping[str, MiddleProof], settled_middles: Mapping[str, MiddleProof], bounds: SignalBalls
 ) -> SignalBalls:
     """Bounds of the signals of other linear channels, in which c and k_1 differ."""
     result = {name: dict(signals) for name, signals in bounds.items()}
     for name, signals in result.items():
-        damping = abs(arb(middles[name]["drag_damping"]) - arb(others[name]["drag_damping"]))
-        slope = abs(arb(middles[name]["slopes"][0]) - arb(others[name]["slopes"][0]))
+        damping = abs(arb(middles[name]["drag_damping"]) - arb(settled_middles[name]["drag_damping"]))
+        slope = abs(arb(middles[name]["slopes"][0]) - arb(settled_middles[name]["slopes"][0]))
         signals["bend"] = (signals["bend"] + damping * signals["e_dot"]).upper()
         signals["u_av"] = (signals["u_av"] + slope * signals["sigma"]).upper()
         if "acceleration" in signals:
