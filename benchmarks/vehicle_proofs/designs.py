@@ -22,7 +22,7 @@ FASTEST_WIND = 10.0  # m/s
 SLOWEST_MOTOR = 0.05  # s
 LONGEST_DELAY = 4.0  # samples
 MASS_SPREAD, INERTIA_SPREAD = 0.02, 0.05
-PROCESSES = 3
+PROCESSES = 2
 GAINS = ("l0", "functions.kappa_o", "functions.kappa_m", "functions.tau_av", "rho")
 
 
