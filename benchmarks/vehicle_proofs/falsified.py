@@ -180,6 +180,23 @@ def exchange_rows(content: JsonObject, factor: float, rng: np.random.Generator) 
         first[signal], second[signal] = second[signal], first[signal]
 
 
+def change_cell(content: JsonObject, factor: float, rng: np.random.Generator) -> None:
+    """Scale the bound of a signal in one cell of time; a third of them far down."""
+    signals = content["proof"]["cells"]["bounds"][str(rng.choice(CHANNELS))]
+    bounds = signals[str(rng.choice(list(signals)))]
+    scaled(bounds, int(rng.integers(len(bounds))), 0.5 if rng.random() < 1.0 / 3.0 else factor)
+
+
+def change_settled(content: JsonObject, factor: float, rng: np.random.Generator) -> None:
+    """Scale a slope of the linear channels for the upper limits, or the rate of one; a third of them far up."""
+    middle = content["proof"]["settled"][str(rng.choice(CHANNELS))]
+    factor = 10.0 if rng.random() < 1.0 / 3.0 else factor
+    if rng.random() < 0.5:
+        scaled(middle["slopes"], int(rng.integers(2)), factor)
+    else:
+        scaled(middle, "rate", factor)
+
+
 CHANGES: dict[str, Change] = {
     "wind": change_wind,
     "mass": change_interval("mass"),
@@ -204,8 +221,12 @@ CHANGES: dict[str, Change] = {
     "a bound turned down": lower_bound,
     "signals exchanged": exchange_signals,
     "channels exchanged": exchange_rows,
+    "a cell's bound": change_cell,
+    "channels of the upper limits": change_settled,
 }
 """What is changed, by kind."""
+IN_CELLS = ("a cell's bound", "channels of the upper limits")
+"""Kinds that only a certificate with cells of time has."""
 
 
 def falsify(certificate: JsonObject, kind: str, rng: np.random.Generator) -> JsonObject:
@@ -226,10 +247,12 @@ def falsified(designs: Sequence[Design], count: int, seed: int) -> list[Falsifie
     """So many changed certificates with their verdicts; every kind in turn."""
     rng = np.random.default_rng(seed)
     kinds = list(CHANGES)
+    with_cells = [design for design in designs if design.certificate["proof"]["cells"] is not None]
     tasks = []
     for place in range(count):
         kind = kinds[place % len(kinds)]
-        design = designs[int(rng.integers(len(designs)))]
+        candidates = with_cells if kind in IN_CELLS else designs
+        design = candidates[int(rng.integers(len(candidates)))]
         certificate = plain(design.certificate)
         tasks.append((kind, falsify(certificate, kind, rng), certificate["problem"]))
     with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
