@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws notebooks pages screenshots exploring pareto wind docs clean hover vehicle-proofs
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws notebooks pages screenshots exploring pareto wind docs clean hover vehicle
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -52,7 +52,7 @@ ratios: $(VENV)/test  ## fail if the loop became slower than plain XLA and C all
 proofs: $(VENV)/test  ## regenerate the measured part of docs/proofs.md: what is proved, and who tried to break it
 	$(BIN)/python -m benchmarks.proofs
 
-vehicle-proofs: $(VENV)/test  ## regenerate the measured part of docs/vehicle_proofs.md: the same for the whole vehicle
+vehicle: $(VENV)/test  ## regenerate the measured part of docs/vehicle_proofs.md: the same for the whole vehicle
 	$(BIN)/python -m benchmarks.vehicle_proofs
 
 fuzz: $(VENV)/test  ## regenerate a part of docs/lanes.md: 100,000 random programs of jax.lax as machine code, half an hour

@@ -1,1 +1,1 @@
-"""Regenerate the measured parts of docs/vehicle_proofs.md: ``make vehicle-proofs``."""
+"""Regenerate the measured parts of docs/vehicle_proofs.md: ``make vehicle``."""

@@ -1,4 +1,4 @@
-"""``make vehicle-proofs``: bounds beside worst winds, adversarial flights, falsified certificates, integration.
+"""``make vehicle``: bounds beside worst winds, adversarial flights, falsified certificates, integration.
 
 ``python -m benchmarks.vehicle_proofs PART ..`` measures some of them.
 """
