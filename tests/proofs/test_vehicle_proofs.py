@@ -14,6 +14,7 @@ from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs.prove_vehicle import VehicleProved
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
 from dssc_jax.proofs.vehicle_problem import vehicle_problem_from
+from dssc_jax.proofs.vehicle_words import digits_above, digits_below
 
 pytest.importorskip("flint")
 
@@ -52,8 +53,16 @@ def test_tuned_gains_hold_any_wind_of_8_metres_a_second(tuned: VehicleProved) ->
     assert summary["bounds"]["y"] == summary["bounds"]["x"]
     assert summary["settled"]["x"]["e"] <= summary["bounds"]["x"]["e"]
     assert math.degrees(summary["bounds"]["tilt"]) < 3.0
-    assert f"{summary['bounds']['x']['e']:.4g} m" in tuned.statement()
+    assert f"{digits_above(summary['bounds']['x']['e'])} m" in tuned.statement()
     assert 0.0 < summary["bounds"]["rotor_min"] < summary["bounds"]["rotor_max"] < tuned.problem.rotor_limit
+
+
+def test_bounds_are_rounded_away_from_the_signal() -> None:
+    """Upwards, or downwards; never to the nearer side."""
+    assert digits_above(0.240641) == "0.2407"
+    assert digits_above(0.2407) == "0.2407"
+    assert digits_below(26.1189) == "26.11"
+    assert digits_above(9.99951) == "10"
 
 
 @pytest.mark.parametrize("kind", ["m600_quadrotor", "m600_hexacopter"])

@@ -10,8 +10,8 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.claims import VEHICLE_CLAIM, Claim
 from dssc_jax.proofs.search.vehicle.bounds import best_bounds, proof_of
 from dssc_jax.proofs.search.vehicle.cells import cell_bounds, cells_proof_of
-from dssc_jax.proofs.vehicle_problem import VehicleProblem
-from dssc_jax.proofs.vehicle_words import stated_bounds
+from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
+from dssc_jax.proofs.vehicle_words import digits_above, digits_below, stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
 VEHICLE_VERSION = 1
@@ -96,15 +96,16 @@ class VehicleProved:
         vehicle = ", ".join(["", *vehicle_words(self.problem)])
         ends = ""
         if settled["x"]["e"] < 0.99 * bounds["x"]["e"]:
-            ends = f" It ends within |e_x|, |e_y| <= {settled['x']['e']:.4g} m and |e_z| <= {settled['z']['e']:.4g} m."
+            plane, height = digits_above(settled["x"]["e"]), digits_above(settled["z"]["e"])
+            ends = f" It ends within |e_x|, |e_y| <= {plane} m and |e_z| <= {height} m."
         wind = f"every wind with |w_h| <= {wind_h:g} m/s and |w_z| <= {wind_z:g} m/s that changes as it likes"
-        plane = f"|e_x|, |e_y| <= {bounds['x']['e']:.4g} m"
-        heights = f"|e_z| <= {bounds['z']['e']:.4g} m, |e_psi| <= {bounds['psi']['e']:.4g} rad"
-        tilt = f"a tilt of {math.degrees(self.verdict.tilt):.4g} degrees"
-        rotors = f"between {self.verdict.rotor_min:.4g} and {self.verdict.rotor_max:.4g} N"
+        e_x, e_z, e_psi = (digits_above(bounds[name]["e"]) for name in CHANNELS)
+        errors = f"|e_x|, |e_y| <= {e_x} m, |e_z| <= {e_z} m, |e_psi| <= {e_psi} rad"
+        tilt = f"a tilt of {digits_above(math.degrees(self.verdict.tilt))} degrees"
+        rotors = f"between {digits_below(self.verdict.rotor_min)} and {digits_above(self.verdict.rotor_max)} N"
         return (
             f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
-            f"exceeds {plane}, {heights} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"exceeds {errors} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:
@@ -123,6 +124,10 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
         words.append(f"a rotor lag of {problem.rotor_lag:g} s")
     if problem.delay:
         words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
+    for name, of, unit in (("x", "in the plane", "m"), ("z", "along z", "m"), ("psi", "of yaw", "rad")):
+        e, e_dot = problem.channels[name].initial
+        if e or e_dot:
+            words.append(f"a start within {e:.4g} {unit} and {e_dot:.4g} {unit}/s {of}")
     return words
 
 

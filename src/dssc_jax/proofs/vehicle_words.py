@@ -70,10 +70,25 @@ def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
     parts = []
     for name, label, unit in (("x", "|e_x| and |e_y|", "m"), ("z", "|e_z|", "m"), ("psi", "|e_psi|", "rad")):
         largest, settled = verdict.bounds[name]["e"], verdict.settled[name]["e"]
-        parts.append(f"{label} {largest:.4g} {unit} (ends within {settled:.4g})")
-    tilt = f"the tilt {math.degrees(verdict.tilt):.4g} degrees"
-    rotors = f"rotors stay between {verdict.rotor_min:.4g} and {verdict.rotor_max:.4g} N"
+        parts.append(f"{label} {digits_above(largest)} {unit} (ends within {digits_above(settled)})")
+    tilt = f"the tilt {digits_above(math.degrees(verdict.tilt))} degrees"
+    rotors = f"rotors stay between {digits_below(verdict.rotor_min)} and {digits_above(verdict.rotor_max)} N"
     return f"valid: never exceeded are {', '.join(parts)} and {tilt}; {rotors}"
+
+
+def digits_above(bound: float) -> str:
+    """A positive bound with four digits, rounded up."""
+    return f"{math.ceil(bound / last_digit(bound)) * last_digit(bound):.4g}"
+
+
+def digits_below(bound: float) -> str:
+    """A positive lower bound with four digits, rounded down."""
+    return f"{math.floor(bound / last_digit(bound)) * last_digit(bound):.4g}"
+
+
+def last_digit(value: float) -> float:
+    """The value of the fourth digit of a positive number."""
+    return 10.0 ** (math.floor(math.log10(value)) - 3)
 
 
 def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
