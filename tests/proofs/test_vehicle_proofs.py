@@ -102,6 +102,15 @@ def test_starts_away_from_the_hovering_point() -> None:
     assert summary["cell"] == pytest.approx(0.2)
 
 
+def test_a_yaw_beyond_half_a_turn_starts_the_shorter_way_round() -> None:
+    """3.1 rad is 0.083 rad from -3.1 rad; a sum of winds keeps the sum of their bounds."""
+    winds = [{"kind": "bounded", "speed": 2.0}, {"kind": "constant", "x": 1.0, "y": 0.0, "z": 0.0}]
+    study = dj.Study.load(TUNED).override({"wind": winds, "plant.yaw": 3.1, "reference.yaw": -3.1})
+    problem = vehicle_problem_of(study)
+    assert problem.wind == (3.0, 1.0)
+    assert problem.channels["psi"].initial == (pytest.approx(2.0 * math.pi - 6.2), 0.0)
+
+
 REFUSALS: list[tuple[dict[str, object], str]] = [
     ({"reference.kind": "mission"}, "the reference moves"),
     ({"wind": {"kind": "dryden", "speed": 5.0, "altitude": 10.0, "airspeed": 5.0}}, "the wind has no known bound"),

@@ -30,6 +30,7 @@ UNCERTAIN = ("plant.vehicle.mass", "plant.vehicle.thrust_coefficient", "plant.ve
 """Beginnings of the names of numbers that a proof of the vehicle covers over an interval."""
 ONLY_BOUNDS = ("plant.position", "plant.velocity", "plant.yaw", "wind.")
 """Beginnings of the names of numbers that only bound a start or the wind."""
+TURN = 2.0 * math.pi
 EQUAL_ANGLES = 1e-9
 """Largest difference [rad] of angles that count as equal."""
 AXES = {"x": 0, "z": 2, "psi": 3}
@@ -248,11 +249,12 @@ def starts_of(ends: Ends) -> dict[str, tuple[float, float]]:
     hover = ends.low.reference
     distances = [largest_of([end.position[i] - hover.position[i] for end in plants]) for i in range(3)]
     speeds = [largest_of([end.velocity[i] for end in plants]) for i in range(3)]
-    turned = largest_of([end.yaw - hover.yaw for end in plants])
+    turned = [float(end.yaw) - float(hover.yaw) for end in plants]
+    turns = TURN * round(sum(turned) / (2.0 * TURN))  # the vehicle takes the shorter way round
     return {
         "x": (math.hypot(distances[0], distances[1]), math.hypot(speeds[0], speeds[1])),
         "z": (distances[2], speeds[2]),
-        "psi": (turned, 0.0),
+        "psi": (largest_of([angle - turns for angle in turned]), 0.0),
     }
 
 

@@ -31,6 +31,12 @@ class ChannelProblem:
     start: str
     initial: tuple[float, float]
 
+    @property
+    def first_sigma(self) -> float:
+        """Sigma_0, the bound of |sigma| at t = 0."""
+        e, e_dot = self.initial
+        return e_dot + self.l0 * e
+
 
 @dataclass(frozen=True)
 class VehicleProblem:

@@ -41,6 +41,8 @@ DISTANCE_ROOM = 1.01
 RATIO_ROOM = 1.001
 """Widening of a distance over |sigma|, likewise."""
 SMALLEST_REGION = 1e-9
+FIRST_REGION = 1e-3
+"""Smallest |sigma| for which slopes are chosen at first."""
 ROUNDS = 12
 """Times that the slopes are chosen anew."""
 ITERATIONS = 400
@@ -49,13 +51,11 @@ SETTLED = 1e-5
 """Relative growth of a bound at which it counts as a fixed point."""
 REGION_KEPT = 0.01
 """Relative change of |sigma| in a region for which the slopes are kept."""
-LARGEST_GROWTH = 50.0
-"""Growth of a region in a round."""
+LARGEST_GROWTH = 2.0
+"""Growth of a region at which the slopes are chosen anew."""
 DAMPING_SHARE = 1.7
 """The first damping of drag, over k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
-WORTH = 0.995
-"""Improvement of the bound of |e| for which the search goes on."""
 
 
 Slopes = tuple[float, float, float]
@@ -77,6 +77,24 @@ class ChannelDeviations:
     distance: tuple[float, float, float]
     ratio: tuple[float, float, float]
     steepest: tuple[float, float, float]
+
+    def of_command(self, sigma: float) -> float:
+        """Bound of |omega_u| for |sigma| up to a bound."""
+        return min(self.distance[2], self.ratio[2] * sigma)
+
+    def of_integral(self, sigma: float) -> float:
+        """Bound of |omega_q|."""
+        return min(self.distance[1], self.ratio[1] * sigma)
+
+    def of_start(self, channel: ChannelProblem, sample_time: float) -> float:
+        """Bound of what q_(-1) deviates by."""
+        if channel.start == "zero":
+            return 0.0
+        first = channel.first_sigma
+        deviation = min(self.distance[0], self.ratio[0] * first)
+        if channel.start == "midpoint":
+            deviation += 0.5 * sample_time * self.of_integral(first)
+        return deviation
 
 
 @dataclass(frozen=True)
@@ -165,39 +183,39 @@ def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> di
     }
 
 
-def bounds_by(
-    problem: VehicleProblem,
-    name: str,
-    response: ChannelResponse,
-    deviations: ChannelDeviations,
-    remainders: dict[str, float],
-    slopes: dict[str, float],
-    sigma: float,
-    *,
-    started: bool,
+def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
+    """2^(1/2) for norms of vectors in the plane, whose deviations are those of both axes; 1 for other signals."""
+    in_plane = [name == "x" and key not in ONE_AXIS for key in response.names]
+    return np.where(in_plane, math.sqrt(2.0), 1.0)
+
+
+def input_sizes(
+    response: ChannelResponse, deviations: ChannelDeviations, sigma: float, remainders: dict[str, float]
+) -> np.ndarray:
+    """Bounds of omega_u, omega_q and the remainders, (inputs,)."""
+    by_functions = [deviations.of_command(sigma), deviations.of_integral(sigma)]
+    return np.array([*by_functions, *(remainders[key] for key in response.remainders)])
+
+
+def with_slopes(
+    problem: VehicleProblem, response: ChannelResponse, seen: np.ndarray, slopes: dict[str, float]
 ) -> dict[str, float]:
-    """F of one channel's signals."""
-    channel = problem.channels[name]
-    by_u = min(deviations.distance[2], deviations.ratio[2] * sigma)
-    by_q = min(deviations.distance[1], deviations.ratio[1] * sigma)
-    in_plane = np.array([name == "x" and key not in ONE_AXIS for key in response.names])
-    axes = np.where(in_plane, math.sqrt(2.0), 1.0)  # the deviations of both axes as one vector
-    by_functions = response.gains[..., :2] @ np.array([by_u, by_q])
-    bound = axes * by_functions + response.gains[..., 2:] @ np.array([remainders[key] for key in response.remainders])
-    if name == "z":
-        constant = response.constant if started else response.settled_constant
-        bound = bound + problem.thrust_deviation * GRAVITY * constant
-    if started:
-        e, speed = channel.initial
-        first = speed + channel.l0 * e
-        late = min(deviations.distance[0], deviations.ratio[0] * first)
-        if channel.start == "midpoint":
-            late += 0.5 * problem.sample_time * min(deviations.distance[1], deviations.ratio[1] * first)
-        late = 0.0 if channel.start == "zero" else late
-        bound = bound + response.starts[..., :2] @ np.array([e, speed]) + axes * late * response.starts[..., 2]
-    largest = bound.max(axis=0)
+    """Bounds at all times, from those at the points of a sample, (points, signals), and the slopes between them."""
+    largest = seen.max(axis=0)
     eighth = problem.sample_time / 8.0
     return {key: float(largest[i]) + eighth * slopes[key] for i, key in enumerate(response.names)}
+
+
+def seen_bounds(
+    problem: VehicleProblem, name: str, response: ChannelResponse, deviations: ChannelDeviations, sizes: np.ndarray
+) -> np.ndarray:
+    """F of one channel at the points of a sample, (points, signals), for inputs of these sizes."""
+    channel = problem.channels[name]
+    axes = axes_of(name, response)
+    bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
+    bound = bound + problem.thrust_deviation * GRAVITY * response.constant
+    by_start = response.starts[..., :2] @ np.array(channel.initial)
+    return bound + by_start + axes * deviations.of_start(channel, problem.sample_time) * response.starts[..., 2]
 
 
 def applied(
@@ -206,8 +224,6 @@ def applied(
     deviations: dict[str, ChannelDeviations],
     y: Signals,
     damping: tuple[float, float],
-    *,
-    started: bool = True,
 ) -> tuple[Signals, Signals, Rotors]:
     """F(Y), the remainders, and the rotors.
 
@@ -216,13 +232,12 @@ def applied(
     """
     remainders, rotors = remainders_of(problem, y, damping)
     slopes = slopes_of(problem, y, remainders, damping)
-    reached = {
-        name: bounds_by(
-            problem, name, responses[name], deviations[name], remainders[name], slopes[name], y[name]["sigma"],
-            started=started,
-        )
-        for name in CHANNELS
-    }  # fmt: skip
+    reached: Signals = {}
+    for name in CHANNELS:
+        response = responses[name]
+        sizes = input_sizes(response, deviations[name], y[name]["sigma"], remainders[name])
+        seen = seen_bounds(problem, name, response, deviations[name], sizes)
+        reached[name] = with_slopes(problem, response, seen, slopes[name])
     return reached, remainders, rotors
 
 
@@ -238,8 +253,7 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
         level = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
         if level + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
             return False
-        first = channel.initial[1] + channel.l0 * channel.initial[0]
-        if channel.start == "zero" and reach * (steepest + t * integral) * first > channel.rho:
+        if channel.start == "zero" and reach * (steepest + t * integral) * channel.first_sigma > channel.rho:
             return False
     return True
 
@@ -251,8 +265,7 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float], room: 
     """
     linear = linear_channels(problem, damping)
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
-    regions = {name: channel.initial[1] + channel.l0 * channel.initial[0] for name, channel in problem.channels.items()}
-    regions = {name: max(region, 1e-3) for name, region in regions.items()}
+    regions = {name: max(channel.first_sigma, FIRST_REGION) for name, channel in problem.channels.items()}
     slopes: dict[str, Slopes] = {}
     responses: dict[str, ChannelResponse] = {}
     chosen: dict[str, float] = {}
@@ -303,7 +316,7 @@ def grown(
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
             return y, True
-        if any(y[name]["sigma"] > 2.0 * regions[name] for name in CHANNELS):
+        if any(y[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return y, False
     return None
 

@@ -14,19 +14,21 @@ from dssc_jax.proofs.search.vehicle.bounds import (
     ChannelDeviations,
     Slopes,
     VehicleBounds,
+    axes_of,
     best_bounds,
     best_slopes,
     deviations_of,
     inflated,
+    input_sizes,
     linear_channels,
     middle_of,
     points_of,
     proof_of,
     slides,
+    with_slopes,
 )
 from dssc_jax.proofs.search.vehicle.channels import (
     GRAVITY,
-    ONE_AXIS,
     ChannelResponse,
     ChannelSeries,
     channel_response,
@@ -42,7 +44,6 @@ REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 EXTRA_CELLS = 20
 """Cells beyond the first ones over which what they cause in the last cell is compared."""
 ITERATIONS = 400
-LARGEST_GROWTH = 100.0
 SETTLED = 1e-4
 TABLE_RATIO = 1.005
 """Ratio of the regions at which the deviations are tabulated."""
@@ -126,7 +127,7 @@ def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
 def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float) -> Slopes:
     """The best slopes for a region between that of the settled vehicle and that of the start."""
     channel = problem.channels[name]
-    first = channel.initial[1] + channel.l0 * channel.initial[0]
+    first = channel.first_sigma
     region = sigma * (first / sigma) ** share if first > sigma else sigma
     return best_slopes(points_of(problem, name, region))
 
@@ -188,7 +189,7 @@ def kernels_of(
     by_error = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
     starts = np.stack([by_error, np.abs(series.starts[..., 2])], axis=-1)
     sums = np.cumsum(series.effects, axis=0)
-    axes = axes_of(name, response)
+    axes = np.tile(axes_of(name, response), response.gains.shape[0])
     factors = np.ones((axes.size, sums.shape[-1]))
     factors[:, :2] = axes[:, None]  # the deviations of both axes as one vector
     by_start = with_last(in_cells(starts, samples), count)
@@ -198,13 +199,6 @@ def kernels_of(
     upper = sums[samples - 1 :: samples] * factors
     lower = np.concatenate([sums[:1] * factors, upper[:-1]])
     return Kernels(response, upper, lower, total_sum, constant, by_start)
-
-
-def axes_of(name: str, response: ChannelResponse) -> np.ndarray:
-    """2^(1/2) for norms of vectors of the plane, 1 elsewhere, for each point of a sample and signal."""
-    in_plane = [name == "x" and key not in ONE_AXIS for key in response.names]
-    axes = np.where(in_plane, math.sqrt(2.0), 1.0)
-    return np.tile(axes, response.gains.shape[0])
 
 
 def in_cells(values: np.ndarray, samples: int) -> np.ndarray:
@@ -246,29 +240,17 @@ def closed_cell(
         reached = {}
         for name in CHANNELS:
             kernel = kernels[name]
-            sizes[name] = sizes_of(kernel.response, tables[name], y[name]["sigma"], remainders[name])
+            sigma = y[name]["sigma"]
+            sizes[name] = input_sizes(kernel.response, tables[name].at(sigma), sigma, remainders[name])
             rows = base[name] + caused(kernel, inputs[name], sizes[name], final=final)
-            bound = rows.reshape(kernel.response.gains.shape[:2]).max(axis=0)
-            eighth = problem.sample_time / 8.0
-            reached[name] = {
-                key: inflated(key, float(bound[i]) + eighth * slopes[name][key], room)
-                for i, key in enumerate(kernel.response.names)
-            }
+            seen = rows.reshape(kernel.response.gains.shape[:2])
+            bounds = with_slopes(problem, kernel.response, seen, slopes[name])
+            reached[name] = {key: inflated(key, bound, room) for key, bound in bounds.items()}
         changes = [abs(reached[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in reached[name]]
         y = reached
         if max(changes) <= SETTLED:
             return y, sizes, rotors
     return None
-
-
-def sizes_of(
-    response: ChannelResponse, table: DeviationTable, sigma: float, remainders: dict[str, float]
-) -> np.ndarray:
-    """Bounds of omega_u, omega_q and the remainders."""
-    law = table.at(sigma)
-    by_u = min(law.distance[2], law.ratio[2] * sigma)
-    by_q = min(law.distance[1], law.ratio[1] * sigma)
-    return np.array([by_u, by_q, *(remainders[key] for key in response.remainders)])
 
 
 def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
@@ -290,15 +272,9 @@ def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, fi
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
     """What the start and the constant cause in a cell, (rows,)."""
     channel = problem.channels[name]
-    first = channel.initial[1] + channel.l0 * channel.initial[0]
-    law = table.at(first)
-    late = 0.0 if channel.start == "zero" else min(law.distance[0], law.ratio[0] * first)
-    if channel.start == "midpoint":
-        late += 0.5 * problem.sample_time * min(law.distance[1], law.ratio[1] * first)
-    result = kernel.starts[cell, :, 0] + late * kernel.starts[cell, :, 1]
-    if name == "z":
-        result = result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
-    return result
+    deviation = table.at(channel.first_sigma).of_start(channel, problem.sample_time)
+    result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]
+    return result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
 
 
 def slides_in_all(

@@ -1,6 +1,7 @@
 """The linear channel of each controller, sampled, and what its signals are at most, in floating point."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.linalg import expm
@@ -20,6 +21,10 @@ CONSTANT_SETTLED = 1e-4
 """Share of a response to a constant at which it counts as settled."""
 
 
+Signal: TypeAlias = tuple[np.ndarray, float]
+"""The row C and the number d of a signal C chi + d U."""
+
+
 @dataclass(frozen=True)
 class Linear:
     """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
@@ -34,7 +39,7 @@ class Linear:
     f: np.ndarray
     g: np.ndarray
     b: dict[str, np.ndarray]
-    signals: dict[str, tuple[np.ndarray, float]]
+    signals: dict[str, Signal]
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,7 @@ class ChannelResponse:
         remainders: Names of the remainders.
         gains: Sums for each point of a sample, signal and input, (points, signals, inputs); the first two inputs are
             omega_u and omega_q, the others the remainders.
-        constant: Largest response to a constant force 1, (points, signals), and its final value.
-        settled_constant: Its final value, likewise.
+        constant: Largest response to a constant force 1, (points, signals).
         starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
     """
 
@@ -55,7 +59,6 @@ class ChannelResponse:
     remainders: tuple[str, ...]
     gains: np.ndarray
     constant: np.ndarray
-    settled_constant: np.ndarray
     starts: np.ndarray
 
 
@@ -80,99 +83,84 @@ class Sampled:
     u_av: np.ndarray
 
 
+class Parts:
+    """The parts of a linear channel while it is put together."""
+
+    def __init__(self, states: int, *, lagged: bool) -> None:
+        """Matrices of zeros; with a lag there is one more state, the last one."""
+        m = states + lagged
+        self.unit = np.eye(m)
+        self.f = np.zeros((m, m))
+        self.g = np.zeros(m)
+        self.b: dict[str, np.ndarray] = {}
+        self.signals: dict[str, Signal] = {}
+
+    def drive(self, place: int, demand: Signal, lag: float, achieved: str) -> None:
+        """Let a demand drive the slope of a state, at once or through a lag, whose state is the signal ``achieved``."""
+        if not lag:
+            self.f[place], self.g[place] = demand
+            return
+        state = self.unit[-1]
+        behind = (demand[0] - state, demand[1])
+        self.f[place] = state
+        self.f[-1] = behind[0] / lag
+        self.g[-1] = behind[1] / lag
+        self.b["lag"] = state
+        self.signals |= {achieved: (state, 0.0), "behind": behind}
+
+    def channel(self, controller: ChannelProblem) -> Linear:
+        """The channel, with the signals e, e', sigma and the slope of sigma."""
+        e, e_dot = self.unit[:2]
+        errors = {
+            "e": (e, 0.0),
+            "e_dot": (e_dot, 0.0),
+            "sigma": (e_dot + controller.l0 * e, 0.0),
+            "bend": (self.f[1] + controller.l0 * e_dot, self.g[1]),
+        }
+        return Linear(self.f, self.g, self.b, errors | self.signals)
+
+
 def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
     """The channel of x and y: chi = (e, e', alpha, alpha', and gamma with a lag). ``damping`` is that of drag [1/s]."""
     k_v, a_0, a_1 = problem.velocity_gain, problem.stiffness, problem.damping
-    lagged = problem.rotor_lag > 0.0
-    m = 5 if lagged else 4
-    unit = np.eye(m)
-    demand = (-k_v * unit[1], k_v)
-    turn = (a_0 * (demand[0] - unit[2]) - a_1 * unit[3], a_0 * k_v)
-    f = np.zeros((m, m))
-    g = np.zeros(m)
-    f[0] = unit[1]
-    f[1] = unit[2] - damping * unit[1]
-    f[2] = unit[3]
-    b = {"force": unit[1], "torque": unit[3]}
-    signals = {"alpha": (unit[2], 0.0), "alpha_dot": (unit[3], 0.0), "wanted": demand, "turn": turn}
-    if lagged:
-        f[3] = unit[4]
-        shortfall = (turn[0] - unit[4], turn[1])
-        f[4] = shortfall[0] / problem.rotor_lag
-        g[4] = shortfall[1] / problem.rotor_lag
-        b["lag"] = unit[4]
-        signals |= {"gamma": (unit[4], 0.0), "behind": shortfall}
-    else:
-        f[3] = turn[0]
-        g[3] = turn[1]
-    acceleration = (f[1], 0.0)
-    signals["speed"] = (unit[1], 0.0)
-    return with_errors(problem.channels["x"], Linear(f, g, b, signals | {"acceleration": acceleration}), acceleration)
+    parts = Parts(4, lagged=problem.rotor_lag > 0.0)
+    _, e_dot, alpha, alpha_dot = parts.unit[:4]
+    demand = (-k_v * e_dot, k_v)
+    turn = (a_0 * (demand[0] - alpha) - a_1 * alpha_dot, a_0 * k_v)
+    parts.f[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
+    parts.drive(3, turn, problem.rotor_lag, "gamma")
+    parts.b |= {"force": e_dot, "torque": alpha_dot}
+    parts.signals |= {"alpha": (alpha, 0.0), "alpha_dot": (alpha_dot, 0.0), "wanted": demand, "turn": turn}
+    parts.signals |= {"speed": (e_dot, 0.0), "acceleration": (parts.f[1], 0.0)}
+    return parts.channel(problem.channels["x"])
 
 
 def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
     """The channel of z: chi = (e, e', and q with a lag)."""
     k_v = problem.velocity_gain
-    lagged = problem.rotor_lag > 0.0
-    m = 3 if lagged else 2
-    unit = np.eye(m)
-    demand = (-k_v * unit[1], k_v)
-    f = np.zeros((m, m))
-    g = np.zeros(m)
-    f[0] = unit[1]
-    b = {"force": unit[1]}
-    signals = {"wanted": demand}
-    if lagged:
-        f[1] = unit[2] - damping * unit[1]
-        shortfall = (demand[0] - unit[2], demand[1])
-        f[2] = shortfall[0] / problem.rotor_lag
-        g[2] = shortfall[1] / problem.rotor_lag
-        b["lag"] = unit[2]
-        signals |= {"lift": (unit[2], 0.0), "behind": shortfall}
-    else:
-        f[1] = demand[0] - damping * unit[1]
-        g[1] = demand[1]
-    acceleration = (f[1], g[1])
-    return with_errors(problem.channels["z"], Linear(f, g, b, signals | {"acceleration": acceleration}), acceleration)
+    parts = Parts(2, lagged=problem.rotor_lag > 0.0)
+    e_dot = parts.unit[1]
+    demand = (-k_v * e_dot, k_v)
+    parts.f[0] = e_dot
+    parts.drive(1, demand, problem.rotor_lag, "lift")
+    parts.f[1] -= damping * e_dot
+    parts.b["force"] = e_dot
+    parts.signals |= {"wanted": demand, "acceleration": (parts.f[1], parts.g[1])}
+    return parts.channel(problem.channels["z"])
 
 
 def yaw_channel(problem: VehicleProblem) -> Linear:
     """The channel of psi: chi = (e, psi', I, and gamma_psi with a lag)."""
-    k_y, i_y = problem.yaw_gain, problem.yaw_integral_gain
-    lagged = problem.rotor_lag > 0.0
-    m = 4 if lagged else 3
-    unit = np.eye(m)
-    demand = (-k_y * unit[1] + i_y * unit[2], k_y)
-    f = np.zeros((m, m))
-    g = np.zeros(m)
-    f[0] = unit[1]
-    f[2] = -unit[1]
-    g[2] = 1.0
-    b = {"torque": unit[1]}
-    signals = {"wanted": demand, "follow": (-unit[1], 1.0)}
-    if lagged:
-        f[1] = unit[3]
-        shortfall = (demand[0] - unit[3], demand[1])
-        f[3] = shortfall[0] / problem.rotor_lag
-        g[3] = shortfall[1] / problem.rotor_lag
-        b["lag"] = unit[3]
-        signals |= {"gamma": (unit[3], 0.0), "behind": shortfall}
-    else:
-        f[1] = demand[0]
-        g[1] = demand[1]
-    return with_errors(problem.channels["psi"], Linear(f, g, b, signals), (f[1], g[1]))
-
-
-def with_errors(channel: ChannelProblem, linear: Linear, acceleration: tuple[np.ndarray, float]) -> Linear:
-    """The channel with the signals e, e', sigma and the slope of sigma."""
-    unit = np.eye(linear.f.shape[0])
-    signals = {
-        "e": (unit[0], 0.0),
-        "e_dot": (unit[1], 0.0),
-        "sigma": (unit[1] + channel.l0 * unit[0], 0.0),
-        "bend": (acceleration[0] + channel.l0 * unit[1], acceleration[1]),
-    }
-    return Linear(linear.f, linear.g, linear.b, signals | linear.signals)
+    parts = Parts(3, lagged=problem.rotor_lag > 0.0)
+    _, rate, integrated = parts.unit[:3]
+    follow = (-rate, 1.0)
+    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integrated, problem.yaw_gain)
+    parts.f[0] = rate
+    parts.drive(1, demand, problem.rotor_lag, "gamma")
+    parts.f[2], parts.g[2] = follow
+    parts.b["torque"] = rate
+    parts.signals |= {"wanted": demand, "follow": follow}
+    return parts.channel(problem.channels["psi"])
 
 
 def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -294,9 +282,9 @@ def channel_response(
         return None
     shape = (len(POINTS), len(seen.names))
     gains = over_sample(result.sums, problem.sample_time).reshape(*shape, -1) + seen.direct
-    constant, final = np.zeros((2, rows.shape[0]))
+    constant = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        constant, final = constant_response(a, rows, seen.held, seen.within)
+        constant = constant_response(a, rows, seen.held, seen.within)
     peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
@@ -306,7 +294,6 @@ def channel_response(
         tuple(linear.b),
         gains,
         constant.reshape(shape),
-        final.reshape(shape),
         peaks.reshape(*shape, 3),
     )
 
@@ -329,7 +316,7 @@ class ChannelSeries:
 def channel_series(
     problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...], length: int
 ) -> ChannelSeries:
-    """The responses over a number of samples."""
+    """The responses over a number of samples; only the channel of z has a constant force."""
     seen = seen_channel(problem, channel, linear, slopes)
     a = seen.step.a
     n = a.shape[0]
@@ -344,6 +331,8 @@ def channel_series(
     effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
     effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), problem.sample_time)
     constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
+    if channel is not problem.channels["z"]:
+        constant = np.zeros(constant.shape)
     return ChannelSeries(effects, constant, answers[..., inputs + 1 :])
 
 
@@ -379,10 +368,7 @@ def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.nd
     return peaks
 
 
-def constant_response(
-    a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The largest response to a constant 1 from t = 0 on, and its final value."""
+def constant_response(a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """The largest response to a constant 1 from t = 0 on, of each row."""
     equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, held)
-    final = rows @ equilibrium + within
-    return constant_peaks(a, rows, -equilibrium, final), np.abs(final)
+    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + within)
