@@ -4,12 +4,13 @@ A parameter is a number, a law, or an expression of other parameters. An express
 law does, and :meth:`dssc_jax.study.Study.params` computes it from each draw's values.
 """
 
+import ast
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.intervals import Interval, range_of
@@ -36,6 +37,11 @@ FORMS = "a number, a law, an expression, or a table such as { value = 1e-5, unit
 
 Content: TypeAlias = float | Law | str
 """A number, a law, or the text of an expression."""
+
+
+T = TypeVar("T")
+Evaluation: TypeAlias = Callable[[ast.expr, Callable[[str], T]], T]
+"""The value of a parsed expression, from those of its parameters by name."""
 
 
 class Parameter(NamedTuple):
@@ -80,27 +86,23 @@ class Expression(Uncertain):
 
     def at(self, values: Mapping[str, Numeric]) -> Numeric:
         """Its value where parameters have the given values, by dotted name; a missing one without a law has its own."""
-        known: dict[str, Numeric] = {}
+        return self._evaluated(values, evaluate_numbers, float)
+
+    def between(self, ends: Mapping[str, Interval]) -> Interval:
+        """An interval that holds its values where parameters lie between the given ends, by dotted name."""
+        return self._evaluated(ends, evaluate_intervals, lambda number: Interval.of(number, number))
+
+    def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
+        """The expression in numbers or in intervals, after the parameters that it depends on."""
+        known: dict[str, T] = {}
         for parameter in self.parameters:
             if parameter.dotted in values:
                 known[parameter.name] = values[parameter.dotted]
             elif isinstance(parameter.content, str):
-                known[parameter.name] = evaluate_numbers(parse_expression(parameter.content), known.__getitem__)
+                known[parameter.name] = evaluate(parse_expression(parameter.content), known.__getitem__)
             elif isinstance(parameter.content, float):
-                known[parameter.name] = parameter.content
-        return evaluate_numbers(parse_expression(self.text), known.__getitem__)
-
-    def between(self, ends: Mapping[str, Interval]) -> Interval:
-        """An interval that holds its values where parameters lie between the given ends, by dotted name."""
-        known: dict[str, Interval] = {}
-        for parameter in self.parameters:
-            if parameter.dotted in ends:
-                known[parameter.name] = ends[parameter.dotted]
-            elif isinstance(parameter.content, str):
-                known[parameter.name] = evaluate_intervals(parse_expression(parameter.content), known.__getitem__)
-            elif isinstance(parameter.content, float):
-                known[parameter.name] = Interval.of(parameter.content, parameter.content)
-        return evaluate_intervals(parse_expression(self.text), known.__getitem__)
+                known[parameter.name] = exact(parameter.content)
+        return evaluate(parse_expression(self.text), known.__getitem__)
 
     @property
     def median(self) -> float:
