@@ -7,5 +7,5 @@ import pytest
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(
     BROWSER is None,
-    reason="no Chromium on the path: pip cannot install one, as .ci/run does",
+    reason="needs Chromium, which pip cannot install; .ci/run installs it where apt-get can",
 )

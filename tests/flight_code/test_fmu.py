@@ -39,7 +39,7 @@ LEVANT = {"kind": "levant", "lipschitz": 10.0}
 
 needs_library = pytest.mark.skipif(
     platform.machine() != "x86_64",
-    reason="an FMU carries a library for x86-64 alone, and sources for other processors",
+    reason="runs the library in an FMU, which is for x86-64; other processors compile the FMU's sources",
 )
 
 
