@@ -112,7 +112,8 @@ def test_a_yaw_beyond_half_a_turn_starts_the_shorter_way_round() -> None:
 
 
 REFUSALS: list[tuple[dict[str, object], str]] = [
-    ({"reference.kind": "mission"}, "the reference moves"),
+    ({"reference.kind": "steps"}, "takes reference.kind = 'hover' or 'mission'"),
+    ({"reference.kind": "mission", "plant.vehicle.motor_lag": 0.02}, "the rotors have a lag, and the reference moves"),
     ({"wind": {"kind": "dryden", "speed": 5.0, "altitude": 10.0, "airspeed": 5.0}}, "the wind has no known bound"),
     ({"plant.inner_loop.thrust": "norm"}, "thrust is not 'projection'"),
     ({"plant.inner_loop.attitude": "rate_feed_forward"}, "attitude is not 'plain'"),

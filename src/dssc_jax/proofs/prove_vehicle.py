@@ -14,7 +14,7 @@ from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 from dssc_jax.proofs.vehicle_words import digits_above, digits_below, stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
-VEHICLE_VERSION = 1
+VEHICLE_VERSION = 2
 VEHICLE_KIND = "vehicle"
 ROOMS = (1.0, 10.0)
 """Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
@@ -116,6 +116,8 @@ class VehicleProved:
 def vehicle_words(problem: VehicleProblem) -> list[str]:
     """The vehicle's intervals, its lag and its delay, in words."""
     words = []
+    if problem.reference is not None:
+        words.append("the mission from where it begins")
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
     if problem.turn_deviation:
@@ -156,7 +158,7 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
 
 def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
     """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
-    if any(any(channel.initial) for channel in problem.channels.values()):
+    if problem.starts_away:
         in_cells = cell_bounds(problem, room)
         if not isinstance(in_cells, str):
             return cells_proof_of(problem, in_cells)

@@ -1,7 +1,8 @@
 """How far the functions of the conservative form are from straight lines, enclosed: the verifier's own.
 
 With |sigma| and |e| within a region, bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n)
-sigma|, where n is what the nominal control takes through its term 1/tau_m. The region is cut where the enclosure of a
+sigma|, where n is what the nominal control takes through its term 1/tau_m. A share of what the third holds may be taken
+from what the second holds. The region is cut where the enclosure of a
 piece exceeds what is reached at points by more than a small share.
 """
 
@@ -16,6 +17,8 @@ from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
+SHARED_ROOM = 0.02
+"""The same of what a share is taken from."""
 DISTANCE_ROUNDING = 2.0**-42
 """The same, in sizes of the function."""
 MOST_PIECES = 6000
@@ -25,34 +28,46 @@ DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 
 
 def function_distances(
-    problem: Problem, sigma: float, e: float, centre: Balls, room: float = DISTANCE_ROOM, sigma_from: float = 0.0
+    problem: Problem,
+    sigma: float,
+    e: float,
+    centre: Balls,
+    room: float = DISTANCE_ROOM,
+    sigma_from: float = 0.0,
+    share: float = 0.0,
 ) -> Balls:
     """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
 
     ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers. ``room`` is the largest excess over the
-    distances at points, as a share of them; Table 1's functions have their own.
+    distances at points, as a share of them; Table 1's functions have their own. With a ``share`` the second bound is
+    that of |phi_2 - k_2 sigma - share (phi_1 + n - (k_1 + k_n) sigma)|, with an excess of ``SHARED_ROOM``. Table 1's
+    functions take none.
     """
+    rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
     at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
+    least_rooms["phi_2"] += abs(share) * least_rooms["both"]
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
-                for name, reached in distances_at(problem, (point, point), centre).items():
+                for name, reached in distances_at(problem, (point, point), centre, share).items():
                     at_points[name] = maximum(at_points[name], reached.lower())
         remaining -= len(pieces)
         halves = []
         for low, high in pieces:
             try:
-                reached = distances_at(problem, (low, high), centre)
+                reached = distances_at(problem, (low, high), centre, share)
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
-            close = all(reached[name].upper() <= at_points[name] * (1 + room) + least_rooms[name] for name in reached)
+            close = all(
+                reached[name].upper() <= at_points[name] * (1 + rooms[name]) + least_rooms[name] for name in reached
+            )
             if not reached or (remaining > 0 and not close):
                 middle = middle_of((low, high))
                 halves += [(low, middle), (middle, high)]
@@ -63,15 +78,13 @@ def function_distances(
     return result
 
 
-def distances_at(problem: Problem, size: tuple[float, float], centre: Balls) -> Balls:
+def distances_at(problem: Problem, size: tuple[float, float], centre: Balls, share: float) -> Balls:
     """Balls of the distances for |sigma| in an interval."""
     gains = gains_at(problem, size)
     largest = arb(size[1])
-    result = {}
-    for name, names in DISTANCES.items():
-        difference = total([gains[gain] - centre[gain] for gain in names])
-        result[name] = abs(difference) * largest
-    return result
+    differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
+    differences["phi_2"] = differences["phi_2"] - arb(share) * differences["both"]
+    return {name: abs(difference) * largest for name, difference in differences.items()}
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
