@@ -1,30 +1,31 @@
 """Proofs of a vehicle whose reference moves: the nominal flight, what is left of the remainders, and flights."""
 
+import copy
+
 import numpy as np
 import pytest
+from flint import arb
 from scipy.linalg import expm
 
 import dssc_jax as dj
 from benchmarks.vehicle_proofs.designs import Design, bounds_of
 from benchmarks.vehicle_proofs.falsified import plain
 from benchmarks.vehicle_proofs.flights import fly
+from benchmarks.vehicle_proofs.problems import study_of
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
+from dssc_jax.proofs.verifier.balls import Rejected
+from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
+from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
+from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
+from dssc_jax.proofs.verifier.vehicle.responses import PHASES, seen_channel
+from dssc_jax.proofs.verifier.verdict import ball_precision
+from tests.proofs.test_vehicle_remainders import random_case
+from tests.proofs.test_vehicle_verifier import linear_proof, middles, sampled_numbers
 from tests.proofs.vehicle_cases import HOVER, problem
 from tests.proofs.vehicle_model import commanded, plane_remainders, signals_and_remainders, turned
-
-flint = pytest.importorskip("flint")
-
-from flint import arb  # noqa: E402 - after the check that it is there
-
-from dssc_jax.proofs.verifier.balls import Rejected  # noqa: E402
-from dssc_jax.proofs.verifier.vehicle.nominal import Coupling  # noqa: E402
-from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of  # noqa: E402
-from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of  # noqa: E402
-from dssc_jax.proofs.verifier.vehicle.responses import PHASES, seen_channel  # noqa: E402
-from dssc_jax.proofs.verifier.verdict import ball_precision  # noqa: E402
-from tests.proofs.test_vehicle_remainders import random_case  # noqa: E402
-from tests.proofs.test_vehicle_verifier import linear_proof, middles, sampled_numbers  # noqa: E402
 
 REFERENCE = {"x": [2.0, 4.0, 0.3], "y": [1.5, 4.0, 1.9], "z": [0.5, 3.0, 0.0], "psi": [-0.4, 4.0, 0.5]}
 DAMPING = 0.03
@@ -125,7 +126,7 @@ def test_bounds_of_the_nominal_flight_hold_a_simulated_one(name, delay):
     with ball_precision():
         seen = seen_channel(content, name, proof)
         bounds = {signal: float(bound) for signal, bound in seen.flight.items()}
-    samples = round(4 * PERIOD / content["sample_time"])
+    samples = round(3 * PERIOD / content["sample_time"])
     axes = {"x": "xy"}.get(name, [name])
     flights = [flown(content, name, axis, proof, samples, 8) for axis in axes]
     along = {"e", "e_dot", "sigma", "bend", "u_av"}
@@ -224,3 +225,62 @@ def test_no_flight_of_the_mission_leaves_a_bound(design):
     assert not flights.left().any()
     nearest = {name: share.max() for name, share in flights.shares.items()}
     assert min(nearest[name] for name in ("e_x", "e_y", "e_z", "sigma_x", "tilt", "alpha")) > 0.4
+
+
+def larger_circle(content):
+    """The vehicle follows a circle that is 5 % larger."""
+    for axis in "xy":
+        content["problem"]["reference"][axis][0] *= 1.05
+
+
+def endless_period(content):
+    """An axis has no period."""
+    content["problem"]["reference"]["z"][1] = 0.0
+
+
+def one_axis_less(content):
+    """An axis has no reference."""
+    del content["problem"]["reference"]["psi"]
+
+
+def lagging_rotors(content):
+    """The rotors lag, and the reference moves."""
+    content["problem"]["rotor_lag"] = 0.01
+
+
+def other_channels(content):
+    """The upper limits have channels of their own."""
+    content["proof"]["settled"] = {
+        name: {key: value for key, value in channel.items() if key != "bounds"}
+        for name, channel in content["proof"]["channels"].items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (larger_circle, "V4"),
+        (endless_period, "V0: reference.z"),
+        (one_axis_less, "V0"),
+        (lagging_rotors, "V0"),
+        (other_channels, "V0: settled"),
+    ],
+)
+def test_falsified_missions_are_rejected(design, change, reason):
+    """The reference belongs to the proof."""
+    content = copy.deepcopy(design.certificate)
+    change(content)
+    verdict = dj.check_certificate(content)
+    assert not verdict.proved
+    assert verdict.reason.startswith(reason)
+
+
+def test_a_mission_flies_from_its_certificate_and_has_no_monitor(design):
+    """The study of the problem has this problem; a monitor's refusal says why."""
+    content = design.certificate["problem"]
+    again = plain(vehicle_problem_of(study_of(content, 10.0)).to_dict())
+    assert again["reference"] == content["reference"]
+    assert again["channels"] == content["channels"]
+    study = dj.Study.load("hover_wind_tuned").override(MISSION)
+    with pytest.raises(ConfigError, match="a monitor watches a vehicle that hovers"):
+        certified_premises(study, design.certificate, "proof.json")

@@ -1,4 +1,4 @@
-"""Prove a hovering vehicle: search, then verify. docs/vehicle_proofs.md has the theorem."""
+"""Prove a vehicle that hovers or flies the mission: search, then verify. docs/vehicle_proofs.md has the theorem."""
 
 import json
 import math
@@ -18,6 +18,8 @@ VEHICLE_VERSION = 2
 VEHICLE_KIND = "vehicle"
 ROOMS = (1.0, 10.0)
 """Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
+ROUNDED_START = 1e-9
+"""Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
     "gain": "no bounds of the signals imply themselves",
     "sliding": "the equivalent control may exceed rho",
@@ -117,7 +119,7 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
     """The vehicle's intervals, its lag and its delay, in words."""
     words = []
     if problem.reference is not None:
-        words.append("the mission from where it begins")
+        words.append("a flight of the mission from where it begins")
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
     if problem.turn_deviation:
@@ -128,7 +130,7 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
         words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
     for name, of, unit in (("x", "in the plane", "m"), ("z", "along z", "m"), ("psi", "of yaw", "rad")):
         e, e_dot = problem.channels[name].initial
-        if e or e_dot:
+        if max(e, e_dot) > ROUNDED_START:
             words.append(f"a start within {e:.4g} {unit} and {e_dot:.4g} {unit}/s {of}")
     return words
 
