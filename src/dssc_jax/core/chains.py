@@ -4,9 +4,9 @@ The elements act on the command in their order. Those before the first one that 
 sampled command, so their output is constant. Delays commute with everything that does not depend on time, and act
 there, too, wherever they stand. The linear elements at the end are one linear system, which the loop holds exactly
 together with the plant. Whatever stands between is advanced from Gauss node to Gauss node of a step: linear elements by
-their exact solution for an input that is the straight line with the same mean and first moment, all others with their
-input at the end of each part. The error is of order 4 in the step where signals are smooth, of order 2 where a signal
-passes a corner such as a limit, and of order 1 at jumps.
+their exact solution for an input that is the straight line with the same mean and first moment, all others as if their
+input were straight between the nodes. Behind a static element the error is of order 4 in the step where signals are
+smooth, of order 2 where one passes a corner such as a limit or behind an element with a state, of order 1 at jumps.
 """
 
 import math
@@ -33,8 +33,8 @@ from dssc_jax.core.smoothness import (
 )
 
 HALF_DISTANCE = math.sqrt(3.0) / 6.0
-NODES = (0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
-"""The Gauss nodes of a step, and its end, as shares of it."""
+NODES = (0.0, 0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
+"""The start of a step, its Gauss nodes, and its end, as shares of it."""
 ORDER = 2
 """Order of the error of elements that are not linear, behind elements that move between the samples."""
 
@@ -168,7 +168,9 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         after, line = advance(params, dt)(states, command)
         if not places.linear:
             return after
-        changed, _ = linear_stage(models, places.linear, params, dt, not moving)(after, Course((command,) * 3, line))
+        changed, _ = linear_stage(models, places.linear, params, dt, not moving)(
+            after, Course((command,) * len(NODES), line)
+        )
         return tuple(changed.get(index, state) for index, state in enumerate(after))
 
     return Unmodelled(
@@ -224,49 +226,55 @@ def linear_stage(
     """Linear elements over a step by their exact solution at the nodes; ``constant`` tells that their input is."""
     system = merged(models, indices, params)
     forcing = Forcing(system.b, 1 if constant else 2)
-    transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES]
+    transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
     def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
         leaves, structure = jax.tree.flatten([states[index] for index in indices])
         line = entering.line
-        found = leaves
-        nodes = []
-        for share, transition, value in zip(NODES, transitions, entering.nodes, strict=True):
+        reached = [tuple(leaves)]
+        for share, transition in zip(NODES[1:], transitions, strict=True):
             terms = (line.mean,) if constant else (line.mean - 0.5 * line.rise, share * line.rise)
-            found = transition.apply(leaves, (terms,))
-            nodes.append(dot((*system.c, system.d), (*found, value)))
-        after = dict(zip(indices, structure.unflatten(list(found)), strict=True))
-        return after, Course(tuple(nodes), line_through(nodes))
+            reached.append(transition.apply(leaves, (terms,)))
+        row = (*system.c, system.d)
+        nodes = tuple(dot(row, (*x, value)) for x, value in zip(reached, entering.nodes, strict=True))
+        after = dict(zip(indices, structure.unflatten(list(reached[-1])), strict=True))
+        return after, Course(nodes, line_through(nodes))
 
     return stage
 
 
 def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
     """Another element over a step, from node to node; by its own moments where its input is constant."""
+    follow = model.follow or follow_mean(model)
 
     def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
-        state = states[index]
-        value = entering.nodes[-1]
+        begin = states[index]
+        start = entering.nodes[0]
+        state = model.step(params, begin, start, 0.0)
+        nodes = [model.output(params, state, start)]
+        for i, value in enumerate(entering.nodes[1:]):
+            if constant:
+                state = model.step(params, begin, value, NODES[i + 1] * dt)
+            else:
+                state = follow(params, state, entering.nodes[i], value, (NODES[i + 1] - NODES[i]) * dt)
+            nodes.append(model.output(params, state, value))
         if constant and model.moments is not None:
-            line = model.moments(params, state, value, dt)
-            state = model.step(params, state, value, dt)
-            offset = HALF_DISTANCE * line.rise
-            nodes = (line.mean - offset, line.mean + offset, model.output(params, state, value))
-            return {index: state}, Course(nodes, line)
-        found = []
-        before = 0.0
-        for share, value in zip(NODES, entering.nodes, strict=True):
-            state = model.step(params, state, value, (share - before) * dt)
-            found.append(model.output(params, state, value))
-            before = share
-        return {index: state}, Course(tuple(found), line_through(found))
+            line = model.moments(params, begin, start, dt)
+        else:
+            line = line_through(nodes)
+        return {index: state}, Course(tuple(nodes), line)
 
     return stage
 
 
+def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
+    """The ``follow`` of a model that has none: its step with the mean of its command, which is of order 2."""
+    return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
+
+
 def line_through(nodes: Sequence[Scalar]) -> Moments:
     """The moments of a signal from its values at the Gauss nodes, exact for polynomials of degree 2."""
-    first, second = nodes[:2]
+    _, first, second, _ = nodes
     return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))
 
 

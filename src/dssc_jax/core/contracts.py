@@ -336,7 +336,7 @@ class Timing(StrEnum):
 
     SAMPLED = "sampled"  # once a sample, as a computer does: it stands before everything that moves between the samples
     INVARIANT = "invariant"  # it commutes with dynamics, as a delay does: it acts before them wherever it stands
-    INSTANT = "instant"  # at every instant: between the samples, `step` advances it with its command at the step's end
+    INSTANT = "instant"  # at every instant: between the samples, `follow` advances it
 
 
 Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
@@ -369,6 +369,8 @@ class Unmodelled(NamedTuple):
         advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. Beside
             ``linear`` it advances what acts before the linear part, whose states it leaves, and gives the linear part's
             input; ``held`` then says that this input is constant from one sample to the next.
+        follow: ``(params, state, start, end, dt) -> state`` over dt while the command runs straight from start to end,
+            as behind a lag in a chain. None: ``step`` with its mean.
         order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
     """
 
@@ -386,4 +388,5 @@ class Unmodelled(NamedTuple):
     time_constant: str = ""
     timing: Timing = Timing.SAMPLED
     advance: Callable[[Params, Scalar], Mover] | None = None
+    follow: Callable[[Params, State, Scalar, Scalar, Scalar], State] | None = None
     order: int | None = None

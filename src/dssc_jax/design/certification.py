@@ -31,6 +31,7 @@ from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.references import ZERO
 from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
 from dssc_jax.study import Described, Study
+from dssc_jax.study.actuators import tables_of
 from dssc_jax.study.laws import SPREAD
 
 OUTSIDE = {
@@ -125,7 +126,7 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
         if not verdict:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
         text = "Theorem 1 certifies only the loop without unmodelled dynamics"
-        if len(study.config.actuator) > 1:
+        if len(tables_of(study.config, "unmodelled")) > 1:
             return Reach(None, f"{text}; the chain has other elements than that of {name}")
         if name.rpartition(".")[2] in LIMITS:
             return Reach(None, f"{text}; it covers no finite {name}")

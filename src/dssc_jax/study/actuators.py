@@ -101,7 +101,7 @@ def require_one_form(config: StudyTable) -> None:
 
 
 def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTable]:
-    """The tables of the parts in a slot: those of a chain, of a sum of winds, or the one of all others.
+    """The tables of the parts in a slot: those of a chain's elements, of a sum of winds, or the one of all others.
 
     Args:
         config: The study's tables.
@@ -109,7 +109,8 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
         channel: Name of a channel, whose own table overrides the common one; empty: the common ones.
     """
     if slot == SLOT and config.actuator:
-        return [table for table in config.actuator if not channel or in_channel(table, channel)]
+        acting = [table for table in config.actuator if table.get("kind") != "none"]
+        return [table for table in acting if not channel or in_channel(table, channel)]
     table = getattr(config, slot)
     if isinstance(table, list):
         return table

@@ -25,7 +25,7 @@ def time_constant_of(study: Study) -> str:
     for name, number in study.numbers.items():
         if path in number.paths:
             return name
-    rule = "chattering needs dynamics with one time constant, such as a lag"
+    rule = "chattering needs dynamics with a time constant, and with one only, such as a lag"
     raise ConfigError(f"{study.source}: {section_of(study.config, 'unmodelled')}.kind", rule)
 
 

@@ -53,6 +53,7 @@ BACKLASH = Unmodelled(
         unit_gain,
     ),
     timing=Timing.INSTANT,
+    follow=lambda params, state, start, end, dt: step(params, state, end, dt),
 )
 UNIT_GAIN = BACKLASH._replace(
     step=lambda params, state, command, dt: state,
@@ -60,4 +61,5 @@ UNIT_GAIN = BACKLASH._replace(
     sample=lambda params, state, command, key, dt: state,
     smooth=SMOOTH,
     continuous=True,
+    follow=lambda params, state, start, end, dt: state,
 )

@@ -70,7 +70,9 @@ def system(params: RationalActuatorParams) -> LinearSystem:
     zeros = rising(params.numerator)
     poles = rising(params.denominator)
     rate = 1.0 / params.unit
-    rows = [tuple(rate if j == i + 1 else 0.0 for j in range(order)) for i in range(order - 1)]
+    rows: list[tuple[Scalar, ...]] = []
+    for i in range(order - 1):
+        rows.append(tuple(rate if j == i + 1 else 0.0 for j in range(order)))
     if order:
         rows.append(tuple(0.0 if is_zero(pole) else -rate * pole for pole in poles[:-1]))
     through = zeros[-1]
