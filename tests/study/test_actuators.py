@@ -68,7 +68,7 @@ def test_both_forms_have_the_same_draws():
         ([BUS | {"smples": 1.0}], r"actuator.0.smples: unknown name; did you mean 'samples'\?"),
         ([{"mu": 0.1}], "actuator.0.kind: is required and missing"),
         ([SERVO, SERVO], "actuator.1.name: 'servo' names two elements"),
-        ([SERVO | {"name": "0"}], "actuator.0.name: must be a name .* got '0'"),
+        ([SERVO | {"name": "0"}], "actuator.0.name: string should match pattern .* got '0'"),
         ([SERVO | {"channel": "x"}], "actuator.servo.channel: must be a channel of the plant, got 'x'"),
         (
             [SERVO, {"kind": "lost_command", "probability": 0.1}],

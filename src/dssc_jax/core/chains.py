@@ -147,8 +147,8 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
     def linear_among_all(params: Values) -> LinearSystem:
         leaves = [len(jax.tree.leaves(state)) for state in init(params)]
         starts = [sum(leaves[:index]) for index in range(len(leaves))]
-        own = [starts[index] + i for index in places.linear for i in range(leaves[index])]
-        return spread(linear(params), own, sum(leaves))
+        linear_leaves = [starts[index] + i for index in places.linear for i in range(leaves[index])]
+        return spread(linear(params), linear_leaves, sum(leaves))
 
     def advance(params: Values, dt: Scalar) -> Mover:
         stages = stages_of(models, places.between, params, dt)

@@ -1,41 +1,58 @@
 """The chain of actuators ``[[actuator]]``: its tables, its elements in each channel, and its kind in words."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain as joined
 
+from pydantic import BaseModel, Field, ValidationError
+
 from dssc_jax.core.chains import Element, chain
-from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.actuators import UNMODELLED
-from dssc_jax.study.components import Component, parse_component
+from dssc_jax.study.components import Component, explain, parse_component
 from dssc_jax.study.numbers import Number
-from dssc_jax.study.schema import StudyTable
+from dssc_jax.study.schema import STRICT, StudyTable
 
 ACTUATOR = "actuator"
 SLOT = "unmodelled"
 """The slot of the loop that a chain fills."""
-LABEL = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,39}", re.ASCII)
 MOST_ELEMENTS = 12
+
+
+class ActuatorTable(BaseModel):
+    """``[[actuator]]``: an element of a chain; its other fields are those of its kind in ``[unmodelled]``."""
+
+    model_config = STRICT
+    name: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z_][A-Za-z0-9_-]{0,39}$",
+        description="name in `actuator.NAME.FIELD`; absent: its index",
+    )
+    channel: str | None = Field(default=None, description="channel of a vehicle in which it acts; absent: every one")
+
+
+ELEMENT_FIELDS = tuple(ActuatorTable.model_fields)
+"""Fields of an element beside those of its kind."""
 
 
 def labels_of(tables: list[TomlTable]) -> list[str]:
     """The name of each element, or its index if it has none.
 
     Raises:
-        ConfigError: A name is not valid, or occurs twice.
+        ConfigError: A name or a channel is not valid, or a name occurs twice.
     """
     labels: list[str] = []
     for index, table in enumerate(tables):
-        label = table.get("name", str(index))
-        place = f"{ACTUATOR}.{index}.name"
-        if "name" in table and (not isinstance(label, str) or not LABEL.fullmatch(label)):
-            rule = "must be a name of letters, digits, _ and -, at most 40, that begins with no digit"
-            raise ConfigError(place, f"{rule}, got {label!r}")
+        place = f"{ACTUATOR}.{index}"
+        with errors_under(place):
+            try:
+                label = ActuatorTable.model_validate({key: table[key] for key in ELEMENT_FIELDS if key in table}).name
+            except ValidationError as error:
+                raise explain(error, ELEMENT_FIELDS) from None
         if label in labels:
-            raise ConfigError(place, f"'{label}' names two elements")
-        labels.append(label)
+            raise ConfigError(f"{place}.name", f"'{label}' names two elements")
+        labels.append(label or str(index))
     return labels
 
 
@@ -61,7 +78,7 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
         if channel and channel not in channels:
             known = nearest(str(channel), channels) if any(channels) else "the plant has one channel without a name"
             raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {known}")
-        plain = {name: value for name, value in table.items() if name not in ("name", "channel")}
+        plain = {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
         elements.append((path, table, parse_component(plain, UNMODELLED, path)))
     components = []
     for index, channel in enumerate(channels):

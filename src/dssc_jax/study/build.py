@@ -21,7 +21,7 @@ from dssc_jax.core.quantities import extent
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.actuators import require_one_form, section_of
+from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table, explain
 from dssc_jax.study.laws import Uncertain
 from dssc_jax.study.measuring import kinds_of, measured
@@ -57,6 +57,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
     "loop.settled": SettledTable,
     "units": UnitsTable,
+    "actuator": ActuatorTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "envelope": EnvelopeTable,
