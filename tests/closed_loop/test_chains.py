@@ -277,3 +277,29 @@ def test_a_vehicle_has_the_chain_in_each_channel_that_it_names():
     chained, plain = dj.simulate(study), dj.simulate(alone)
     np.testing.assert_allclose(chained["psi_y"].values, plain["psi_y"].values, rtol=1e-8, atol=1e-12)
     assert np.abs(chained["x_y"].values - plain["x_y"].values).max() > 1e-6
+
+
+BEFORE_PENDULUM = {
+    "sampled, then linear": [{"kind": "saturation", "limit": 1.5}, {"kind": "delay", "samples": 1}, LAG | {"mu": 0.1}],
+    "rate limit, then linear": [{"kind": "rate_limit", "rate": 3.0}, LAG | {"mu": 0.1}],
+    "limit behind a lag": [LAG | {"mu": 0.1}, {"kind": "saturation", "limit": 1.5}],
+}
+
+
+@pytest.mark.parametrize("case", BEFORE_PENDULUM)
+def test_a_nonlinear_plant_behind_a_chain(case):
+    """Integrated as a whole and as a linear part with a remainder: both tend to the same, with order 4 where exact."""
+
+    def swung(plant, substeps):
+        clock = {"sample_time": 0.25, "duration": 3.0, "substeps": substeps}
+        controller = GAINS | {"l0": 1.0, "k_p": 2.0, "k_i": 0.5}
+        plant = {"kind": f"tests.closed_loop.test_hold:{plant}"}
+        return outputs(loop(BEFORE_PENDULUM[case], loop=clock, plant=plant, controller=controller))
+
+    finest = swung("PENDULUM", 256)
+    split = swung("SPLIT", 256)
+    np.testing.assert_allclose(split, finest, atol=2e-5 if case == "limit behind a lag" else 1e-8)
+    errors = np.array([np.abs(swung(plant, 4) - finest).max() for plant in ("PENDULUM", "SPLIT")])
+    finer = np.array([np.abs(swung(plant, 16) - finest).max() for plant in ("PENDULUM", "SPLIT")])
+    print(f"\n{case}: {errors} and {finer}")
+    assert np.all(finer < errors / (4.0 if case == "limit behind a lag" else 100.0))
