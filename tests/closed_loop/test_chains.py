@@ -1,6 +1,7 @@
 """Chains of actuators: against matrix exponentials of SciPy, their order, and what follows from their elements."""
 
 import control
+import jax
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
@@ -8,7 +9,7 @@ from scipy.optimize import brentq
 
 import dssc_jax as dj
 from dssc_jax.core.contracts import Unmodelled
-from dssc_jax.engine.batching import Engine, drawn
+from dssc_jax.engine.batching import Engine, drawn, lane_of_study
 from dssc_jax.engine.integration import integration_error
 from tests.closed_loop.test_hold import Pendulum
 from tests.tolerances import COMPILER
@@ -256,6 +257,30 @@ def test_machine_code_has_the_numbers_of_plain_xla():
     for name, column in scan.items():
         np.testing.assert_allclose(strict[name], column, rtol=1e-13, atol=1e-13, err_msg=name)
         np.testing.assert_allclose(fast[name], column, rtol=COMPILER, atol=1e-12, err_msg=name)
+
+
+def test_derivatives_go_through_every_element():
+    """Forward, reverse, and differences of the whole loop agree."""
+    actuators = [
+        {"kind": "dead_zone", "half_width": 0.02},
+        LAG,
+        {"kind": "rate_limit", "rate": 60.0},
+        {"kind": "backlash", "half_width": 0.05},
+        {"kind": "rational", "numerator": [1.0], "denominator": [0.01, 1.0]},
+    ]
+    study = loop(actuators, duration=0.3)
+    names = [name for name in study.numbers if name.startswith("actuator.") and not name.endswith("denominator.1")]
+    values = {name: float(study.numbers[name].value) for name in names}
+    uncertain = study.override({name: {"uniform": [0.9 * value, 1.1 * value]} for name, value in values.items()})
+    lane = lane_of_study(uncertain, axis_name=None)
+    with jax.enable_x64(True):
+        size = jax.jit(lambda values: lane(values, np.uint32(0))["error_rms"])
+        forward, reverse = jax.jacfwd(size)(values), jax.grad(size)(values)
+        for name, value in values.items():
+            h = 1e-6 * value
+            differences = (size(values | {name: value + h}) - size(values | {name: value - h})) / (2.0 * h)
+            assert float(forward[name]) == pytest.approx(float(differences), rel=1e-4, abs=1e-8), name
+            assert float(reverse[name]) == pytest.approx(float(forward[name]), rel=1e-9), name
 
 
 def test_a_vehicle_has_the_chain_in_each_channel_that_it_names():

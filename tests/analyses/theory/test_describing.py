@@ -67,6 +67,14 @@ def test_no_phase_lag_no_chattering():
         assert dj.theory.limit_cycle(chattering("smc").override({"unmodelled": lag})) is None
 
 
+def test_a_chain_of_two_lags_chatters_as_a_lag_of_order_two():
+    table = {name: value for name, value in chattering("smc").table.items() if name != "unmodelled"}
+    lag = {"kind": "lag", "mu": 0.03}
+    double = dj.theory.limit_cycle(chattering("smc").override({"unmodelled": lag | {"order": 2}}))
+    chain = dj.theory.limit_cycle(dj.Study.from_table(table | {"actuator": [lag, lag]}))
+    assert chain == pytest.approx(double, rel=1e-9)
+
+
 def test_unknown_law():
     pi = {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1.0}
     with pytest.raises(dj.ConfigError, match="the describing function of 'pi' is not known"):
