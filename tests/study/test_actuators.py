@@ -10,6 +10,7 @@ from dssc_jax.analyses.theory.local import Time
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered, reach
 from dssc_jax.exploration.sliders import sliders_of
+from dssc_jax.models.actuators.backlash import BACKLASH
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.report.diagram import words
 from tests.conftest import UNCERTAIN
@@ -18,6 +19,10 @@ BUS = {"kind": "delay", "samples": 2.0, "memory": 4}
 SERVO = {"name": "servo", "kind": "lag", "mu": {"loguniform": [0.01, 0.04]}}
 LIMIT = {"kind": "saturation", "limit": 2.0}
 TABLE = {name: value for name, value in UNCERTAIN.items() if name not in ("unmodelled", "sweep")}
+
+
+LAG = {"kind": "lag", "mu": 0.02}
+BOTH = BACKLASH._replace(held=False)
 
 
 def chained(*actuators, **changes):
@@ -74,6 +79,10 @@ def test_both_forms_have_the_same_draws():
             [SERVO, {"kind": "lost_command", "probability": 0.1}],
             "actuator.1.kind: 'lost_command' acts on the sampled command; place it before 'lag'",
         ),
+        (
+            [{"kind": "tests.study.test_actuators:BOTH", "half_width": 0.1}, LAG],
+            "actuator.0.kind: 'tests.study.test_actuators:BOTH' acts at the samples and between them; it stands alone",
+        ),
         ([BUS] * 13, "actuator: has at most 12 elements, got 13"),
     ],
 )
@@ -96,7 +105,6 @@ CHANNEL = {
     "plant": {"kind": "normal_form", "k_p": 1.3, "a_p": 0.8},
     "controller": {"kind": "pi", "l0": 4.0, "k_p": 10.0, "k_i": 5.0},
 }
-LAG = {"kind": "lag", "mu": 0.02}
 
 
 def margins(*actuators):

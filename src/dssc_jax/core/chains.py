@@ -89,12 +89,15 @@ def arrange(elements: Sequence[Element]) -> Arrangement:
     """The order in which the elements act.
 
     Raises:
-        ConfigError: One acts on the sampled command, and stands behind one that moves between the samples.
+        ConfigError: One acts on the sampled command, and stands behind one that moves between the samples; or one does
+            both.
     """
     sampled = []
     moving = []
     for index, (kind, model) in enumerate(elements):
         static = model.sample is ignore_sample
+        if model.advance is not None or not (static or model.held):
+            raise ConfigError(f"{index}.kind", f"'{kind}' acts at the samples and between them; it stands alone")
         if model.held and (not moving or (not static and model.timing == Timing.INVARIANT)):
             sampled.append(index)
         elif model.held and not static and model.timing == Timing.SAMPLED:
@@ -168,9 +171,8 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         after, line = advance(params, dt)(states, command)
         if not places.linear:
             return after
-        changed, _ = linear_stage(models, places.linear, params, dt, not moving)(
-            after, Course((command,) * len(NODES), line)
-        )
+        stage = linear_stage(models, places.linear, params, dt, constant=not moving)
+        changed, _ = stage(after, Course((command,) * len(NODES), line))
         return tuple(changed.get(index, state) for index, state in enumerate(after))
 
     return Unmodelled(
