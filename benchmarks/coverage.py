@@ -239,9 +239,8 @@ def curved(z: np.ndarray, _: np.ndarray) -> np.ndarray:
     return 4.5 - z[:, 0] - 0.1 * np.sum(z[:, 1:] ** 2, axis=1)
 
 
-CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=(1, 10, 40))[
-    0
-]
+BEND = (1.0, 10.0, 40.0)  # break points of the integration
+CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=BEND)[0]
 
 
 def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
