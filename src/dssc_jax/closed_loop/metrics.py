@@ -66,8 +66,16 @@ class Scope(StrEnum):
     VEHICLE = "vehicle"
 
 
+class Course(StrEnum):
+    """How a metric's value changes while samples are added: a bound that a rising value exceeds stays exceeded."""
+
+    RISES = "rises"
+    FALLS = "falls"
+    OPEN = "open"
+
+
 class Span(NamedTuple):
-    """Data for the final value of an accumulator: samples in the run, samples in the window, and T_s [s]."""
+    """Data for the final value of an accumulator: samples up to the end of the window, samples in it, and T_s [s]."""
 
     steps: Scalar
     inside: Scalar
@@ -87,6 +95,8 @@ class Metric(NamedTuple):
         scope: Whether the metric describes a channel or the vehicle.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
         counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
+        course: How the value changes while samples are added.
+        certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
     """
 
     unit: str
@@ -97,6 +107,11 @@ class Metric(NamedTuple):
     scope: Scope = Scope.CHANNEL
     start: Accumulator = 0.0
     counted: bool = False
+    course: Course = Course.OPEN
+    certain_after: Callable[[Accumulator], Scalar] | None = None
+
+
+RISES = Course.RISES
 
 
 def peak(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
@@ -191,9 +206,10 @@ def vehicle_metric(
     value: Callable[[Accumulator, Window, Span], Scalar],
     start: Accumulator = 0.0,
     counted: bool = False,
+    course: Course = Course.OPEN,
 ) -> Metric:
     """A metric of the vehicle."""
-    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted)
+    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted, course)
 
 
 def rotor_limited(instant: Instant) -> Scalar:
@@ -211,26 +227,32 @@ SAMPLING = ("integral_gain", "tau_m")
 FLYING = ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
-    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself),
+    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself, course=RISES),
     "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
-    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
-    "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling, counted=True),
+    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES),
+    "settling_time": Metric(
+        "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES
+    ),
     "command_tv": Metric(
-        "u", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
+        "u",
+        "total variation of the robust command u",
+        total(lambda s: jnp.abs(s.u - s.u_previous)),
+        itself,
+        course=RISES,
     ),
     "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
-    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself),
-    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
+    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES),
+    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES),
     "outside_sliding": share_of_time("outside sliding", lambda s: s.info.sliding_margin < 0.0, SLIDING),
-    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
+    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING, course=RISES),
     "sampling_ratio_above_1": share_of_time(
         "with a sampling ratio above 1", lambda s: sampling_ratio(s) > 1.0, SAMPLING
     ),
     "position_error_rms": vehicle_metric(
         "m", "rms of the position error", total(lambda i: jnp.square(position_error(i))), root_mean
     ),
-    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself),
-    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself),
+    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself, course=RISES),
+    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, course=RISES),
     "rotor_limited": vehicle_metric(
         "1", "share of time with a rotor at its limit", total(rotor_limited), mean, counted=True
     ),
@@ -241,6 +263,7 @@ METRICS: dict[str, Metric] = {
         longest,
         Stretch(),
         counted=True,
+        course=RISES,
     ),
     "lift_bounded": vehicle_metric(
         "1", "share of time with the wanted lift at its lower bound", total(lift_bounded), mean, counted=True
@@ -335,6 +358,23 @@ def starts(measures: tuple[Measure, ...]) -> tuple[Accumulator, ...]:
     return tuple(measure.metric.start for measure in measures)
 
 
+LONGEST = 2**31 - 1  # samples of a run
+
+
+def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Scalar:
+    """Number of samples up to the last one at t <= until, of a run of ``steps``, robust to rounding of t = k T_s."""
+    if math.isinf(window.until):
+        return steps
+    count = min(LONGEST, math.floor(window.until / sample_time + 1e-9) + 1)
+    return min(steps, count) if isinstance(steps, int) else jnp.minimum(steps, count)
+
+
+def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
+    """The span of a window in a run of ``steps`` samples."""
+    end = samples_before_end(window, sample_time, steps)
+    return Span(end, end - first_sample(window, sample_time), sample_time)
+
+
 def update_all(
     measures: tuple[Measure, ...], accumulators: tuple[Accumulator, ...], instant: Instant, k: Scalar, t_s: float
 ) -> tuple[Accumulator, ...]:
@@ -344,9 +384,17 @@ def update_all(
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
             new = measure.metric.update(acc, measure.of(instant), measure.window)
             require_like(new, acc)
-        start = first_sample(measure.window, t_s)
-        updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
+        inside = in_window(measure.window, k, t_s)
+        updated.append(new if inside is None else jax.tree.map(partial(jnp.where, inside), new, acc))
     return tuple(updated)
+
+
+def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
+    """Whether sample k lies in the window; None where all samples do."""
+    start = first_sample(window, sample_time)
+    if math.isinf(window.until):
+        return None if start == 0 else k >= start
+    return (k >= start) & (k < samples_before_end(window, sample_time, LONGEST))
 
 
 def values(
@@ -355,7 +403,7 @@ def values(
     """Every metric at the end of a run of ``steps`` samples."""
     computed = {}
     for measure, acc in zip(measures, accumulators, strict=True):
-        span = Span(steps, steps - first_sample(measure.window, t_s), t_s)
+        span = span_of(measure.window, steps, t_s)
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.value):
             value = measure.metric.value(acc, measure.window, span)
             require_like(value, 0.0)
@@ -364,7 +412,7 @@ def values(
 
 
 def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that a metric's code returns numbers in the structure that it began with.
+    """Require that a metric's code returns numbers, or arrays, in the structure that it began with.
 
     Raises:
         TypeError: It returns another structure, or an array.
@@ -374,5 +422,5 @@ def require_like(value: Accumulator, pattern: Accumulator) -> None:
     if structure != expected:
         raise TypeError(f"it must return {expected}, got {structure}")
     shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
-    if any(shapes):
+    if shapes != [jnp.shape(leaf) for leaf in jax.tree.leaves(pattern)]:
         raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

@@ -18,6 +18,8 @@ import numpy as np
 from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
 
 BOOL = np.dtype(bool)
+TOKEN = np.dtype(np.int8)
+"""Type of what stands for the content of a slot."""
 
 # Nodes refer to each other: one that printed its parts would print its whole program, many times over.
 
@@ -30,8 +32,8 @@ class Value:
         operation: What it is.
         dtype: Its type.
         operands: The values that it is computed from.
-        detail: The constant, the table, the number of the input, the subroutine, or the loop or branch with the
-            position in it.
+        detail: The constant, the table, the number of the input, the subroutine, the slot, or the loop or branch with
+            the position in it.
         varying: Whether it may differ between lanes.
         block: Where it is computed; None for a constant.
     """
@@ -118,6 +120,19 @@ class Record:
 @dataclass(eq=False, repr=False, slots=True)
 class Recording:
     """An array that a loop writes, by one record, and nobody reads within the program.
+
+    Args:
+        length: Number of its elements.
+        dtype: Their type.
+    """
+
+    length: int
+    dtype: np.dtype
+
+
+@dataclass(eq=False, repr=False, slots=True)
+class Slot:
+    """Memory of a lane that a loop reads and writes.
 
     Args:
         length: Number of its elements.
@@ -236,6 +251,21 @@ class Builder:
             return product
         varying = operation != "any" and any(operand.varying for operand in operands)
         return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
+
+    def memory(self, slot: Slot) -> Value:
+        """The token of a slot that is full of zeros."""
+        outermost = self.here
+        while outermost.parent is not None:
+            outermost = outermost.parent
+        return self._placed("memory", TOKEN, (), slot, True, outermost)
+
+    def read(self, slot: Slot, token: Value, index: Value) -> Value:
+        """An element of a slot."""
+        return self._placed("read", slot.dtype, (token, index), slot, True, self.here)
+
+    def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
+        """The token after an element of a slot was written, and after some reads."""
+        return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
 
     def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
         """Enter a loop; :meth:`end_loop` leaves it."""

@@ -81,8 +81,8 @@ def window_fields(absent: bool) -> dict[str, Any]:
     described = {}
     for entry in window_entries().values():
         bounds: dict[str, Any] = dict(entry.bounds)
-        if absent:
-            meaning = f"{entry.meaning}; absent: that of `[metrics]`"
+        if absent or entry.absent:
+            meaning = f"{entry.meaning}; absent: {'that of `[metrics]`' if absent else entry.absent}"
             described[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
         else:
             default = defaults[entry.key]
@@ -91,10 +91,21 @@ def window_fields(absent: bool) -> dict[str, Any]:
 
 
 class BoundedMetric(BaseModel):
-    """The metric of a requirement."""
+    """What a requirement is about."""
 
     model_config = STRICT
-    metric: str = Field(description="the bounded metric")
+    metric: str | None = Field(default=None, description="the bounded metric")
+    formula: str | None = Field(default=None, description="a formula of signal temporal logic that must be true")
+    name: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,59}$",
+        description="name of a formula in results; absent: `formula_1` for the first requirement, and so on",
+    )
+    smoothing: OptionalFinite = Field(
+        default=None,
+        ge=0.0,
+        description="width of the smooth minimum in a formula's derivatives, in its unit; 0: the minimum itself",
+    )
 
 
 UsualWindow: Any = create_model("UsualWindow", __config__=STRICT, **window_fields(absent=False))
@@ -113,14 +124,21 @@ class MetricsTable(UsualWindow):
 
 
 class RequirementTable(RequiredWindow):
-    """``[[requirement]]``: a bound on a metric. Field names are those of the file."""
+    """``[[requirement]]``: a bound on a metric, or a formula. Field names are those of the file."""
 
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
 
     @model_validator(mode="after")
     def _one_bound(self) -> "RequirementTable":
-        if (self.max is None) == (self.min is None):
+        if (self.metric is None) == (self.formula is None):
+            raise ValueError("needs a metric or a formula, and not both")
+        of_formula = {"formula", "name", "smoothing"}
+        foreign = self.model_fields_set - of_formula if self.formula else self.model_fields_set & of_formula
+        if foreign:
+            told = "a formula holds its own times and bounds" if self.formula else "only a formula has these entries"
+            raise ValueError(f"{told}; take out {', '.join(sorted(foreign))}")
+        if self.metric is not None and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         return self
 
