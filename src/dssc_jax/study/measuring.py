@@ -112,6 +112,9 @@ def measured(
             continue
         metric = short(table.metric)
         if metric not in names:
+            if metric.endswith("_margin"):
+                rule = f"'{metric}' belongs to the linearised loop, and a requirement is judged on simulated flights"
+                raise ConfigError(f"{place}.metric", f"{rule}; `dssc-jax loop` computes it for every draw")
             if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")

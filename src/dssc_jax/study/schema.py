@@ -134,9 +134,10 @@ class RequirementTable(RequiredWindow):
         if (self.metric is None) == (self.formula is None):
             raise ValueError("needs a metric or a formula, and not both")
         of_formula = {"formula", "name", "smoothing"}
-        foreign = self.model_fields_set - of_formula if self.formula else self.model_fields_set & of_formula
+        has_formula = self.formula is not None
+        foreign = self.model_fields_set - of_formula if has_formula else self.model_fields_set & of_formula
         if foreign:
-            told = "a formula holds its own times and bounds" if self.formula else "only a formula has these entries"
+            told = "a formula holds its own times and bounds" if has_formula else "only a formula has these entries"
             raise ValueError(f"{told}; take out {', '.join(sorted(foreign))}")
         if self.metric is not None and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
