@@ -14,10 +14,14 @@ import numpy as np
 
 from benchmarks.formulas.random_formulas import T_S, random_formula, random_signals, robustness, text_of
 from benchmarks.formulas.streamed import lane_of, parsed
+from benchmarks.page import put
 from dssc_jax import lanes
 
 COUNT = 1000
 STEPS = 40
+BITS = "strict machine code with plain XLA, bit by bit"
+DEFINITIONS = "with the definitions in NumPy, to 1e-13"
+RTAMT = "with rtamt, to 1e-13"
 SCALES = np.array([1.0, -0.6])
 ORACLE = Path(__file__).with_name("rtamt_oracle.py")
 
@@ -32,7 +36,7 @@ def main(interpreter: str | None) -> int:
     rng = np.random.default_rng(2026)
     began = time.perf_counter()
     tasks = []
-    agreed = {"strict machine code and plain XLA, bit by bit": 0, "the definitions": 0, "rtamt": 0}
+    agreed = {BITS: 0, DEFINITIONS: 0, RTAMT: 0}
     values = []
     for _ in range(COUNT):
         formula = random_formula(rng, 4, 24)
@@ -41,10 +45,10 @@ def main(interpreter: str | None) -> int:
             lane = lane_of(parsed(text_of(formula), T_S, STEPS), signals)
             machine, _ = lanes.compile(lane, 1.0, strict=True)(SCALES)
             plain, _ = jax.jit(jax.vmap(lane))(SCALES)
-        agreed["strict machine code and plain XLA, bit by bit"] += bool(np.array_equal(machine, plain))
+        agreed[BITS] += bool(np.array_equal(machine, plain))
         scaled = [{name: scale * column for name, column in signals.items()} for scale in SCALES]
         expected = [robustness(formula, columns, 0) for columns in scaled]
-        agreed["the definitions"] += bool(np.allclose(machine, expected, rtol=1e-13, atol=1e-13))
+        agreed[DEFINITIONS] += bool(np.allclose(machine, expected, rtol=1e-13, atol=1e-13))
         values.append(machine)
         for columns in scaled:
             lists = {name: column.tolist() for name, column in columns.items()}
@@ -55,12 +59,14 @@ def main(interpreter: str | None) -> int:
         ).stdout
         theirs = np.array(json.loads(answer)).reshape(COUNT, len(SCALES))
         close = np.isclose(np.array(values), theirs, rtol=1e-13, atol=1e-13)
-        agreed["rtamt"] = int(np.count_nonzero(close.all(1)))
+        agreed[RTAMT] = int(np.count_nonzero(close.all(1)))
     else:
-        del agreed["rtamt"]
-    for name, count in agreed.items():
-        print(f"{count} of {COUNT} formulas agree: {name}")
-    print(f"{time.perf_counter() - began:.0f} s, {len(SCALES)} flights of {STEPS} samples each")
+        del agreed[RTAMT]
+    rows = [f"| {name} | {count:,} of {COUNT:,} |" for name, count in agreed.items()]
+    table = "\n".join(["| comparison | formulas that agree in both flights |", "| --- | --- |", *rows])
+    print(f"{table}\n{time.perf_counter() - began:.0f} s")
+    if interpreter:
+        put("checked", table, Path(__file__).parents[2] / "docs" / "formulas.md")
     return 0 if set(agreed.values()) == {COUNT} else 1
 
 
