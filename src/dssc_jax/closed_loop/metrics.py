@@ -4,7 +4,6 @@ A metric consists of the start of its accumulator and two pure functions, ``upda
 >= ``after`` count.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.spans import Span, in_window, span_of
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
@@ -72,14 +72,6 @@ class Course(StrEnum):
     RISES = "rises"
     FALLS = "falls"
     OPEN = "open"
-
-
-class Span(NamedTuple):
-    """Data for the final value of an accumulator: samples up to the end of the window, samples in it, and T_s [s]."""
-
-    steps: Scalar
-    inside: Scalar
-    sample_time: float
 
 
 class Metric(NamedTuple):
@@ -348,31 +340,9 @@ def available_metrics(
     return kinds
 
 
-def first_sample(window: Window, sample_time: float) -> int:
-    """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
-    return max(0, math.ceil(window.after / sample_time - 1e-9))
-
-
 def starts(measures: tuple[Measure, ...]) -> tuple[Accumulator, ...]:
     """Every accumulator before the first sample."""
     return tuple(measure.metric.start for measure in measures)
-
-
-LONGEST = 2**31 - 1  # samples of a run
-
-
-def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Scalar:
-    """Number of samples up to the last one at t <= until, of a run of ``steps``, robust to rounding of t = k T_s."""
-    if math.isinf(window.until):
-        return steps
-    count = min(LONGEST, math.floor(window.until / sample_time + 1e-9) + 1)
-    return min(steps, count) if isinstance(steps, int) else jnp.minimum(steps, count)
-
-
-def span_of(window: Window, steps: Scalar, sample_time: float) -> Span:
-    """The span of a window in a run of ``steps`` samples."""
-    end = samples_before_end(window, sample_time, steps)
-    return Span(end, end - first_sample(window, sample_time), sample_time)
 
 
 def update_all(
@@ -387,14 +357,6 @@ def update_all(
         inside = in_window(measure.window, k, t_s)
         updated.append(new if inside is None else jax.tree.map(partial(jnp.where, inside), new, acc))
     return tuple(updated)
-
-
-def in_window(window: Window, k: Scalar, sample_time: float) -> Scalar | None:
-    """Whether sample k lies in the window; None where all samples do."""
-    start = first_sample(window, sample_time)
-    if math.isinf(window.until):
-        return None if start == 0 else k >= start
-    return (k >= start) & (k < samples_before_end(window, sample_time, LONGEST))
 
 
 def values(

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
+from dssc_jax.lanes.operations import COMPARISONS, Operation, constant_result
 
 BOOL = np.dtype(bool)
 TOKEN = np.dtype(np.int8)
@@ -396,22 +396,4 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
         for left, right in (operands, operands[::-1]):
             if left.operation == "constant" and left.detail == 1:
                 return right
-    return None
-
-
-def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
-    """The result of an operation on constants; None if it is left to the machine."""
-    with np.errstate(all="ignore"):
-        if operation in COMPARISONS:
-            return COMPARISONS[operation](*numbers)
-        if operation in ARITHMETIC:
-            return ARITHMETIC[operation](*numbers)
-        if operation == "div" and dtype.kind == "f":
-            return np.divide(*numbers)
-        if operation == "convert" and not (dtype.kind in "iu" and numbers[0].dtype.kind == "f"):
-            return np.asarray(numbers[0]).astype(dtype)
-        if operation == "bitcast":
-            return np.asarray(numbers[0]).view(dtype)
-        if operation == "lookup":
-            return detail[numbers[0]]
     return None

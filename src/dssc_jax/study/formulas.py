@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from dssc_jax.closed_loop.formulas import Always, Any, Comparison, Eventually, Every, Formula, Not, Until, horizon
+from dssc_jax.closed_loop.formula_tree import Always, Any, Comparison, Eventually, Every, Formula, Not, Until, horizon
 from dssc_jax.closed_loop.metrics import Instant
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.signals import Scalar

@@ -4,18 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from dssc_jax.closed_loop.metrics import (
-    BRIEF,
-    METRICS,
-    Measure,
-    Metric,
-    Scope,
-    first_sample,
-    samples_before_end,
-    suffixed,
-)
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.spans import first_sample, samples_before_end
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
