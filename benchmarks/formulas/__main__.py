@@ -16,6 +16,7 @@ from benchmarks.formulas.random_formulas import T_S, random_formula, random_sign
 from benchmarks.formulas.streamed import lane_of, parsed
 from benchmarks.page import put
 from dssc_jax import lanes
+from dssc_jax.engine.plain import plain_options
 
 COUNT = 1000
 STEPS = 40
@@ -44,7 +45,7 @@ def main(interpreter: str | None) -> int:
         with jax.enable_x64(True):
             lane = lane_of(parsed(text_of(formula), T_S, STEPS), signals)
             machine, _ = lanes.compile(lane, 1.0, strict=True)(SCALES)
-            plain, _ = jax.jit(jax.vmap(lane))(SCALES)
+            plain, _ = jax.jit(jax.vmap(lane), compiler_options=plain_options())(SCALES)
         agreed[BITS] += bool(np.array_equal(machine, plain))
         scaled = [{name: scale * column for name, column in signals.items()} for scale in SCALES]
         expected = [robustness(formula, columns, 0) for columns in scaled]

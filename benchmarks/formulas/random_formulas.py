@@ -39,6 +39,7 @@ def text_of(formula, interval=lambda a, b: f"[{a * T_S:g},{b * T_S:g}]"):
             return f"({text_of(before, interval)} until{interval(a, b)} {text_of(goal, interval)})"
         case (kind, first, second):
             return f"({text_of(first, interval)} {kind} {text_of(second, interval)})"
+    raise ValueError(formula)
 
 
 def robustness(formula, signals, k):
@@ -65,6 +66,7 @@ def robustness(formula, signals, k):
                 held = [robustness(before, signals, i) for i in range(k, j)]
                 found.append(min([robustness(goal, signals, j), *held]))
             return max(found)
+    raise ValueError(formula)
 
 
 def reach(formula):

@@ -3,7 +3,7 @@
 import json
 import sys
 
-import rtamt
+import rtamt  # pyright: ignore[reportMissingImports]  (of another interpreter)
 
 answers = []
 for task in json.load(sys.stdin):

@@ -25,6 +25,8 @@ def parsed(text, sample_time, steps):
 def lane_of(formula, signals, width=0.0):
     """The function ``scale -> (robustness, samples after which its sign was certain)`` of signals times a scale."""
     metric = formula_metric(formula, "1", "", width)
+    certain_after = metric.certain_after
+    assert certain_after is not None
     steps = len(signals["e"])
     columns = {name: np.asarray(column) for name, column in signals.items()}
 
@@ -36,6 +38,6 @@ def lane_of(formula, signals, width=0.0):
             return metric.update(state, instant, WHOLE_RUN)
 
         state = jax.lax.fori_loop(0, steps, sample, as_arrays(metric.start))
-        return metric.value(state, WHOLE_RUN, Span(steps, steps, 0.0)), 1.0 * metric.certain_after(state)
+        return metric.value(state, WHOLE_RUN, Span(steps, steps, 0.0)), 1.0 * certain_after(state)
 
     return lane

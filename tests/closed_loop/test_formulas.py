@@ -10,6 +10,7 @@ from benchmarks.formulas.streamed import lane_of, parsed
 from dssc_jax import lanes
 from dssc_jax.closed_loop.formulas import memory_size
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.plain import plain_options
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.lanes.passes.liveness import operation_counts
 
@@ -32,7 +33,7 @@ def test_random_formulas_have_the_robustness_of_the_definitions_by_both_programs
         assert reach(formula) < STEPS
         lane = lane_of(parsed(text_of(formula), T_S, STEPS), signals)
         values, _ = lanes.compile(lane, 1.0, strict=True)(SCALES)
-        plain, _ = jax.jit(jax.vmap(lane))(SCALES)
+        plain, _ = jax.jit(jax.vmap(lane), compiler_options=plain_options())(SCALES)
         scaled = [{name: scale * column for name, column in signals.items()} for scale in SCALES]
         expected = [robustness(formula, columns, 0) for columns in scaled]
         np.testing.assert_array_equal(values, plain)

@@ -82,7 +82,7 @@ class DelayLines:
         k: Index of the sample.
     """
 
-    def __init__(self, memory: jax.Array | None = None, k: Scalar = 0) -> None:
+    def __init__(self, memory: jax.Array | np.ndarray | None = None, k: Scalar = 0) -> None:
         self.memory = memory
         self.k = k
         self.size = 0

@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.closed_loop.formula_tree import Always, Any, Comparison, Eventually, Every, Formula, Not, Until, horizon
 from dssc_jax.closed_loop.metrics import Instant
 from dssc_jax.core.errors import nearest
@@ -73,7 +75,7 @@ class Margin:
         upper, lower = (
             evaluate_numbers(parse_expression(text), known.__getitem__) for text in (self.upper, self.lower)
         )
-        return upper - lower
+        return jnp.subtract(upper, lower)
 
 
 def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
