@@ -23,7 +23,7 @@ STEPS = 40
 BITS = "strict machine code with plain XLA, bit by bit"
 DEFINITIONS = "with the definitions in NumPy, to 1e-13"
 RTAMT = "with rtamt, to 1e-13"
-SCALES = np.array([1.0, -0.6])
+SCALES = np.array([1.0, -0.5])  # powers of two: their products are exact, contracted or not
 ORACLE = Path(__file__).with_name("rtamt_oracle.py")
 
 

@@ -14,7 +14,7 @@ from dssc_jax.engine.plain import plain_options
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.lanes.passes.liveness import operation_counts
 
-SCALES = np.array([1.0, 0.37, -1.9])
+SCALES = np.array([1.0, 0.5, -2.0])  # powers of two: their products are exact, contracted or not
 STEPS = 30
 
 
