@@ -16,14 +16,12 @@ from benchmarks.formulas.random_formulas import T_S, random_formula, random_sign
 from benchmarks.formulas.streamed import lane_of, parsed
 from benchmarks.page import put
 from dssc_jax import lanes
-from dssc_jax.engine.plain import plain_options
 
 COUNT = 1000
 STEPS = 40
-BITS = "strict machine code with plain XLA, bit by bit"
 DEFINITIONS = "with the definitions in NumPy, to 1e-13"
 RTAMT = "with rtamt, to 1e-13"
-SCALES = np.array([1.0, -0.5])  # powers of two: their products are exact, contracted or not
+SCALES = np.array([1.0, -0.6])
 ORACLE = Path(__file__).with_name("rtamt_oracle.py")
 
 
@@ -37,7 +35,7 @@ def main(interpreter: str | None) -> int:
     rng = np.random.default_rng(2026)
     began = time.perf_counter()
     tasks = []
-    agreed = {BITS: 0, DEFINITIONS: 0, RTAMT: 0}
+    agreed = {DEFINITIONS: 0, RTAMT: 0}
     values = []
     for _ in range(COUNT):
         formula = random_formula(rng, 4, 24)
@@ -45,8 +43,6 @@ def main(interpreter: str | None) -> int:
         with jax.enable_x64(True):
             lane = lane_of(parsed(text_of(formula), T_S, STEPS), signals)
             machine, _ = lanes.compile(lane, 1.0, strict=True)(SCALES)
-            plain, _ = jax.jit(jax.vmap(lane), compiler_options=plain_options())(SCALES)
-        agreed[BITS] += bool(np.array_equal(machine, plain))
         scaled = [{name: scale * column for name, column in signals.items()} for scale in SCALES]
         expected = [robustness(formula, columns, 0) for columns in scaled]
         agreed[DEFINITIONS] += bool(np.allclose(machine, expected, rtol=1e-13, atol=1e-13))
