@@ -100,7 +100,7 @@ class BoundedMetric(BaseModel):
         pattern=r"^[A-Za-z][A-Za-z0-9_]{0,59}$",
         description="name of a formula in results; absent: `formula_1` for the first requirement, and so on",
     )
-    smoothing: OptionalFinite = Field(
+    smoothing: Finite | None = Field(
         default=None,
         ge=0.0,
         description="width of the smooth minimum in a formula's derivatives, in its unit; 0: the minimum itself",
