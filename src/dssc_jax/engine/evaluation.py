@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.requirements import Requirement, binding_requirement
+from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
@@ -20,6 +20,11 @@ from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
 DIRECTION = "direction"  # index, among an evaluator's names, of the number along which a lane differentiates
+
+
+def is_differentiated(name: str) -> bool:
+    """Whether a result has derivatives: outcomes, and times that are known to the sample, have none."""
+    return name not in NOT_DIFFERENTIATED and not name.startswith(VIOLATED_AT)
 
 
 class Derivative(NamedTuple):
@@ -143,7 +148,7 @@ def metrics_and_slacks(
 
     def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
         results = plain({**values, **numbers}, index)
-        return {name: value for name, value in results.items() if name not in NOT_DIFFERENTIATED}, results
+        return {name: value for name, value in results.items() if is_differentiated(name)}, results
 
     return at
 

@@ -151,13 +151,14 @@ def parsed_parts(table: TomlTable) -> Parts:
         **{slot: part.params for slot, part in wholes.items()},
         **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
     )
+    known = kinds_of(config)
+    fields = info_fields(loop, template)
+    names = available_metrics(*fields, known)
+    measures, requirements = measured(config, names, known, channels, units, fields[1], parameters.constant)
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
     check_swept_parts(table, config, channels, numbers)
-    known = kinds_of(config)
-    names = available_metrics(*info_fields(loop, template), known)
-    measures, requirements = measured(config, names, known, channels, units)
     check_settled(loop, measures)
     return Parts(config, loop, template, units, numbers, measures, requirements)
 
