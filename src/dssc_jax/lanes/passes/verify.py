@@ -10,6 +10,7 @@ SAME_TYPE = frozenset(ARITHMETIC) | {Operation.DIV, Operation.REM}
 OPERAND_COUNTS = {
     **dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "round", "trunc", "not", "convert", "bitcast", "any"), 1),
     "lookup": 1,
+    "part": 1,
     "select": 3,
 }
 """Operands of operations that have not two."""
@@ -56,7 +57,7 @@ def verify_value(value: Value, defined: set[int]) -> None:
     require(isinstance(operation, Operation), value, "is no operation")
     for operand in operands:
         require_defined(operand, defined, operation)
-    if operation not in (Operation.INPUT, Operation.RARELY):
+    if operation not in (Operation.INPUT, Operation.RARELY, Operation.FOREIGN):
         count = OPERAND_COUNTS.get(operation, 2)
         require(len(operands) == count, value, f"takes {count} operands, got {len(operands)}")
     types = [operand.dtype for operand in operands]
@@ -72,6 +73,12 @@ def verify_value(value: Value, defined: set[int]) -> None:
         require(types[0] == value.dtype == BOOL, value, "must be of truth values")
     elif operation == Operation.RARELY:
         require(types[:2] == [BOOL, value.dtype], value, "must have a condition and a value of its type")
+    elif operation == Operation.FOREIGN:
+        require(types == [place.dtype for place in value.detail.operands], value, f"must have its types, got {types}")
+    elif operation == Operation.PART:
+        places = operands[0].detail.results
+        require(operands[0].operation == Operation.FOREIGN, value, "must be of a call")
+        require(places[value.detail].dtype == value.dtype, value, "must have the type of the result")
     elif operation == Operation.LOOKUP:
         require(types[0].kind in "iu", value, "must have an index")
         require(isinstance(value.detail, np.ndarray) and value.detail.ndim == 1, value, "must have a table")
