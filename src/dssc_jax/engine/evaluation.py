@@ -70,6 +70,22 @@ class Evaluator:
         return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
+def native_code(study: Study) -> str:
+    """The file of native code that a controller of a study calls; empty if all of its loop has derivatives."""
+    return next((controller.native for controller in study.loop.controller if controller.native), "")
+
+
+def require_derivatives(study: Study) -> None:
+    """Require that derivatives pass through the loop of a study.
+
+    Raises:
+        ConfigError: A controller is native code.
+    """
+    file = native_code(study)
+    if file:
+        raise ConfigError("controller", f"is native code ({file}), through which no derivative passes")
+
+
 @dataclass
 class GradientEvaluator(Evaluator):
     """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
@@ -91,7 +107,12 @@ class GradientEvaluator(Evaluator):
     reverse: bool = False
 
     def compiled(self) -> Engine:
-        """The program with derivatives."""
+        """The program with derivatives.
+
+        Raises:
+            ConfigError: A controller is native code.
+        """
+        require_derivatives(self.swept)
         if self.reverse:
             program = partial(reverse_mode, names=self.names)
             return Engine(self.swept, self.lanes, program=program, kernel=Form.SCAN)

@@ -17,6 +17,12 @@ from jax.interpreters import ad, batching, mlir
 
 from dssc_jax.lanes.llvm import machine
 
+WORD = 4
+"""Bytes of a word; every number has one or two of them."""
+
+ALIGNMENT = 64
+"""Bytes to which memory is aligned."""
+
 FOREIGN_CALL = "foreign_call"
 """Name of the primitive."""
 
@@ -25,7 +31,7 @@ ADDRESSES: dict[str, int] = {}
 
 
 class MemoryPlace(NamedTuple):
-    """A number in the memory of a call: its type, and its distance from the start in bytes."""
+    """A number in the memory of a call: its type, of 32 or 64 bits, and its distance from the start in bytes."""
 
     dtype: np.dtype
     offset: int
@@ -71,33 +77,60 @@ def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
     return PRIMITIVE.bind(*arrays, function=function)
 
 
-def call_batch(function: ForeignFunction, *columns: Operand) -> tuple[np.ndarray, ...]:
-    """Call a function on the host for each element of arrays of one shape."""
-    address = ADDRESSES[function.symbol]
-    called = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(address)
-    arrays = [np.asarray(column) for column in columns]
-    shape = arrays[0].shape
-    memory = np.zeros((arrays[0].size, -(-function.size // 64) * 64), np.uint8)
-    for array, place in zip(arrays, function.operands, strict=True):
-        stored_at(memory, place)[:] = array.ravel()
+def call_batch(function: ForeignFunction, given: np.ndarray) -> np.ndarray:
+    """Call a function on the host for each row of operands.
+
+    Args:
+        function: The function.
+        given: Words of 32 bits of the operands, one after another, shape (..., words).
+
+    Returns:
+        Those of the results, shape (..., words).
+    """
+    called = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
+    rows = given.reshape(-1, given.shape[-1])
+    memory = np.zeros((len(rows), -(-function.size // ALIGNMENT) * ALIGNMENT // WORD), np.uint32)
+    memory[:, words_of(function.operands)] = rows
     for lane in range(len(memory)):
         called(memory[lane].ctypes.data)
-    return tuple(stored_at(memory, place).reshape(shape) for place in function.results)
+    found = memory[:, words_of(function.results)]
+    return found.reshape(*given.shape[:-1], found.shape[-1])
 
 
-def stored_at(memory: np.ndarray, place: MemoryPlace) -> np.ndarray:
-    """The numbers at a place of each row of memory, as a view."""
-    return memory[:, place.offset : place.offset + place.dtype.itemsize].view(place.dtype)[:, 0]
+def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
+    """Positions in memory, in words of 32 bits, of the numbers at some places."""
+    positions = [np.arange(place.offset, place.offset + place.dtype.itemsize, WORD) // WORD for place in places]
+    return np.concatenate(positions)
 
 
 # The primitive
 
 
-def by_callback(*operands: jax.Array, function: ForeignFunction) -> Sequence[jax.Array]:
-    """The call in plain XLA."""
+def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Array]:
+    """The call in plain XLA.
+
+    JAX hands arrays to a callback in a thread of its own, whose precision is 32 bits whatever the trace's, and would
+    truncate longer numbers. So all of them travel as words of 32 bits.
+    """
     shape = operands[0].shape
-    results = [jax.ShapeDtypeStruct(shape, place.dtype) for place in function.results]
-    return jax.pure_callback(lambda *columns: call_batch(function, *columns), results, *operands)
+    given = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
+    count = len(words_of(function.results))
+    words = jax.ShapeDtypeStruct((*shape, count), np.uint32)
+    found = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words, given)
+    results = []
+    first = 0
+    for place in function.results:
+        size = place.dtype.itemsize // WORD
+        part = found[..., first] if size == 1 else found[..., first : first + size]
+        results.append(jax.lax.bitcast_convert_type(part, place.dtype))
+        first += size
+    return results
+
+
+def as_words(operand: jax.Array) -> jax.Array:
+    """The words of 32 bits of each number, along one more axis, the last."""
+    words = jax.lax.bitcast_convert_type(operand, jnp.uint32)
+    return words[..., None] if operand.dtype.itemsize == WORD else words
 
 
 def abstract(*operands: jax.core.ShapedArray, function: ForeignFunction) -> list[jax.core.ShapedArray]:

@@ -11,7 +11,7 @@ from dssc_jax.analyses.falsification.search_sets import SearchSet
 from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
-from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator, native_code
 from dssc_jax.study import Study
 
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
@@ -21,18 +21,21 @@ MEMBERS_PER_COORDINATE = 4  # of the evolution, for each coordinate
 
 
 class Programs(NamedTuple):
-    """The compiled study with and without derivatives, shared by searches of one budget; each compiles on first use."""
+    """The compiled study without and with derivatives, shared by searches of one budget; each compiles on first use.
+
+    A study with native code has no derivatives.
+    """
 
     study: Study
     plain: Evaluator
-    steep: Evaluator
+    steep: Evaluator | None
 
     @classmethod
     def of(cls, study: Study, budget: int) -> "Programs":
         """The programs of a study without a sweep."""
         lanes = max(spread(budget), members(budget, len(study.laws)))
         climbs = climbers(budget, len(study.laws))
-        steep = GradientEvaluator(study, {}, climbs, names=list(study.laws))
+        steep = None if native_code(study) else GradientEvaluator(study, {}, climbs, names=list(study.laws))
         return cls(study, Evaluator(study, {}, min(BLOCK, lanes)), steep)
 
 
@@ -135,8 +138,13 @@ class Hunt:
         return points[[*chosen, *remaining][:count]]
 
     def climb(self) -> None:
-        """Run projected gradient descents of the slack simultaneously, each with its own step length."""
+        """Run projected gradient descents of the slack simultaneously, each with its own step length.
+
+        Without derivatives there are none, and evolution gets their share of the budget.
+        """
         cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
+        if evaluator is None:
+            return
         points = self.starts(climbers(self.budget, self.size))
         if len(points) * cost > room:
             return

@@ -5,19 +5,8 @@ the lane's operands in their places, calls, and collects the results in a second
 lane, so that no lane sees what another one left.
 """
 
-import numpy as np
-
-from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace
-from dssc_jax.lanes.interface import stored_type
-
-ALIGNMENT = 64
-TYPES = {"f4": "float", "f8": "double", "i1": "i8", "i2": "i16", "i4": "i32", "i8": "i64"}
-
-
-def memory_type(dtype: np.dtype) -> str:
-    """LLVM's type of a number in memory."""
-    stored = stored_type(dtype)
-    return TYPES[f"{'f' if stored.kind == 'f' else 'i'}{stored.itemsize}"]
+from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
+from dssc_jax.lanes.llvm.instructions import scalar_type
 
 
 def column_offsets(places: tuple[MemoryPlace, ...], width: int) -> list[int]:
@@ -63,7 +52,7 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
 
 def moved(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
     """The lines that move one number of the present lane between its column of a buffer and the memory."""
-    kind, align = memory_type(place.dtype), place.dtype.itemsize
+    kind, align = scalar_type(place.dtype), place.dtype.itemsize
     buffer, start = column
     source, target = (f"%{name}e", f"%{name}m") if to_memory else (f"%{name}m", f"%{name}e")
     return [

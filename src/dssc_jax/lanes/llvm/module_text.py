@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dssc_jax.lanes.foreign import ForeignFunction
+from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
@@ -217,7 +217,7 @@ class Emitter(Instructions):
         for places in (function.operands, function.results):
             *offsets, size = foreign_calls.column_offsets(places, self.width)
             buffer = f"%{self.fresh('buffer')}"
-            self.allocated.append(f"  {buffer} = alloca [{size} x i8], align {foreign_calls.ALIGNMENT}")
+            self.allocated.append(f"  {buffer} = alloca [{size} x i8], align {ALIGNMENT}")
             buffers.append((buffer, list(zip(places, offsets, strict=True))))
         (given, operands), (found, results) = buffers
         for operand, (_, offset) in zip(value.operands, operands, strict=True):
@@ -233,11 +233,8 @@ class Emitter(Instructions):
 
     def taken(self, buffer: str, offset: int, dtype: np.dtype) -> str:
         """A value of each lane from a buffer."""
-        stored = stored_type(dtype)
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
-        return self.from_memory(
-            dtype, True, self.emit(f"load {self.kind(stored, True)}, ptr {place}, align {stored.itemsize}")
-        )
+        return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
     def inverted(self, condition: str, wide: bool) -> str:
         """Where a condition does not hold."""

@@ -7,7 +7,7 @@ from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.foreign import FOREIGN_CALL
 from dssc_jax.lanes.program import Builder, Value
-from dssc_jax.lanes.tracing.specification import SCALARS, Parameters, TranslationRule, anything, rule
+from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, TranslationRule, anything, rule
 
 
 def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Value]:
@@ -15,5 +15,5 @@ def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, eq
     return build.foreign(params["function"], operands)
 
 
-FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, SCALARS, function=anything)}
+FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, NUMBER_TYPES, function=anything)}
 """The rule of the one primitive that calls C."""

@@ -1,0 +1,105 @@
+"""Native code that a study's tables name: files of shared objects, bound to the study by the digest of their content."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.libraries import LOADED, allow_native, library_digest
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.controllers.library import KIND
+
+
+class NativeFile(NamedTuple):
+    """A shared object as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
+
+    file: str
+    sha256: str
+
+    @property
+    def loaded(self) -> bool:
+        """Whether this process has loaded it."""
+        return self.sha256 in LOADED
+
+    @property
+    def text(self) -> str:
+        """File and digest in words."""
+        place = f" from {self.place}" if self.place else ""
+        return f"native code {self.file}{place}, SHA-256 {self.sha256 or 'unknown'}"
+
+    @property
+    def place(self) -> str | None:
+        """The file that this process has loaded; None if it has not."""
+        return LOADED[self.sha256].file if self.loaded else None
+
+
+def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
+    """The shared objects that a study's tables name, in order; the table need not be valid."""
+    found: list[NativeFile] = []
+    for part in library_tables(table):
+        digest = part.get("sha256", "")
+        found.append(NativeFile(str(part["file"]), digest if isinstance(digest, str) else ""))
+    return tuple(dict.fromkeys(found))
+
+
+def library_tables(node: object) -> Iterator[Mapping[str, object]]:
+    """The tables that name a shared object."""
+    if isinstance(node, Mapping):
+        if node.get("kind") == KIND and isinstance(node.get("file"), str):
+            yield node
+        for value in node.values():
+            yield from library_tables(value)
+    elif isinstance(node, list | tuple):
+        for value in node:
+            yield from library_tables(value)
+
+
+def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
+    """A study's table in which each shared object has its digest, read from its file if the table has none.
+
+    Args:
+        table: The study's table.
+        folder: The folder that names of files are relative to.
+
+    Raises:
+        ConfigError: A file cannot be read.
+    """
+    return {name: value if name == "parameters" else digested(value, folder) for name, value in table.items()}
+
+
+def digested(node: object, folder: Path) -> object:
+    """A part of a study's table with digests."""
+    if isinstance(node, list):
+        return [digested(value, folder) for value in node]
+    if not isinstance(node, Mapping):
+        return node
+    inside = {name: digested(value, folder) for name, value in node.items()}
+    if any(part is node for part in library_tables(node)) and not node.get("sha256"):
+        inside["sha256"] = library_digest(folder / str(node["file"]))
+    return inside
+
+
+def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
+    """Load the shared objects that a study's tables name; see :func:`dssc_jax.core.native.libraries.allow_native`.
+
+    Args:
+        table: The study's table, with digests.
+        folders: Where to look for the files; the first that exists is taken, and must have the digest.
+        recorded: What a stored result tells of its code, with the file that the run used.
+
+    Raises:
+        ConfigError: A file is not found, has another digest, or cannot be loaded.
+    """
+    for native in native_files(table):
+        if native.loaded:
+            continue
+        places = [folder / native.file for folder in folders]
+        entry = recorded.get(native.file) if isinstance(recorded, Mapping) else None
+        earlier = entry.get("file") if isinstance(entry, Mapping) else None
+        places += [Path(earlier)] if isinstance(earlier, str) else []
+        for place in places:
+            if place.is_file():
+                allow_native(place, native.sha256)
+                break
+        else:
+            raise ConfigError("file", f"'{native.file}' is not found; looked for {', '.join(map(str, places))}")
