@@ -1,4 +1,4 @@
-"""Native code that a study's tables name: files of shared objects, bound to the study by the digest of their content."""
+"""Native code that a study's tables name: files of shared objects, bound to the study by their digests."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -23,9 +23,9 @@ from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
+from dssc_jax.study.native import with_digests
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
-from dssc_jax.study.native import with_digests
 from dssc_jax.study.parameters import TEXTS, named_in
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable

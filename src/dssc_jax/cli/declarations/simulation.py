@@ -10,7 +10,6 @@ from dssc_jax.cli.declarations.types import (
     Json,
     Local,
     Native,
-    Native,
     NoCheck,
     OutputOptions,
     ResultArgument,

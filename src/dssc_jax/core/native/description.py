@@ -1,9 +1,10 @@
 """What a shared object says of its controllers, as ``dssc_jax_library.h`` lays it out."""
 
 import ctypes
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
@@ -15,13 +16,13 @@ VERSION = 1
 MOST_CONTROLLERS = 64
 MOST_NUMBERS = 256
 MOST_BYTES = 1 << 16
+TINY = float(np.finfo(np.float32).tiny)
+"""A least value that is positive and not larger stands for "above 0"."""
+
 SIGNALS = 5
 COMMANDS = 2
 TAKEN = ("kind", "file", "name", "sha256", "flag")
 """Names in a study's table that no parameter may have, and the name of the flag among the telemetry."""
-
-Call: TypeAlias = Callable[[int | None], None]
-"""A function of an exchange's address."""
 
 CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
@@ -199,9 +200,11 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
         name = text_of(row.name)
         if not (name.isidentifier() and name.isascii()) or name in numbers or name in TAKEN or name.startswith("_"):
             raise ConfigError("", f"has a number {name!r} in its controller {controller}; choose another name")
-        low = None if row.low == -float("inf") else row.low
-        high = None if row.high == float("inf") else row.high
+        low = None if row.low == -math.inf else row.low
+        high = None if row.high == math.inf else row.high
         quantity = Quantity(text_of(row.unit), text_of(row.meaning), at_least=low, at_most=high)
+        if low is not None and 0.0 < low <= TINY:
+            quantity = replace(quantity, at_least=None, above=0.0)
         numbers[name] = NativeNumber(name, quantity, row.offset)
     return tuple(numbers.values())
 

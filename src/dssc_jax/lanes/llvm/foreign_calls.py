@@ -9,13 +9,24 @@ from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.llvm.instructions import scalar_type
 
 
-def column_offsets(places: tuple[MemoryPlace, ...], width: int) -> list[int]:
-    """Where the vector of each number begins in a buffer, and the size of the buffer."""
-    offsets = [0]
+def column_bytes(place: MemoryPlace, width: int) -> int:
+    """Bytes of a buffer that the vector of a number takes."""
+    return -(-place.dtype.itemsize * width // ALIGNMENT) * ALIGNMENT
+
+
+def buffer_bytes(places: tuple[MemoryPlace, ...], width: int) -> int:
+    """Bytes of a buffer for the vectors of some numbers."""
+    return sum(column_bytes(place, width) for place in places)
+
+
+def columns(places: tuple[MemoryPlace, ...], width: int) -> list[tuple[MemoryPlace, int]]:
+    """Each number, and where its vector begins in a buffer."""
+    pairs: list[tuple[MemoryPlace, int]] = []
+    start = 0
     for place in places:
-        size = place.dtype.itemsize * width
-        offsets.append(offsets[-1] + -(-size // ALIGNMENT) * ALIGNMENT)
-    return offsets
+        pairs.append((place, start))
+        start += column_bytes(place, width)
+    return pairs
 
 
 def over_lanes(function: ForeignFunction, width: int) -> str:
@@ -34,10 +45,10 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
         "  %i = phi i64 [ 0, %entry ], [ %next, %lane ]",
         f"  call void @llvm.memset.p0.i64(ptr align {ALIGNMENT} %memory, i8 0, i64 {function.size}, i1 false)",
     ]
-    for number, (place, start) in enumerate(zip(function.operands, column_offsets(function.operands, width)[:-1])):
+    for number, (place, start) in enumerate(columns(function.operands, width)):
         lines += moved(f"a{number}", place, ("%in", start), to_memory=True)
     lines.append(f"  call void @{function.symbol}(ptr %memory)")
-    for number, (place, start) in enumerate(zip(function.results, column_offsets(function.results, width)[:-1])):
+    for number, (place, start) in enumerate(columns(function.results, width)):
         lines += moved(f"r{number}", place, ("%out", start), to_memory=False)
     return [
         *lines,

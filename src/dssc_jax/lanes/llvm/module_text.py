@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction
+from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
@@ -213,18 +213,22 @@ class Emitter(Instructions):
         """A call of a function of C for each lane; the register of its first result."""
         self.called[function.symbol] = function
         self.declared |= {f"declare void @{function.symbol}(ptr)", "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"}
-        buffers = []
-        for places in (function.operands, function.results):
-            *offsets, size = foreign_calls.column_offsets(places, self.width)
-            buffer = f"%{self.fresh('buffer')}"
-            self.allocated.append(f"  {buffer} = alloca [{size} x i8], align {ALIGNMENT}")
-            buffers.append((buffer, list(zip(places, offsets, strict=True))))
-        (given, operands), (found, results) = buffers
+        given = self.buffer(function.operands)
+        found = self.buffer(function.results)
+        operands = foreign_calls.columns(function.operands, self.width)
         for operand, (_, offset) in zip(value.operands, operands, strict=True):
             self.put(given, offset, operand)
         self.lines.append(f"  call void @{foreign_calls.over_lanes(function, self.width)}(ptr {given}, ptr {found})")
+        results = foreign_calls.columns(function.results, self.width)
         self.parts[id(value)] = [self.taken(found, offset, place.dtype) for place, offset in results]
         return self.parts[id(value)][0]
+
+    def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
+        """Memory for the vectors of some numbers, reserved once."""
+        name = f"%{self.fresh('buffer')}"
+        size = foreign_calls.buffer_bytes(places, self.width)
+        self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
+        return name
 
     def put(self, buffer: str, offset: int, value: Value) -> None:
         """Store a value for each lane in a buffer."""

@@ -1,4 +1,4 @@
-"""A controller in C: the functions ``init``, ``reset`` and ``step`` of a shared object, called for each draw and sample.
+"""A controller in C: ``init``, ``reset`` and ``step`` of a shared object, called for each draw and sample.
 
 Its parameters are gains that may have laws. Its memory beside them is the state, as words of the size of its numbers: a
 call gets the words and gives the next ones, so the controller is a pure function like any other. It computes in its own
@@ -15,7 +15,7 @@ import numpy as np
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
-from dssc_jax.core.native.description import NativeController, NativeNumber
+from dssc_jax.core.native.description import NativeController
 from dssc_jax.core.native.libraries import LOADED, NativeLibrary, initial_memory, provided
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
@@ -32,7 +32,9 @@ MODULE = "dssc_jax_library"
 """Module that the types of a library's parameters and telemetry seem to come from; nothing describes them by name."""
 
 FLAG = Quantity("1", "what the step returned: 0, or a number that tells why the command is not the usual one")
-WITHOUT_DERIVATIVE = "is native code, which has no derivative; what samples draws (run, margin, compare, sensitivity, falsify) needs none"
+WITHOUT_DERIVATIVE = (
+    "is native code, which has no derivative; what samples draws (run, margin, compare, falsify) needs none"
+)
 
 Words: TypeAlias = tuple[jax.Array, ...]
 """The state: the controller's memory beside its parameters, in words of the size of its numbers."""
@@ -129,9 +131,12 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
 
 def gains_type(controller: NativeController, defaults: list[float]) -> Any:
     """The type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
-    fields = {number.name: (number.quantity, value) for number, value in zip(controller.parameters, defaults)}
-    fields.setdefault("l0", (L0, 1.0))
-    return named_type("Gains", {name: pair[0] for name, pair in fields.items()}, [pair[1] for pair in fields.values()])
+    quantities = {number.name: number.quantity for number in controller.parameters}
+    values = dict(zip(quantities, defaults, strict=True))
+    if "l0" not in values:
+        quantities["l0"] = L0
+        values["l0"] = 1.0
+    return named_type("Gains", quantities, list(values.values()))
 
 
 def info_type(controller: NativeController) -> Any:
@@ -142,7 +147,7 @@ def info_type(controller: NativeController) -> Any:
 
 def named_type(name: str, quantities: dict[str, Quantity], defaults: list[float] | None) -> Any:
     """A NamedTuple type of numbers."""
-    created = namedtuple(name, list(quantities), defaults=defaults, module=MODULE)  # noqa: PYI024
+    created = namedtuple(name, list(quantities), defaults=defaults, module=MODULE)
     created.__annotations__ = {field: Annotated[Scalar, quantity] for field, quantity in quantities.items()}
     return created
 
