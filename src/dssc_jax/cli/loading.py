@@ -15,7 +15,7 @@ from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result, load_result
 from dssc_jax.study import Study, read_toml
-from dssc_jax.study.code import describe_code, folders_of
+from dssc_jax.study.code import describe_modules, folders_of
 from dssc_jax.study.importing import allow_imports
 from dssc_jax.study.library import find
 from dssc_jax.study.native import load_native, native_files
@@ -118,7 +118,7 @@ def show_code(subject: str, table: Mapping[str, object], recorded: Manifest | No
         table: The table that names it.
         recorded: The code that a stored result ran.
     """
-    if names := describe_code(table, recorded):
+    if names := describe_modules(table, recorded):
         say(f"this {subject} runs code: {names}")
 
 

@@ -73,7 +73,13 @@ def folders_of(modules: object) -> tuple[Path, ...]:
 
 
 def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
-    """Describe each piece of code that a study refers to and its file; empty if there is none.
+    """Describe all code that a study refers to, native code too; arguments as for :func:`describe_modules`."""
+    parts = [describe_modules(table, modules), *(native.text for native in native_files(table))]
+    return "; ".join(filter(None, parts))
+
+
+def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
+    """Describe each ``module:object`` that a study refers to and its file; empty if there is none.
 
     Args:
         table: The study's table.
@@ -90,4 +96,4 @@ def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | N
         else:
             changed = bool(known) and known.get("sha256") != present["sha256"]
             lines.append(f"{name} from {present['file']}{', changed since the run' * changed}")
-    return "; ".join([*lines, *(native.text for native in native_files(table))])
+    return "; ".join(lines)

@@ -118,6 +118,16 @@ def initial_memory(controller: NativeController) -> np.ndarray:
     return memory
 
 
+def default_values(controller: NativeController) -> dict[str, float]:
+    """The values of the parameters after ``init``, by name."""
+    memory = initial_memory(controller)
+    real = np.dtype(f"f{controller.real}")
+    found: dict[str, float] = {}
+    for number in controller.parameters:
+        found[number.name] = float(memory[number.offset : number.offset + controller.real].view(real)[0])
+    return found
+
+
 def require_reentrant(controller: NativeController) -> None:
     """Require that two flights do not disturb each other: each gives the same bits alone and in turn with the other.
 

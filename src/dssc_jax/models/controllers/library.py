@@ -16,7 +16,7 @@ import numpy as np
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import LOADED, NativeLibrary, initial_memory, provided
+from dssc_jax.core.native.libraries import LOADED, NativeLibrary, default_values, initial_memory, provided
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
@@ -73,9 +73,6 @@ class NativeCalls:
         self.step = ForeignFunction(symbols["step"], size, parameters + words + signals, results)
         memory = np.append(initial_memory(controller), np.zeros(controller.real, np.uint8))
         self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
-        self.defaults = [
-            float(memory[place.offset : place.offset + controller.real].view(real)[0]) for place in parameters
-        ]
 
     def values(self, gains: Params) -> list[Scalar]:
         """The parameters in the order of the library."""
@@ -120,7 +117,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         return words, Command(robust, nominal), info(*reported)
 
     return Controller(
-        gains_type(controller, calls.defaults),
+        gains_type(controller, default_values(controller)),
         init,
         step,
         smooth=not_smooth(WITHOUT_DERIVATIVE),
@@ -129,25 +126,22 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
     )
 
 
-def gains_type(controller: NativeController, defaults: list[float]) -> Any:
+def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
     """The type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
     quantities = {number.name: number.quantity for number in controller.parameters}
-    values = dict(zip(quantities, defaults, strict=True))
-    if "l0" not in values:
-        quantities["l0"] = L0
-        values["l0"] = 1.0
-    return named_type("Gains", quantities, list(values.values()))
+    return named_type("Gains", {"l0": L0} | quantities, {"l0": 1.0} | defaults)
 
 
 def info_type(controller: NativeController) -> Any:
     """The type of what the controller reports: its telemetry, and the flag of its step."""
     reported = {number.name: number.quantity for number in controller.telemetry}
-    return named_type("Info", {**reported, "flag": FLAG}, None)
+    return named_type("Info", {**reported, "flag": FLAG}, {})
 
 
-def named_type(name: str, quantities: dict[str, Quantity], defaults: list[float] | None) -> Any:
-    """A NamedTuple type of numbers."""
-    created = namedtuple(name, list(quantities), defaults=defaults, module=MODULE)
+def named_type(name: str, quantities: dict[str, Quantity], defaults: dict[str, float]) -> Any:
+    """A NamedTuple type of numbers, all of which have defaults, or none."""
+    values = [defaults[field] for field in quantities] if defaults else None
+    created = namedtuple(name, list(quantities), defaults=values, module=MODULE)
     created.__annotations__ = {field: Annotated[Scalar, quantity] for field, quantity in quantities.items()}
     return created
 
