@@ -10,8 +10,10 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.fmu import COMPILERS, compiler
 from dssc_jax.flight_code.template_files import FOLDER
 
-FLAGS = ("-O2", "-ffp-contract=off", "-shared", "-fPIC", "-Wall", "-DDSSC_JAX_LIBRARY")
-FLAGS += ("-Werror=implicit-function-declaration",)
+FLAGS = (
+    *("-O2", "-ffp-contract=off", "-shared", "-fPIC", "-DDSSC_JAX_LIBRARY"),
+    *("-Wall", "-Werror=implicit-function-declaration"),
+)
 """Without contraction the bits are the same on every machine. The macro asks for the description."""
 
 

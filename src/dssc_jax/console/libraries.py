@@ -1,4 +1,4 @@
-"""What a library of controllers in C exports: its controllers, their parameters and telemetry, and the study's lines."""
+"""What a library of controllers in C exports: controllers, their parameters and telemetry, and the study's lines."""
 
 from functools import partial
 from pathlib import Path
@@ -68,9 +68,8 @@ def show_library(library: NativeLibrary, file: Path) -> None:
     say = partial(output().print, soft_wrap=True, markup=False)
     several = len(library.controllers) > 1
     for name, summary in library_summary(library)["controllers"].items():
-        say(
-            f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits, {summary['bytes']} bytes a flight"
-        )
+        memory = f"{summary['bytes']} bytes a flight"
+        say(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
         rows = []
         for parameter, described in summary["parameters"].items():
             default = f"{described['default']:g}"

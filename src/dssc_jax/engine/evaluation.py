@@ -107,12 +107,7 @@ class GradientEvaluator(Evaluator):
     reverse: bool = False
 
     def compiled(self) -> Engine:
-        """The program with derivatives.
-
-        Raises:
-            ConfigError: A controller is native code.
-        """
-        require_derivatives(self.swept)
+        """The program with derivatives."""
         if self.reverse:
             program = partial(reverse_mode, names=self.names)
             return Engine(self.swept, self.lanes, program=program, kernel=Form.SCAN)
@@ -120,7 +115,12 @@ class GradientEvaluator(Evaluator):
         return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
-        """Results of each lane, as in :class:`Evaluator`, and their derivatives."""
+        """Results of each lane, as in :class:`Evaluator`, and their derivatives.
+
+        Raises:
+            ConfigError: A controller is native code.
+        """
+        require_derivatives(self.swept)
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)

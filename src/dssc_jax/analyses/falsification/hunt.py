@@ -21,21 +21,18 @@ MEMBERS_PER_COORDINATE = 4  # of the evolution, for each coordinate
 
 
 class Programs(NamedTuple):
-    """The compiled study without and with derivatives, shared by searches of one budget; each compiles on first use.
-
-    A study with native code has no derivatives.
-    """
+    """The compiled study with and without derivatives, shared by searches of one budget; each compiles on first use."""
 
     study: Study
     plain: Evaluator
-    steep: Evaluator | None
+    steep: Evaluator
 
     @classmethod
     def of(cls, study: Study, budget: int) -> "Programs":
         """The programs of a study without a sweep."""
         lanes = max(spread(budget), members(budget, len(study.laws)))
         climbs = climbers(budget, len(study.laws))
-        steep = None if native_code(study) else GradientEvaluator(study, {}, climbs, names=list(study.laws))
+        steep = GradientEvaluator(study, {}, climbs, names=list(study.laws))
         return cls(study, Evaluator(study, {}, min(BLOCK, lanes)), steep)
 
 
@@ -140,11 +137,11 @@ class Hunt:
     def climb(self) -> None:
         """Run projected gradient descents of the slack simultaneously, each with its own step length.
 
-        Without derivatives there are none, and evolution gets their share of the budget.
+        Native code has no derivatives; then evolution gets this share of the budget.
         """
-        cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
-        if evaluator is None:
+        if native_code(self.programs.study):
             return
+        cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
         points = self.starts(climbers(self.budget, self.size))
         if len(points) * cost > room:
             return
