@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -133,9 +134,9 @@ def as_words(operand: jax.Array) -> jax.Array:
     return words[..., None] if operand.dtype.itemsize == WORD else words
 
 
-def abstract(*operands: jax.core.ShapedArray, function: ForeignFunction) -> list[jax.core.ShapedArray]:
+def abstract(*operands: ShapedArray, function: ForeignFunction) -> list[ShapedArray]:
     """Shapes and types of the results."""
-    return [jax.core.ShapedArray(operands[0].shape, place.dtype) for place in function.results]
+    return [ShapedArray(operands[0].shape, place.dtype) for place in function.results]
 
 
 def batched(

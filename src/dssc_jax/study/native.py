@@ -9,6 +9,9 @@ from dssc_jax.core.native.libraries import LOADED, allow_native, library_digest
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers.library import KIND
 
+SLOTS = ("controller", "compare")
+"""The tables of a study whose parts may be native code."""
+
 
 class NativeFile(NamedTuple):
     """A shared object as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
@@ -42,16 +45,23 @@ def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def library_tables(node: object) -> Iterator[Mapping[str, object]]:
-    """The tables that name a shared object."""
-    if isinstance(node, Mapping):
-        if node.get("kind") == KIND and isinstance(node.get("file"), str):
-            yield node
-        for value in node.values():
-            yield from library_tables(value)
-    elif isinstance(node, list | tuple):
-        for value in node:
-            yield from library_tables(value)
+def library_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
+    """The tables of controllers that name a shared object; a part without a kind has that of ``[controller]``."""
+    controller = table.get("controller")
+    kind = controller.get("kind") if isinstance(controller, Mapping) else None
+    for slot in SLOTS:
+        yield from tables_of_kind(table.get(slot), kind)
+
+
+def tables_of_kind(node: object, inherited: object) -> Iterator[Mapping[str, object]]:
+    """A table and those within it that name a shared object, where the surrounding table has a kind."""
+    if not isinstance(node, Mapping):
+        return
+    kind = node.get("kind", inherited)
+    if kind == KIND and isinstance(node.get("file"), str):
+        yield node
+    for part in node.values():
+        yield from tables_of_kind(part, kind)
 
 
 def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
@@ -64,19 +74,30 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     Raises:
         ConfigError: A file cannot be read.
     """
-    return {name: value if name == "parameters" else digested(value, folder) for name, value in table.items()}
+    naming = list(library_tables(table))
+    if not naming:
+        return dict(table)
+    return {name: digested(value, naming, folder) if name in SLOTS else value for name, value in table.items()}
 
 
-def digested(node: object, folder: Path) -> object:
-    """A part of a study's table with digests."""
-    if isinstance(node, list):
-        return [digested(value, folder) for value in node]
+def digested(node: object, naming: Sequence[Mapping[str, object]], folder: Path) -> object:
+    """A part of a study's table, in which the tables that name a shared object have its digest."""
     if not isinstance(node, Mapping):
         return node
-    inside = {name: digested(value, folder) for name, value in node.items()}
-    if any(part is node for part in library_tables(node)) and not node.get("sha256"):
+    inside = {name: digested(value, naming, folder) for name, value in node.items()}
+    if any(part is node for part in naming) and not node.get("sha256"):
         inside["sha256"] = library_digest(folder / str(node["file"]))
     return inside
+
+
+def with_other_files(changes: Mapping[str, object]) -> dict[str, object]:
+    """Changes of a study by dotted name, in which another shared object does not keep the digest of the old one."""
+    fresh: dict[str, object] = {}
+    for name in changes:
+        slot, _, field = name.partition(".")
+        if slot in SLOTS and field.rpartition(".")[2] == "file":
+            fresh[f"{name.removesuffix('file')}sha256"] = ""
+    return {**fresh, **changes}
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
