@@ -179,7 +179,11 @@ UNLOADED = Controller(
 
 LIBRARY = Entry(
     {None: UNLOADED},
-    "a controller in C of your own: `file` is a shared object built by dssc-jax library, its parameters are the fields",
+    "a controller in C of your own; the parameters that its file exports are further fields",
     loaded=loaded_controller,
-    keys=("file", "name", "sha256"),
+    keys={
+        "file": "shared object, relative to the study's folder; `dssc-jax library` builds one",
+        "name": "which of its controllers, if it has several",
+        "sha256": "digest of the file, which must match; read from the file if absent",
+    },
 )
