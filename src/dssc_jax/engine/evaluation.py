@@ -76,6 +76,22 @@ class Evaluator:
         return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
+def native_code(study: Study) -> str:
+    """The file of native code that a controller of a study calls; empty if all of its loop has derivatives."""
+    return next((controller.native for controller in study.loop.controller if controller.native), "")
+
+
+def require_derivatives(study: Study) -> None:
+    """Require that derivatives pass through the loop of a study.
+
+    Raises:
+        ConfigError: A controller is native code.
+    """
+    file = native_code(study)
+    if file:
+        raise ConfigError("controller", f"is native code ({file}), through which no derivative passes")
+
+
 @dataclass
 class GradientEvaluator(Evaluator):
     """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
@@ -105,7 +121,12 @@ class GradientEvaluator(Evaluator):
         return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
-        """Results of each lane, as in :class:`Evaluator`, and their derivatives."""
+        """Results of each lane, as in :class:`Evaluator`, and their derivatives.
+
+        Raises:
+            ConfigError: A controller is native code.
+        """
+        require_derivatives(self.swept)
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)

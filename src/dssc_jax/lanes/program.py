@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from dssc_jax.lanes.foreign import ForeignFunction
 from dssc_jax.lanes.operations import COMPARISONS, Operation, constant_result
 
 BOOL = np.dtype(bool)
@@ -32,8 +33,8 @@ class Value:
         operation: What it is.
         dtype: Its type.
         operands: The values that it is computed from.
-        detail: The constant, the table, the number of the input, the subroutine, the slot, or the loop or branch with
-            the position in it.
+        detail: The constant, the table, the number of the input, the subroutine, the slot, the function of C, the
+            position of a part, or the loop or branch with the position in it.
         varying: Whether it may differ between lanes.
         block: Where it is computed; None for a constant.
     """
@@ -266,6 +267,13 @@ class Builder:
     def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
         """The token after an element of a slot was written, and after some reads."""
         return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
+
+    def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
+        """The results of a function of C, which is called for each lane; they count as different in every lane."""
+        home = self._home(operands)
+        types = [place.dtype for place in function.results]
+        call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
+        return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
 
     def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
         """Enter a loop; :meth:`end_loop` leaves it."""

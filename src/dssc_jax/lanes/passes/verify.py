@@ -11,6 +11,7 @@ OPERAND_COUNTS = {
     **dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "round", "trunc", "not", "convert", "bitcast", "any"), 1),
     "lookup": 1,
     "memory": 0,
+    "part": 1,
     "select": 3,
 }
 """Operands of operations that have not two."""
@@ -57,7 +58,7 @@ def verify_value(value: Value, defined: set[int]) -> None:
     require(isinstance(operation, Operation), value, "is no operation")
     for operand in operands:
         require_defined(operand, defined, operation)
-    if operation not in (Operation.INPUT, Operation.RARELY, Operation.WRITE):
+    if operation not in (Operation.INPUT, Operation.RARELY, Operation.WRITE, Operation.FOREIGN):
         count = OPERAND_COUNTS.get(operation, 2)
         require(len(operands) == count, value, f"takes {count} operands, got {len(operands)}")
     types = [operand.dtype for operand in operands]
@@ -75,6 +76,12 @@ def verify_value(value: Value, defined: set[int]) -> None:
         require(types[:2] == [BOOL, value.dtype], value, "must have a condition and a value of its type")
     elif operation in (Operation.MEMORY, Operation.READ, Operation.WRITE):
         verify_access(value)
+    elif operation == Operation.FOREIGN:
+        require(types == [place.dtype for place in value.detail.operands], value, f"must have its types, got {types}")
+    elif operation == Operation.PART:
+        places = operands[0].detail.results
+        require(operands[0].operation == Operation.FOREIGN, value, "must be of a call")
+        require(places[value.detail].dtype == value.dtype, value, "must have the type of the result")
     elif operation == Operation.LOOKUP:
         require(types[0].kind in "iu", value, "must have an index")
         require(isinstance(value.detail, np.ndarray) and value.detail.ndim == 1, value, "must have a table")

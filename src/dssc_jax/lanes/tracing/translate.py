@@ -16,6 +16,7 @@ from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.program import BOOL, Builder, Program, Recording, Subroutine, Value
 from dssc_jax.lanes.tracing import indexing, random_bits
 from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, elementwise
+from dssc_jax.lanes.tracing.foreign_calls import FOREIGN_RULES
 from dssc_jax.lanes.tracing.memory import Memory, kept_in_memory
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
@@ -132,6 +133,7 @@ class Translator:
             (ELEMENTARY, self.elementary),
             (ARRAY_RULES, self.array),
             (indexing.INDEXING_RULES, self.array),
+            (FOREIGN_RULES, self.array),
         )
 
     def program(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
