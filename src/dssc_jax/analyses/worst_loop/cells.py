@@ -34,6 +34,7 @@ RANDOM_CORNERS = 32  # of a box with more numbers
 FIRST_ANGLE = 1e-3  # relative to the slowest pole: the first interval of angles begins at 0
 INTERVALS = 24  # of angles at the start
 BATCH_CELLS = 256
+CHEAPER = 3.0  # an interval of angles is halved rather than a box, which has to be linearised again
 SQUARINGS = 4  # of a matrix, whose largest eigenvalue then prevails
 MOST_PARALLEL = 1e6  # condition number of the modes
 ROUNDING = 1e-9  # relative, of every bound
@@ -249,7 +250,7 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
     steps = np.concatenate([-bordered(slopes), angular], axis=1)  # N_i
     further = bordered(deviation) + 0.5 * (width**2)[:, None, None] * identity  # E
     with np.errstate(all="ignore"):
-        r = np.linalg.inv(n)
+        r = inverses(n)
         x = r[:, :, states]
         y = r[:, m]
         sizes = np.abs(r)
@@ -258,7 +259,7 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
         linear = np.einsum("ni,nki->nk", y, right)
         spread = np.abs(r[:, None] @ steps)  # abs(R N_i)
         k = spread.sum(axis=1) + sizes @ further
-        inverse = np.linalg.inv(np.eye(m + 1) - np.where(np.isfinite(k), k, 2.0))
+        inverse = inverses(np.eye(m + 1) - k)
         lefts = np.abs(left)
         rights = np.abs(np.einsum("nij,nkj->nki", r, right))  # abs(R N_i x)
         left_size = lefts.sum(axis=1) + np.einsum("ni,nij->nj", np.abs(y), further)
@@ -278,8 +279,25 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
         near = np.einsum("nki,ni->nk", lefts, far_right) + np.einsum("ni,nki->nk", far_left, rights)
         weights += np.where(bounded[:, None], near, 0.0)
         weights[:, :sides] += bent
-    weights[~finite] = np.concatenate([(cells.high - cells.low)[~finite], np.zeros((np.sum(~finite), 1))], axis=1)
+    weights[:, sides] *= CHEAPER
+    unknown = ~np.all(np.isfinite(weights), axis=1)
+    weights[unknown, :sides] = (cells.high - cells.low)[unknown]
+    weights[unknown, sides] = 2.0 * width[unknown]
     return Enclosed(np.where(bounded[:, None], np.stack(gains, axis=1), np.inf), np.argmax(weights, axis=1))
+
+
+def inverses(matrices: np.ndarray) -> np.ndarray:
+    """Inverses of n matrices; NaN for those that have none."""
+    try:
+        return np.linalg.inv(matrices)
+    except np.linalg.LinAlgError:
+        result = np.full_like(matrices, np.nan)
+        for index, matrix in enumerate(matrices):
+            try:
+                result[index] = np.linalg.inv(matrix)
+            except np.linalg.LinAlgError:
+                continue
+        return result
 
 
 def dominant(k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -31,8 +31,8 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.study import Study, takes_file
 
-GAP = 1.02  # ratio of a bound to the value found that is good enough
-SHARES = (0.98, 0.93, 0.8, 0.6, 0.4, 0.2)
+GAP = 1.05  # ratio of a bound to the value found that is good enough
+SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
 """Of the growth at which a loop was found unstable, those that are tried for the guaranteed growth."""
 ANY = np.full(len(GAINS), 1e300)
 """Bounds that every stable loop meets."""
