@@ -90,7 +90,7 @@ wind: $(VENV)/test  ## regenerate the measured part of docs/wind.md: the worst w
 
 $(VENV)/run: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[proofs]"
 	touch $@
 
 $(VENV)/test: $(VENV)/run
