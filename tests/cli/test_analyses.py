@@ -76,6 +76,21 @@ def test_compare(study, capsys):
     assert "McNemar" in capsys.readouterr().out
 
 
+def test_worst_loop(study, capsys):
+    """A worst case, written as a study, has its margin again."""
+    arguments = ["worst-loop", str(study), "--cells", "500", "--draws", "8", "--out", "v"]
+    assert guarded([*arguments, "--json"]) == 0
+    found = last_json(capsys)["loops"]["input"]["margins"]["disk"]
+    witness = dj.Study.load(study.parent / "v" / "witnesses" / "input-disk.toml").override({"draws": 1})
+    again = dj.loop_margins(witness).dataset["disk"].sel(loop="input")
+    assert float(again.values.min()) == pytest.approx(found["found"], rel=1e-6)
+    assert (study.parent / "v" / "figures" / "worst-loop.png").exists()
+    assert guarded(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "worst found" in shown
+    assert "robust stability" in shown
+
+
 HOVER = """
 name = "hover"
 loop = { duration = 2.0, sample_time = 0.02 }
@@ -231,7 +246,7 @@ def test_sensitivity_and_rare(study, capsys):
     found = last_json(capsys)
     assert (found["rows"], found["simulations"]) == (256, 1024)
     assert (study.parent / "s" / "figures" / "sensitivity.png").stat().st_size > 10_000
-    spent = ["--particles", "20", "--moves", "2", "--repeats", "10", "--plain", "500"]
+    spent = ["--method", "splitting", "--particles", "20", "--moves", "2", "--repeats", "10", "--plain", "500"]
     seldom = [*uncertain, "--set", "requirement.0.max=0.743"]
     assert guarded(["rare", str(study), *seldom, *spent, "--out", "r"]) == 0
     shown = capsys.readouterr().out

@@ -25,6 +25,9 @@ PARTICLES, MOVES, REPEATS, PLAIN = 200, 5, 20, 4096
 """Splitting: particles of each repeat, moves of a clone at each level, independent repeats, plain draws."""
 LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 
+VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 1024
+"""Importance sampling: coefficient of variation to reach, largest number of weighted points, plain draws."""
+
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
 
@@ -33,3 +36,6 @@ SEGMENTS, CLIMBS = 100, 10
 LEAST_SEGMENTS, MOST_SEGMENTS, MOST_CLIMBS = 2, 400, 1000
 LIMIT = 0.05
 """Laws: largest failure probability allowed."""
+
+CELLS, MOST_CELLS, SIGMA = 10_000, 10**7, 3.0
+"""Worst loop: parts of box and frequencies for each loop; standard deviations at which laws without ends are cut."""

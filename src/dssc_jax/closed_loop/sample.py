@@ -19,7 +19,7 @@ from dssc_jax.closed_loop.control import (
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
-from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
     Measurements,
@@ -156,6 +156,14 @@ def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], comma
     return tuple(model.output(p, z, u) for model, p, z, u in parts)
 
 
+def sampled_command(
+    loop: Loop, params: LoopParams, key: jax.Array, unmodelled: State, i: int, command: Scalar, k: Scalar
+) -> State:
+    """State of the unmodelled dynamics of channel i after they have received the command of sample k."""
+    fresh = jax.random.fold_in(loop.key(key, "unmodelled", loop.channels[i]), k + 1)
+    return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, fresh, loop.sample_time)
+
+
 def plant_input(
     loop: Loop,
     params: LoopParams,
@@ -192,7 +200,8 @@ def all_finite(state: LoopState) -> Scalar:
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
-    return jnp.abs(sum(jax.tree.leaves(state))) < FAR_BELOW * math.sqrt(largest)
+    numbers = [leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
+    return jnp.abs(sum(numbers)) < FAR_BELOW * math.sqrt(largest)
 
 
 def control_channel(
@@ -310,7 +319,7 @@ def step(
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
         command = controlled.command
         total = command.total if added is None else command.total + added[i]
-        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, total, dt)
+        sampled = sampled_command(loop, params, key, channel.unmodelled, i, total, k)
         channels.append(after._replace(unmodelled=sampled))
         commands.append(total)
         outputs.append(controlled)

@@ -1,6 +1,7 @@
 """Arguments and options shared by several commands: the types of single ones, and groups of them."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -25,9 +26,20 @@ TrustCode = Annotated[
 Local = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
 ]
+Native = Annotated[
+    bool, typer.Option("--allow-native", help="Load and run the shared objects that the study's controllers name.")
+]
 Prove = Annotated[
     bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
 ]
+
+
+class RareMethod(StrEnum):
+    """How a rare failure is searched."""
+
+    AUTO = "auto"
+    IMPORTANCE = "importance"
+    SPLITTING = "splitting"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +49,7 @@ class StudyOptions:
     study: StudyArgument
     settings: Set = None
     allow_local: Local = False
+    allow_native: Native = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +84,7 @@ class StoredOptions:
     as_json: Json = False
     trust_code: TrustCode = False
     allow_local: Local = False
+    allow_native: Native = False
 
 
 @dataclass(frozen=True, kw_only=True)

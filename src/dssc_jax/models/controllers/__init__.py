@@ -2,6 +2,7 @@
 
 from dssc_jax.core.registry import Registry
 from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.library import KIND, LIBRARY
 from dssc_jax.models.controllers.pi import PI
 from dssc_jax.models.controllers.pid import PID
 from dssc_jax.models.controllers.smc import SMC
@@ -18,4 +19,5 @@ CONTROLLERS: Registry = {
     "smc": SMC,
     "pid": PID,
     "state_feedback": STATE_FEEDBACK,
+    KIND: LIBRARY,
 }
