@@ -43,6 +43,9 @@ MOVING_LAYOUTS = LAYOUTS[2:]
 """The same where the reference moves: the vehicle starts far from the nominal flight, and its wind acts for long."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 """Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
+REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
+MOVING_REGIONS = ((0.3, 1.0), (0.3, 1.12), (0.3, 1.25))
+"""Shares of the way, and widenings of the region, for the slopes of a vehicle whose reference moves."""
 EXTRA_CELLS = 20
 """Cells beyond the first ones over which what they cause in the last cell is compared."""
 ITERATIONS = 400
@@ -116,21 +119,22 @@ def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
     if isinstance(settled, str):
         return settled
     found: CellBounds | str = "gain"
-    for duration, horizon in MOVING_LAYOUTS if problem.reference is not None else LAYOUTS:
+    moves = problem.reference is not None
+    for duration, horizon in MOVING_LAYOUTS if moves else LAYOUTS:
         samples = max(1, round(duration / problem.sample_time))
-        for share in REGION_SHARES:
-            slopes = {name: slopes_between(problem, name, settled.regions[name], share) for name in CHANNELS}
+        for share, widening in MOVING_REGIONS if moves else REGIONS:
+            slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
             found = marched(problem, settled, slopes, samples, round(horizon / duration), room)
             if not isinstance(found, str):
                 return found
     return found
 
 
-def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float) -> Slopes:
-    """The best slopes for a region between that of the settled vehicle and that of the start."""
+def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
+    """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one."""
     first = problem.first_sigma(name)
     region = sigma * (first / sigma) ** share if first > sigma else sigma
-    return best_slopes(points_of(problem, name, region), joint=problem.reference is not None)
+    return best_slopes(points_of(problem, name, widening * region), joint=problem.reference is not None)
 
 
 def marched(

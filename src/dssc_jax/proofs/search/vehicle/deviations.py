@@ -1,5 +1,6 @@
 """How far the functions of a channel are from straight lines, in floating point."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -85,14 +86,13 @@ def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
 
 def nearest_share(size: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
     """The multiple of one deviation that is nearest to another one, both as ratios to sigma."""
-    largest = float(np.max(np.abs(command) * size))
+    largest = distance_of(size, command, 0.0)
     if largest == 0.0:
         return 0.0
-    reach = float(np.max(np.abs(integral) * size)) / largest
-    found = minimize_scalar(
-        lambda share: float(np.max(np.abs(integral - share * command) * size)), bounds=(-2.0 * reach, 2.0 * reach)
-    )
-    return float(found.x)
+    high = 2.0 * distance_of(size, integral, 0.0) / largest
+    if high == 0.0:
+        return 0.0
+    return lowest(lambda share: distance_of(size, integral - share * command, 0.0), -high, high)
 
 
 def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
@@ -100,7 +100,12 @@ def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
     low, high = float(ratio.min()), float(ratio.max())
     if not low < high:
         return low
-    found = minimize_scalar(lambda slope: distance_of(size, ratio, slope), bounds=(low, high))
+    return lowest(lambda slope: distance_of(size, ratio, slope), low, high)
+
+
+def lowest(height: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function is smallest between two ends."""
+    found = minimize_scalar(height, bounds=(low, high), method="bounded")
     return float(found.x)
 
 
