@@ -124,7 +124,7 @@ REFUSALS: list[tuple[dict[str, object], str]] = [
     ({"plant.vehicle.spins": [1.0, 1.0, -1.0, -1.0], "plant.vehicle.rotor_angles": [0.0, 3.2, 1.6, 4.7]}, "spins"),
     ({"controller.discretisation": "implicit"}, "conservative form"),
     ({"controller.y.l0": 0.7}, "the controllers of x and y differ"),
-    ({"unmodelled": {"kind": "lag", "mu": 0.01}}, "no delay"),
+    ({"unmodelled": {"kind": "lag", "mu": 0.01}}, "no single delay"),
     ({"unmodelled": {"kind": "delay", "samples": {"uniform": [1.0, 2.0]}}}, "unmodelled.samples is uncertain"),
     ({"sensor": {"kind": "lag", "mu": 0.01}}, "a sensor is not ideal"),
 ]  # fmt: skip

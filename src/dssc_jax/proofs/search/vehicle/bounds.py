@@ -261,7 +261,8 @@ def grown(
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
             return y, True
-        if any(totals[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
+        outgrown = y if nominal is None else totals  # of a moving vehicle, one step later
+        if any(outgrown[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return y, False
     return None
 
