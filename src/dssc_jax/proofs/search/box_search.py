@@ -72,7 +72,10 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
         return Failure(box, "sliding" if first == "sliding" else "gain")
-    return proof_by_sets(problem, box)
+    result = proof_by_sets(problem, box)
+    if isinstance(result, Failure) and first == "sliding":  # bounds imply themselves, but exceed rho
+        return Failure(box, "sliding")
+    return result
 
 
 def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:

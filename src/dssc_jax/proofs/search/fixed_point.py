@@ -38,7 +38,9 @@ TAIL_LEFT_OUT = 1e-5
 ROUNDS = 16
 """Times that the region may grow from the start's."""
 SHRINKINGS = 6
-"""Times that the region may shrink towards the residual's."""
+"""Times that the region may shrink towards the residual's, even by little."""
+MOST_SHRINKINGS = 40
+"""Times that it may shrink, if every further stage is worth ``FURTHER_WORTH``."""
 GROWTH = 1.1
 """Room of a region around the bounds that led to it."""
 INFLATION = 1.0 + 2e-4
@@ -51,6 +53,8 @@ SMALLEST_BOUND = 1e-15
 """Smallest bound, so that all are positive."""
 WORTH = 0.997
 """Improvement of |e| for which another stage is worth its time."""
+FURTHER_WORTH = 0.9
+"""The same after ``SHRINKINGS`` stages."""
 
 
 @dataclass(frozen=True)
@@ -341,14 +345,15 @@ def towards_residual(
     """
     stages: list[BoundsStage] = []
     sigma, e = limits
-    for _ in range(SHRINKINGS):
+    for number in range(MOST_SHRINKINGS):
+        worth = WORTH if number < SHRINKINGS else FURTHER_WORTH
         sigma = max(ENTERED * INFLATION * sigma, 1e-12)
         e = max(ENTERED * INFLATION * e, 1e-12)
         settled = implied(allowed, box, (sigma, e), ERROR, started=False)
         if settled is None:
             break
         result, bounds = settled
-        if not bounds[ERROR] < WORTH * error:
+        if not bounds[ERROR] < worth * error:
             break
         stages.append(bounds_stage(allowed, (sigma, e), result, bounds))
         allowed = allowed_disturbance(problem, allowed, box, result, bounds)
