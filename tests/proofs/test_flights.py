@@ -61,7 +61,13 @@ def test_case_2_is_proved_from_40_m(form, mu):
     assert 40.0 <= float(flown["error_max"].max()) <= outcome.largest_error < 200.0
     assert float(flown["outside_sliding"].max()) == 0.0
     if (form, mu) != ("implicit", 0.1):  # bounds of signals reach that far, since functions deviate less than gains
-        assert outcome.proofs[0].stages[0].method == "small gain"
+        stage = outcome.proofs[0].stages[0]
+        assert (stage.method, stage.coordinate) == ("small gain", "phi_1")
+        for name, value, premise in (("change", 0.9 * stage.bounds[0], "P4"), ("change", 20.0 * stage.change, "P7")):
+            content = json.loads(json.dumps(outcome.certificate()))
+            content["proofs"][0]["stages"][0][name] = value
+            verdict = verify_certificate(content)
+            assert verdict.reason.startswith(premise) or (form == "conservative" and verdict.proved)
         return
     first = json.loads(json.dumps(outcome.certificate()))
     assert first["proofs"][0]["stages"][0]["pieces"] > 1
