@@ -7,6 +7,7 @@ stays as it is.
 
 import sys
 from collections.abc import Callable
+from functools import cache
 from itertools import count
 from statistics import mode
 
@@ -20,12 +21,13 @@ from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.statistics import (
-    DataDriven,
+    CONFIDENCE,
     FixedCount,
+    Look,
     Replicated,
     compare_failures,
     compare_metrics,
-    looks,
+    multistage_interval,
     quantile_interval,
 )
 
@@ -109,13 +111,26 @@ def paired_metric(draws: int) -> Trial:
 def sequential(rule: dj.UntilWidth | dj.AcceptReject, p: float, most: int = 20_000) -> Trial:
     """The interval printed at a data-driven stop."""
 
+    @cache
+    def plan() -> list[Look]:
+        return list(rule.looks(most))
+
+    @cache
+    def interval(looks: int, failures: int) -> tuple[float, float]:
+        return multistage_interval(plan()[:looks], failures, CONFIDENCE)
+
     def trial(seed: int) -> np.ndarray:
-        failed = np.random.default_rng(seed).random(most) < p
-        total = np.cumsum(failed)
-        for look, draws in enumerate(looks(most), 1):
-            if rule.verdict(int(total[draws - 1]), draws, look):
+        rng = np.random.default_rng(seed)
+        failures = 0
+        draws = 0
+        looks = 0
+        for look in plan():
+            failures += int(rng.binomial(look.draws - draws, p))
+            draws = look.draws
+            looks += 1
+            if rule.verdict(look, failures):
                 break
-        return side(DataDriven(look).interval(failed[:draws]), p)
+        return side(interval(looks, failures), p)
 
     return trial
 
@@ -126,8 +141,8 @@ def verdict(p: float, right: str) -> Trial:
 
     def trial(seed: int) -> np.ndarray:
         total = np.cumsum(np.random.default_rng(seed).random(50_000) < p)
-        for look, draws in enumerate(looks(50_000), 1):
-            found = rule.verdict(int(total[draws - 1]), draws, look)
+        for look in rule.looks(50_000):
+            found = rule.verdict(look, int(total[look.draws - 1]))
             if found:
                 return np.asarray(found != right, dtype=int)
         return np.zeros(())  # undecided is not wrong
@@ -227,6 +242,8 @@ CASES: dict[str, tuple[str, Trial]] = {
     "until width 0.02, p = 0.01": ("sequential stop", sequential(dj.UntilWidth(0.02), 0.01)),
     "until width 0.05, p = 0.2": ("sequential stop", sequential(dj.UntilWidth(0.05), 0.2)),
     "interval after accept/reject, p = 0.03": ("sequential stop", sequential(dj.AcceptReject(0.02, 0.05), 0.03)),
+    "until width 0.02, p = 0.001": ("sequential stop", sequential(dj.UntilWidth(0.02), 0.001)),
+    "until width 0.002, p = 0.01": ("sequential stop", sequential(dj.UntilWidth(0.002), 0.01, 100_000)),
     "verdict of accept 0.02, reject 0.05 at p = 0.02": ("sequential stop", verdict(0.02, "accepted")),
     "verdict of accept 0.02, reject 0.05 at p = 0.05": ("sequential stop", verdict(0.05, "rejected")),
     **{

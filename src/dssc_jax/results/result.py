@@ -19,7 +19,7 @@ from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
 from dssc_jax.results.summary import Summary, SummaryRow, lines, points
 from dssc_jax.results.theorem import theorem_mark
-from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
+from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Look, Method, Replicated
 from dssc_jax.study import Study
 
 if TYPE_CHECKING:
@@ -131,7 +131,10 @@ class Result:
     def method(self) -> Method:
         """The method of the intervals, from the design of the draws and their stopping rule."""
         stopping = self.manifest.get("stopping")
-        return DataDriven(stopping["look"]) if stopping else interval_method(self.study)
+        if not stopping:
+            return interval_method(self.study)
+        looks = tuple(Look(look["draws"], look["few"], look["many"]) for look in stopping["looks"])
+        return DataDriven(looks, stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:
         """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.

@@ -234,7 +234,7 @@ def laws(
     free = draws.free(draws.names)
     if not free.any():
         raise ConfigError(study.source, "no law can be changed; give at least one number a law that is not a choice")
-    low, high = result.method.interval(draws.failed).tolist()
+    low, high = result.method.failure_interval(draws.failed).tolist()
     bounds = AnyFailures(draws.precision, (low, high))
     guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
     shifts = WeightedDraws(Shift(draws.precision), draws.scores, draws.failed, free, confidence_of(result))
