@@ -27,11 +27,11 @@ Signal: TypeAlias = tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
+    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
-        f: F, (m, m).
-        g: G, (m,).
+        f: A_c, (m, m).
+        g: B_c, (m,).
         b: Columns of the remainders by name, (m,) each.
         signals: Rows C and numbers d by name.
     """
@@ -164,7 +164,7 @@ def yaw_channel(problem: VehicleProblem) -> Linear:
 
 
 def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(F t), and what a command 1 held for this time adds to chi."""
+    """exp(A_c t), and what a command 1 held for this time adds to chi."""
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
@@ -174,8 +174,8 @@ def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
-    """One sample with slopes k_1, k_2, k_n of the functions."""
-    k_1, k_2, k_n = slopes
+    """One sample with slopes k_1, k_2, k_3 of the functions."""
+    k_1, k_2, k_3 = slopes
     t = problem.sample_time
     weights = problem.delay_weights
     m = linear.g.size
@@ -184,7 +184,7 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
     unit = np.eye(n)
     sigma = unit[1] + channel.l0 * unit[0]
     q = unit[n - 1] + t * k_2 * sigma
-    command = -(k_1 + k_n) * sigma - q
+    command = -(k_1 + k_3) * sigma - q
     if channel.nominal:
         a_n, gain, _ = channel.nominal
         command = command - ((a_n - channel.l0) * channel.l0 * unit[0] + (channel.l0 - a_n) * sigma) / gain
@@ -230,7 +230,7 @@ class Seen:
 
 
 def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
-    """A channel with slopes k_1, k_2, k_n, at its samples."""
+    """A channel with slopes k_1, k_2, k_3, at its samples."""
     step = sampled(problem, channel, linear, slopes)
     t = problem.sample_time
     m, n = linear.g.size, step.a.shape[0]

@@ -36,7 +36,7 @@ class CellResponses(NamedTuple):
         signals: The signal of each row.
         remainders: The names of the inputs after omega_u and omega_q.
         most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
-        least: G_(c m - 1), or g_0 for m = 0, of the same g_l, from below, (J, rows, inputs).
+        least: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
         whole: Bound of the limit of G, (rows, inputs).
         starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
@@ -72,7 +72,7 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
     added_error = ROUNDED * magnitudes(seen.offsets)
     summed_tail = float_above((2 / seen.decay).upper())
     first = direct_effects(seen, t)
-    parts = np.zeros((count + 1, *first.shape))  # sums of g_l over l from c m to c m + c - 1, and over all l behind
+    parts = np.zeros((count + 1, *first.shape))  # sums of eps_l over l from c m to c m + c - 1, and over all l behind
     parts[0] = first
     peaks = np.zeros((count + 1, len(seen.sights), 3))
     done = 0
@@ -118,7 +118,7 @@ def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarr
 def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
     """Weights of the columns of ``seen.inputs`` in the bounds of g, rounded up, (columns, inputs).
 
-    The integral of |row e^(F r) b| over a sample is at most that of straight lines plus that of the bend.
+    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines plus that of the bend.
     """
     columns = PIECES + 2
     weights = np.zeros((seen.inputs.ncols(), OMEGAS + len(seen.curved)))

@@ -1,9 +1,9 @@
 """Upper bounds of what the inputs of a channel do to its signals: sums and integrals of responses, and their peaks.
 
-A signal is seen at the times ``PHASES`` of each sample. With f(r) = rho A^k e^(F r) b the integral of |f| over a time h
-is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex, and
-f is apart from this line. A sample is cut into ``PIECES``. f'' has the column e^(F r) F^2 b, which is enclosed over the
-sample as a middle column plus a radius in each unit column.
+A signal is seen at the times ``PHASES`` of each sample. With f(r) = C_s A^k e^(A_c r) b the integral of |f| over a time
+h is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex,
+and f is apart from this line. A sample is cut into ``PIECES``. f'' has the column e^(A_c r) A_c^2 b, which is enclosed
+over the sample as a middle column plus a radius in each unit column.
 """
 
 from collections.abc import Sequence
@@ -173,7 +173,7 @@ def seen_signals(channel: Channel, sampled: SampledChannel, t: arb) -> list[Sigh
 
 
 class CurvedColumn(NamedTuple):
-    """e^(F r) b at the ends of all pieces, and its second derivative: a middle column and the radii about it."""
+    """e^(A_c r) b at the ends of all pieces, and its second derivative: a middle column and the radii about it."""
 
     points: list[arb_mat]
     bend: arb_mat
@@ -194,7 +194,7 @@ def curved_columns(channel: Channel, t: arb) -> dict[str, CurvedColumn]:
 
 
 def dynamics(channel: Channel) -> arb_mat:
-    """F, (n, n)."""
+    """A_c, (n, n)."""
     return first_columns(channel.generator, channel.order)
 
 
@@ -222,7 +222,7 @@ def start_columns(
 ) -> tuple[arb_mat, arb_mat]:
     """The starts z_0 of e, of e' and of the first sum q, and -z* of the constant; and the offsets of their responses.
 
-    To the constant, z_k = z* + A^k (0 - z*), and the signal at s has the integral of C e^(F r) b up to s besides.
+    To the constant, z_k = z* + A^k (0 - z*), and the signal at s has the integral of C e^(A_c r) b up to s besides.
     """
     m = sampled.a.nrows()
     slope_1, slope_2, _ = map(arb, proof["slopes"])
@@ -281,7 +281,7 @@ def response_of(
 
 
 def integral_within(channel: Channel, sight: Sight, b: arb_mat) -> arb:
-    """Bound of the integral of |C e^(F r) b| since the sample."""
+    """Bound of the integral of |C e^(A_c r) b| since the sample."""
     if sight.signal == EQUIVALENT:
         return arb(0)
     f = dynamics(channel)
