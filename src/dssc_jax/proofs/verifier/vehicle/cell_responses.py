@@ -21,7 +21,7 @@ from dssc_jax.proofs.verifier.impulse_responses import (
 )
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.deviations import float_above
-from dssc_jax.proofs.verifier.vehicle.responses import PIECES, SeenChannel, integral_within, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import SeenChannel, integral_within, seen_channel
 
 OMEGAS = 2
 """The inputs omega_u and omega_q, before the remainders."""
@@ -79,7 +79,7 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
     for block in response_blocks(seen.sampled.a, seen.rows, side_by_side(seen.inputs, seen.starts), seen.p):
         sizes = np.abs(block.response[..., :q]) + (block.error + block.lost)[:, :q]
         sizes = sizes @ weights
-        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # g_(done + 1) is the first
+        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # eps_(done + 1) is the first
         parts[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
         reached, places = cells_of(done, len(sizes), samples, count)
         sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
@@ -116,17 +116,18 @@ def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarr
 
 
 def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
-    """Weights of the columns of ``seen.inputs`` in the bounds of g, rounded up, (columns, inputs).
+    """Weights of the columns of ``seen.inputs`` in the bounds of eps, rounded up, (columns, inputs).
 
     The integral of |row e^(A_c r) b| over a sample is at most that of straight lines plus that of the bend.
     """
-    columns = PIECES + 2
+    pieces = next(iter(seen.curved.values())).pieces
+    columns = pieces + 2
     weights = np.zeros((seen.inputs.ncols(), OMEGAS + len(seen.curved)))
     weights[:OMEGAS, :OMEGAS] = np.eye(OMEGAS)
-    piece = t / PIECES
-    bend = (PIECES * piece**3 / 12).upper()
+    piece = t / pieces
+    bend = (pieces * piece**3 / 12).upper()
     for place, parts in enumerate(seen.curved.values()):
-        of_points = np.full(PIECES + 1, float_above(piece.upper()))
+        of_points = np.full(pieces + 1, float_above(piece.upper()))
         of_points[[0, -1]] = float_above((piece / 2).upper())
         start = OMEGAS + columns * place
         weights[start : start + columns, OMEGAS + place] = [*of_points, float_above(bend)]
@@ -136,10 +137,10 @@ def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
 
 
 def direct_effects(seen: SeenChannel, t: arb) -> np.ndarray:
-    """g_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
+    """eps_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
     rows = []
     for sight in seen.sights:
-        within = [integral_within(seen.channel, sight, parts.points[0]) for parts in seen.curved.values()]
+        within = [integral_within(seen.channel, sight, parts) for parts in seen.curved.values()]
         effects = [sight.direct, sight.direct_integral, *within]
         rows.append([float_above(effect.upper()) for effect in effects])
     return np.array(rows)
