@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
@@ -19,6 +20,11 @@ from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
 DIRECTION = "direction"  # index, among an evaluator's names, of the number along which a lane differentiates
+
+
+def is_differentiated(name: str) -> bool:
+    """Whether a result has derivatives: outcomes, and times that are known to the sample, have none."""
+    return name not in NOT_DIFFERENTIATED and not name.startswith(VIOLATED_AT)
 
 
 class Derivative(NamedTuple):
@@ -116,6 +122,25 @@ class GradientEvaluator(Evaluator):
         return results
 
 
+def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
+    """Derivatives of the worst requirement's slack, relative to its scale, with respect to numbers.
+
+    Args:
+        requirements: The study's requirements.
+        results: Results of a :class:`GradientEvaluator`, shape (n,) each.
+        names: The numbers.
+
+    Returns:
+        Shape (n, numbers).
+    """
+    binding = binding_requirement(requirements, results)[None]
+    columns = []
+    for name in names:
+        rows = np.array([results[Derivative(r.name, name)] / r.scale for r in requirements])
+        columns.append(np.take_along_axis(rows, binding, 0)[0])
+    return np.stack(columns, axis=1)
+
+
 def metrics_and_slacks(
     plain: Lane, values: Mapping[str, jax.Array], index: jax.Array
 ) -> Callable[[dict[str, jax.Array]], tuple[dict[str, Scalar], dict[str, Scalar]]]:
@@ -123,7 +148,7 @@ def metrics_and_slacks(
 
     def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
         results = plain({**values, **numbers}, index)
-        return {name: value for name, value in results.items() if name not in NOT_DIFFERENTIATED}, results
+        return {name: value for name, value in results.items() if is_differentiated(name)}, results
 
     return at
 

@@ -139,7 +139,9 @@ class Described(Study):
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
-            measures, requirements = measured(config, names, known, channels or ("",), units)
+            measures, requirements = measured(
+                config, names, known, channels or ("",), units, description.seen, parameters.constant
+            )
         except ConfigError as error:
             raise error.within(source) from None
         shape = tuple(len(values) for values in config.sweep.values())

@@ -1,15 +1,18 @@
 """Parsing of a study's metrics and requirements."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, first_sample, suffixed
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.spans import first_sample, samples_before_end
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.study.formula_requirements import CHANNEL_SIGNALS, Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import imported
 from dssc_jax.study.schema import StudyTable
 
@@ -24,7 +27,7 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
     """
     metrics = dict(KNOWN)
     named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
-    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement)]
+    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric]
     for place, name in named:
         if ":" not in name:
             continue
@@ -47,6 +50,8 @@ def measured(
     known: Mapping[str, Metric],
     channels: tuple[str, ...],
     units: tuple[ChannelUnits, ...],
+    seen: Sequence[str],
+    parameters: Constants,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
 
@@ -56,6 +61,8 @@ def measured(
         known: All kinds of metric.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Their units and meanings.
+        seen: Fields of the plant's monitor.
+        parameters: Value of an expression of parameters that a place needs before tracing.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
@@ -84,11 +91,22 @@ def measured(
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
+    signals = formula_signals(channels, units, seen)
     requirements = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
+        if table.formula is not None:
+            requirement = formula_requirement(table, place, config, signals, parameters)
+            if requirement.measure.name in {*measures, *names}:
+                raise ConfigError(f"{place}.name", f"'{requirement.measure.name}' is taken; choose another name")
+            measures[requirement.measure.name] = requirement.measure
+            requirements.append(requirement)
+            continue
         metric = short(table.metric)
         if metric not in names:
+            if metric.endswith("_margin"):
+                rule = f"'{metric}' belongs to the linearised loop, and a requirement is judged on simulated flights"
+                raise ConfigError(f"{place}.metric", f"{rule}; `dssc-jax loop` computes it for every draw")
             if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
@@ -113,16 +131,6 @@ def measured(
     return tuple(measures.values()), tuple(requirements)
 
 
-SIGNALS = {
-    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
-    "e": ("y", "the output error e", lambda s: s.e),
-    "sigma": ("y/s", "sigma", lambda s: s.sigma),
-    "u": ("u", "the robust command u", lambda s: s.u),
-    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
-}
-"""Unit, meaning and value of each signal that an envelope can bound."""
-
-
 def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> list[Requirement]:
     """The requirement of each envelope: that the signal's smallest distance from its bounds is not negative.
 
@@ -137,11 +145,11 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
             raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
         number = channels.index(channel)
         kind = f"envelope_{table.signal}"
-        unit, meaning, signal = SIGNALS[table.signal]
+        unit, meaning, signal = CHANNEL_SIGNALS[table.signal]
         metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
         earlier = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
         name = suffixed(kind, channel) + (f"_{earlier + 1}" if earlier else "")
-        window = replace(config.metrics.window, after=0.0)
+        window = replace(config.metrics.window, after=0.0, until=math.inf)
         measure = Measure(name, kind, window, number, metric, units[number], channel, config.metrics.window)
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
@@ -153,9 +161,14 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
     Raises:
         ConfigError: none does.
     """
-    if first_sample(window, config.loop.sample_time) >= config.loop.steps:
-        end = (config.loop.steps - 1) * config.loop.sample_time
+    clock = config.loop
+    first = first_sample(window, clock.sample_time)
+    if first >= clock.steps:
+        end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
+    if samples_before_end(window, clock.sample_time, clock.steps) <= first:
+        rule = f"no sample lies in the window from after = {window.after:g} s to until = {window.until:g} s"
+        raise ConfigError(place.removesuffix("after") + "until", f"{rule}; T_s is {clock.sample_time:g} s")
 
 
 def default_kinds(has_several_channels: bool) -> tuple[str, ...]:

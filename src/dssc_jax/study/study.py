@@ -21,6 +21,7 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
+from dssc_jax.study.formulas import tokens_of
 from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
 from dssc_jax.study.numbers import Number
@@ -171,7 +172,8 @@ class Study:
     def unused_parameters(self) -> tuple[str, ...]:
         """Dotted names of the parameters that nothing in the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
-        named = {f"{PARAMETERS}.{name}" for name in named_in(content)}
+        words = {token.text for table in self.config.requirement for token in tokens_of(table.formula or "")}
+        named = {f"{PARAMETERS}.{name}" for name in {*named_in(content), *words}}
         return tuple(name for name in self.parameter_names if name not in named)
 
     def require_free(self, name: str) -> None:

@@ -35,7 +35,6 @@ class Emitter(Instructions):
         super().__init__(width, STRICT if strict else FAST)
         self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
-        self.allocated: list[str] = []
         self.computed: set[int] = set()
 
     def text(self) -> str:
