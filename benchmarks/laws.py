@@ -14,12 +14,11 @@ from scipy import stats
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.changes import Shift, Widening
-from dssc_jax.analyses.laws.stated_errors import weighted_interval
-from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.divergence_balls import BALLS
+from dssc_jax.statistics.law_changes import Shift, Widening
+from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
 
 PAGE = Path(__file__).parents[1] / "docs" / "laws.md"
 REPETITIONS, CHEAP = 200, 4000
@@ -74,7 +73,7 @@ def widening(_: WeightedDraws, widenings: WeightedDraws, p: float, limit: float)
 
 def stated(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
     """The interval of the failure probability if all means may be wrong by a stated shift."""
-    interval = weighted_interval(shifts, STATED)
+    interval = shifts.interval_within(STATED)
     reach = STATED * np.abs(PART).sum()
     low, high = stats.norm.sf(edge(p) + np.array([reach, -reach]))
     return None if interval is None else bool(interval[0] <= low and high <= interval[1])

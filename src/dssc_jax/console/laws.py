@@ -7,8 +7,8 @@ from rich.markup import escape
 
 from dssc_jax.analyses.laws.answer import LawError, LawErrorsAnswer
 from dssc_jax.analyses.laws.law_errors import LawErrors
+from dssc_jax.console.stated import interval_text, show_stated
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.statistics import rounded_probability
 from dssc_jax.statistics.divergence_balls import BALLS
 
 NOT_REACHED = "not reached"
@@ -34,7 +34,7 @@ def show_laws(errors: LawErrors, files: list[Path]) -> None:
             console.print(f"weights for {name.replace('_', ' ')}: {weights.reason}", markup=False, soft_wrap=True)
     show_each_law(errors)
     show_knowledge(errors)
-    show_stated(answer)
+    show_stated(answer.stated)
     show_fresh(answer)
     show_files(files)
 
@@ -105,17 +105,6 @@ def share_text(value: float, interval: tuple[float, float]) -> str:
     return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def show_stated(answer: LawErrorsAnswer) -> None:
-    """Print the interval of the failure probability for each stated amount."""
-    rows = []
-    for stated in answer.stated:
-        weighted = interval_text(stated.weighted_interval) if stated.weighted_interval else ""
-        always = interval_text(stated.interval) if stated.interval else "none, correlated"
-        rows.append((f"{stated.kind.replace('_', ' ')} up to {stated.amount:g}", always, weighted))
-    if rows:
-        show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
-
-
 def show_fresh(answer: LawErrorsAnswer) -> None:
     """Print what new draws say."""
     if answer.fresh is None:
@@ -137,9 +126,3 @@ def importance(law: LawError) -> tuple[float, float]:
 def known_text(value: float | None) -> str:
     """An amount as text, or that it was not reached."""
     return NOT_REACHED if value is None else f"{value:.3g}"
-
-
-def interval_text(interval: tuple[float, float]) -> str:
-    """An interval of a probability as text."""
-    low, high = map(rounded_probability, interval)
-    return f"[{low}, {high}]"

@@ -29,6 +29,8 @@ from dssc_jax.exploration.live import LiveRun, LiveStudy
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.sliders import WIDTH, Slider, grid, position_text
 from dssc_jax.exploration.worker import Stale
+from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text
+from dssc_jax.results.result import interval_method
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px
@@ -76,6 +78,7 @@ class StudyPage(Page):
         self.margin = pn.widgets.Button(label="Margin of")
         self.prove = pn.widgets.Button(label="Prove")
         self.answer = html_pane("")
+        self.wrong_laws = WrongLaws(self.show_wrong_laws)
         self.margin.on_click(lambda _: self.ask_margin(self.margin_number.value))
         self.prove.on_click(lambda _: self.ask(proof, "searching for a proof"))
         self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
@@ -108,6 +111,7 @@ class StudyPage(Page):
         main = pn.Column(
             self.headline,
             probability,
+            self.wrong_laws.view,
             self.details,
             pn.Row(self.draw_choice, self.draw_axis),
             pn.Row(self.margin, self.margin_number, self.prove),
@@ -175,9 +179,24 @@ class StudyPage(Page):
         """Show a run."""
         if run is not self.now:
             self.answer.object = ""
-        self.now = run
+            self.now = run
+            self.show_wrong_laws()
         self.before = self.before or run
         self._show(run, self.choose(self.draw_choice.value, run.order))
+
+    def show_wrong_laws(self) -> None:
+        """Show the failure probability of the present run if its laws are wrong as the slider says."""
+        run = self.now
+        if run is None:
+            return
+        amounts = self.wrong_laws.amounts
+
+        def answer(stale: Stale) -> None:
+            text = answer_text(amounts, run.study, run.failed, interval_method(run.study))
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
 
     def choose_draw(self, draw: int) -> None:
         """Show a draw of the present run."""

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Annotated, Self
 
-from dssc_jax.analyses.laws.changes import Change
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits
-from dssc_jax.analyses.laws.stated_errors import StatedError
-from dssc_jax.analyses.laws.worst_changes import LargestChange
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.results.stated_errors import StatedError
+from dssc_jax.statistics.law_changes import Change
+from dssc_jax.statistics.worst_changes import LargestChange
 
 DEVIATIONS = "standard deviations"
 

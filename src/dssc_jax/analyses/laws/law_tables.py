@@ -8,10 +8,10 @@ import xarray as xr
 from scipy import special
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.scored_draws import ScoredDraws
-from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.results.scored_draws import ScoredDraws
+from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.partition import known_part
+from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
 
 TABLE = "number"
 KNOWLEDGE = {
@@ -49,7 +49,7 @@ def dataset_of(
     """
     sizes, shifted = shift.curves()
     log_widths, widened = widening.curves()
-    worst = dict(zip(draws.result.study.laws, shift.found.worst.amounts, strict=True))
+    worst = dict(zip(draws.study.laws, shift.found.worst.amounts, strict=True))
     columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns |= knowledge_columns(draws, shift.draws.confidence, limit)
@@ -63,7 +63,7 @@ def dataset_of(
         "size": ("size", sizes, deviations("shift of all means")),
         "width": ("width", np.exp(log_widths), share("relative width of all laws")),
     }
-    return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.result.study.name})
+    return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.study.name})
 
 
 def law_columns(
@@ -91,7 +91,7 @@ def law_columns(
 
 def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
     """What it is worth to know each number, and where it lies in failed draws."""
-    laws = list(draws.result.study.laws)
+    laws = list(draws.study.laws)
     columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING)}
     for name in draws.names:
         levels = special.ndtr(draws.scores[:, laws.index(name)])

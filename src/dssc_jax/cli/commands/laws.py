@@ -8,11 +8,10 @@ from dssc_jax.cli.analysing import finish, free_folder
 from dssc_jax.cli.declarations.statistics import Laws
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_result, study_of
-from dssc_jax.cli.parsing import parse_assignment
+from dssc_jax.cli.parsing import parse_within
 from dssc_jax.cli.running import require_unset
 from dssc_jax.console.laws import show_laws
 from dssc_jax.console.terminal import progress_bar
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -50,15 +49,3 @@ def subject_of(options: Laws) -> Result | Study:
         return study_of(options).without_sweep()
     require_unset("a result", set=options.settings, draws=options.draws, seed=options.seed)
     return stored_result(folder, options.trust_code, options.allow_local)
-
-
-def parse_within(texts: list[str] | None) -> dict[str, float]:
-    """Parse all ``--within`` options, ``NAME=RADIUS`` each."""
-    radii = {}
-    for text in texts or []:
-        name, value = parse_assignment(text, "--within")
-        try:
-            radii[name] = float(value)
-        except ValueError:
-            raise ConfigError("--within", f"must be NAME=RADIUS, got '{text}'") from None
-    return radii
