@@ -11,6 +11,7 @@ from dssc_jax.analyses.comparison import (
 )
 from dssc_jax.analyses.falsification.falsify import Falsified as Falsified, falsify as falsify
 from dssc_jax.analyses.laws.law_errors import LawErrors as LawErrors, laws as laws
+from dssc_jax.analyses.laws.law_ranges import LawRanges as LawRanges, law_ranges as law_ranges
 from dssc_jax.analyses.loading import load as load
 from dssc_jax.analyses.loop_margins import LoopMargins as LoopMargins, loop_margins as loop_margins
 from dssc_jax.analyses.margins import Margins as Margins, margin as margin

@@ -144,3 +144,18 @@ def test_laws_may_be_wrong(page):
     assert f"kl up to 0.1: failure probability in [{low}, {high}] whatever draws fail" in page.wrong_laws.answer.object
     page.move({"unmodelled.mu": 0.2})
     assert f"[{low}, {high}]" not in page.wrong_laws.answer.object
+
+
+def test_arguments_that_are_ranges(explored):
+    """Each has a slider; the button answers for all laws within them."""
+    ranged = explored.override({"plant.k_p": {"uniform": [[0.6, 0.8], 1.2]}})
+    page = StudyPage(LiveStudy(ranged, draws=120))
+    slider = next(slider for slider in page.sliders if slider.name == "plant.k_p")
+    assert (slider.key, slider.low, slider.high, slider.start) == ("plant.k_p (lo)", 0.6, 0.8, 0.7)
+    assert page.now.study.laws["plant.k_p"].arguments == (0.7, 1.2)
+    page.move({"plant.k_p (lo)": 0.6})
+    assert page.now.study.laws["plant.k_p"].arguments == (0.6, 1.2)
+    assert page.now.values["plant.k_p"].min() < 0.62
+    page.ask_ranges()
+    assert "for every law within the ranges" in page.answer.object
+    assert slider not in page.margin_number.options.values()

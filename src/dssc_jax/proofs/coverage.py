@@ -67,7 +67,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
     study = study.without_sweep()
     loop = study.loop
     ends = ends_of(study)
-    for name, law in study.laws.items():
+    for name, law in study.written_laws.items():
         if name in study.parameter_names:
             followers = ", ".join(study.followers(name)) or "nothing"
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
@@ -166,7 +166,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     Raises:
         NotCovered: the reference's start is uncertain.
     """
-    if any(name.startswith("reference.") for name in study.laws):
+    if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
     zero = ends.low.plant.zero_dynamics
     size = 2 + (len(zero.a) if zero else 0)

@@ -54,6 +54,9 @@ class Laws(OutputOptions, StatedOptions, DrawsOptions):
     weights of the same draws; where these are too uneven, --fresh simulates new draws.
 
     A result is analysed as it is stored; a study is simulated first, and its [sweep] is ignored.
+
+    Where the arguments of laws are ranges, { normal = [[0.9, 1.1], 0.1] }, the answer is the interval of the failure
+    probability over all laws within them. New draws of the best and the worst law, --fresh of each, check it.
     """
 
     study: Annotated[str, typer.Argument(metavar="STUDY|RESULT", help="A study, or the folder of a run.")]
