@@ -77,15 +77,20 @@ def show_each_law(errors: LawErrors) -> None:
 
 def show_knowledge(errors: LawErrors) -> None:
     """Print what knowing each number is worth, the most valuable one first, and where it lies in failed draws."""
-    known = [(name, law.knowledge, law.failing) for name, law in errors.answer.by_law.items()]
     rows = []
-    for name, knowledge, failing in sorted(known, key=lambda entry: -entry[1].removed if entry[1] else 0.0):
+    for name, law in sorted(errors.answer.by_law.items(), key=lambda entry: removed_by(entry[1]), reverse=True):
+        knowledge = law.knowledge
+        failing = law.failing
+        interval = law.failing_median_interval
         if knowledge is None or failing is None:
             continue
         low, middle, high = failing
         removed = share_text(knowledge.removed, knowledge.removed_interval)
         changes = share_text(knowledge.changes, knowledge.changes_interval)
-        rows.append((name, removed, changes, f"{low:.4g}", f"{middle:.4g}", f"{high:.4g}"))
+        median = f"{middle:.4g}"
+        if interval is not None:
+            median += f" [{interval[0]:.4g}, {interval[1]:.4g}]"
+        rows.append((name, removed, changes, f"{low:.4g}", median, f"{high:.4g}"))
     if rows:
         parts = max(law.knowledge.parts for law in errors.answer.by_law.values() if law.knowledge)
         head = (
@@ -97,6 +102,11 @@ def show_knowledge(errors: LawErrors) -> None:
             "95 %",
         )
         show_table(head, rows)
+
+
+def removed_by(law: LawError) -> float:
+    """Share of the variance that knowing the number removes; 0 if it is not known."""
+    return law.knowledge.removed if law.knowledge else 0.0
 
 
 def share_text(value: float, interval: tuple[float, float]) -> str:

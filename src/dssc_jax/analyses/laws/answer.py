@@ -98,6 +98,10 @@ class LawError:
         tuple[float, float, float] | None,
         Quantity("that of the number", "5 %, 50 % and 95 % quantile among failed draws; None: no draw fails"),
     ]
+    failing_median_interval: Annotated[
+        tuple[float, float] | None,
+        Quantity("that of the number", "interval of its median among failed draws; None: too few failures"),
+    ]
     knowledge: Annotated[Knowledge | None, Quantity("", "what knowing the number is worth; None: too few failures")]
 
 

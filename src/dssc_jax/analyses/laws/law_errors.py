@@ -29,7 +29,7 @@ from dssc_jax.analyses.laws.answer import (
 )
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits, fresh_limits
 from dssc_jax.analyses.laws.fresh_draws import FreshDraws
-from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, TABLE, AllChanges, dataset_of, in_words
+from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, MEDIAN_ENDS, TABLE, AllChanges, dataset_of, in_words
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -55,7 +55,8 @@ class LawErrors(Analysis):
     the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
     shift within the worst shift of all means. ``removed`` and ``changes``, with ``_low`` and ``_high``, say what it is
     worth to know in which of ``parts`` parts of its law the number lies; ``failing_low``, ``failing_median`` and
-    ``failing_high`` where it lies in failed draws. Along ``size``, of a shift of all means, and ``width``, of all laws,
+    ``failing_high`` where it lies in failed draws, ``failing_median_low`` and ``failing_median_high`` the interval of
+    that median. Along ``size``, of a shift of all means, and ``width``, of all laws,
     it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
     ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
     ``widened_guaranteed``).
@@ -163,6 +164,7 @@ class LawErrors(Analysis):
                 shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
                 in_worst_shift=float(row["worst_shift"]),
                 failing=failing_values(law, row),
+                failing_median_interval=failing_median_interval(law, row),
                 knowledge=knowledge_in(row),
             )
         return rows
@@ -177,6 +179,12 @@ def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | No
     """Quantiles of a number among the failed draws; None if no draw fails."""
     low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
     return None if np.isnan(middle) else (low, middle, high)
+
+
+def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | None:
+    """The interval of a number's median among the failed draws; None if too few draws fail."""
+    low, high = (float(law.quantile(row[name].values)) for name in MEDIAN_ENDS)
+    return None if np.isnan(low) else (low, high)
 
 
 def knowledge_in(row: xr.Dataset) -> Knowledge | None:
