@@ -130,6 +130,7 @@ def commands() -> str:
 
 ANSWERS = {
     "margin": {"margins": " of several controllers (`margins`)"},
+    "compare-log": {"next-flight": " of several logs (`next-flight`)"},
     "laws": {"law-ranges": " of laws whose arguments are ranges (`law-ranges`)"},
 }
 """Kinds of analysis that a command makes besides the one of its name, and when."""

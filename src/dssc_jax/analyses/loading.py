@@ -26,6 +26,7 @@ KINDS = {
     "law-ranges": "dssc_jax.analyses.laws.law_ranges:LawRanges",
     "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
     "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
+    "next-flight": "dssc_jax.flight_logs.next_flight:NextFlight",
     "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }
