@@ -13,7 +13,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from scipy import special, stats
+from numpy.typing import ArrayLike
+from scipy import special
 
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
@@ -67,23 +68,33 @@ def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
     rank = line_rank(draws)
     if rank < 1:
         raise ValueError(f"needs at least {FEWEST_DRAWS} draws, got {draws}")
-    return float(stats.betabinom(flights, rank, draws + 1 - rank).sf(beyond - 1))
+    return float(beyond_masses(flights, np.arange(beyond, flights + 1), draws).sum())
+
+
+def beyond_masses(flights: ArrayLike, beyond: np.ndarray, draws: int) -> np.ndarray:
+    """The beta-binomial probability that of n flights x are beyond the draws' line; 0 for more than n of them.
+
+    Args:
+        flights: n.
+        beyond: x, shape (...); broadcasts with ``flights``.
+        draws: Number of draws.
+    """
+    rank = line_rank(draws)
+    within = np.maximum(np.subtract(flights, beyond), 0)
+    logarithm = (
+        -np.log(np.add(flights, 1.0))
+        - special.betaln(beyond + 1.0, within + 1.0)
+        + special.betaln(beyond + rank, within + draws + 1.0 - rank)
+        - special.betaln(rank, draws + 1.0 - rank)
+    )
+    return np.where(beyond <= np.asarray(flights), np.exp(logarithm), 0.0)
 
 
 @lru_cache(maxsize=8)
 def beyond_tails(draws: int) -> np.ndarray:
     """Probability that at least x of n flights are beyond the draws' line, for n = 1 .. and x = 0 ..; shape (n, x)."""
-    rank = line_rank(draws)
     flights = np.arange(1, MOST_FLIGHTS + 1)[:, None]
-    beyond = np.arange(MOST_FLIGHTS + 2)[None]
-    within = np.maximum(flights - beyond, 0)
-    logarithm = (
-        -np.log(flights + 1.0)
-        - special.betaln(beyond + 1.0, within + 1.0)
-        + special.betaln(beyond + rank, within + draws + 1.0 - rank)
-        - special.betaln(rank, draws + 1.0 - rank)
-    )
-    masses = np.where(beyond <= flights, np.exp(logarithm), 0.0)
+    masses = beyond_masses(flights, np.arange(MOST_FLIGHTS + 2)[None], draws)
     return np.cumsum(masses[:, ::-1], axis=1)[:, ::-1]
 
 
