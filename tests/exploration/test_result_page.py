@@ -95,3 +95,6 @@ def test_laws_may_be_wrong():
     assert "mean shift up to 0.2" in page.wrong_laws.answer.object
     page.wrong_laws.kind.value = ALL_WIDTHS
     assert "widening up to 1.2" in page.wrong_laws.answer.object
+    page.wrong_laws.limit.value = 0.9
+    page.show_how_wrong()
+    assert f"Kullback-Leibler {dj.laws(page.result, limit=0.9).answer.kl:.3g}" in page.wrong_laws.answer.object

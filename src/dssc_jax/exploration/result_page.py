@@ -18,7 +18,7 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.worker import Stale
-from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text
+from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder
@@ -44,7 +44,7 @@ class ResultPage(Page):
         self.flight: xr.Dataset | None = None
         self.pinned: list[xr.Dataset] = []
         self.key = html_pane("")
-        self.wrong_laws = WrongLaws(self.show_wrong_laws)
+        self.wrong_laws = WrongLaws(self.show_wrong_laws, self.show_how_wrong)
         self.say("click a draw to see its flight")
         if not result.study.axes:
             self.show_wrong_laws()
@@ -87,6 +87,17 @@ class ResultPage(Page):
 
         def answer(stale: Stale) -> None:
             text = answer_text(amounts, self.result.study, self.result.failed.values, self.result.method)
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
+
+    def show_how_wrong(self) -> None:
+        """Show how wrong the laws may be."""
+        limit = float(self.wrong_laws.limit.value)
+
+        def answer(stale: Stale) -> None:
+            text = how_wrong_text(self.result, limit)
             if not stale():
                 self.update(self.wrong_laws.show, text)
 

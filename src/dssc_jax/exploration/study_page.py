@@ -30,7 +30,7 @@ from dssc_jax.exploration.live import LiveRun, LiveStudy
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
 from dssc_jax.exploration.worker import Stale
-from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text
+from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
 from dssc_jax.results.result import interval_method
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
@@ -81,7 +81,7 @@ class StudyPage(Page):
         self.ranges = pn.widgets.Button(label="Over all ranges of laws")
         self.ranges.on_click(lambda _: self.ask_ranges())
         self.answer = html_pane("")
-        self.wrong_laws = WrongLaws(self.show_wrong_laws)
+        self.wrong_laws = WrongLaws(self.show_wrong_laws, self.show_how_wrong)
         self.margin.on_click(lambda _: self.ask_margin(self.margin_number.value))
         self.prove.on_click(lambda _: self.ask(proof, "searching for a proof"))
         self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
@@ -197,6 +197,20 @@ class StudyPage(Page):
 
         def answer(stale: Stale) -> None:
             text = answer_text(amounts, run.study, run.failed, interval_method(run.study))
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
+
+    def show_how_wrong(self) -> None:
+        """Show how wrong the laws of the present run may be."""
+        run = self.now
+        if run is None:
+            return
+        limit = float(self.wrong_laws.limit.value)
+
+        def answer(stale: Stale) -> None:
+            text = how_wrong_text(run.study, limit)
             if not stale():
                 self.update(self.wrong_laws.show, text)
 

@@ -6,8 +6,11 @@ import htpy as h
 import numpy as np
 import panel as pn
 
+from dssc_jax.analyses.defaults import LIMIT
+from dssc_jax.analyses.laws.law_errors import laws
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.page import html_pane, markup
+from dssc_jax.results.result import Result
 from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import StatedAmounts, StatedError, confidence_of
 from dssc_jax.statistics import Method, rounded_probability
@@ -29,11 +32,15 @@ class WrongLaws:
 
     Args:
         follow: Called when the choice or the slider moves; the page answers by :meth:`show`.
+        search: Called when the page is asked how wrong the laws may be.
     """
 
-    def __init__(self, follow: Callable[[], None]) -> None:
+    def __init__(self, follow: Callable[[], None], search: Callable[[], None]) -> None:
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(AMOUNTS), width=300)
         self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST, step=STEP, value=0.0, width=300)
+        self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)
+        self.how_wrong = pn.widgets.Button(label="How wrong may the laws be?")
+        self.how_wrong.on_click(lambda _: search())
         self.answer = html_pane("")
         for widget in (self.kind, self.size):
             widget.param.watch(lambda _: follow(), "value")
@@ -41,7 +48,7 @@ class WrongLaws:
     @property
     def view(self) -> pn.Column:
         """The widgets and the answer for Panel."""
-        return pn.Column(pn.Row(self.kind, self.size), self.answer)
+        return pn.Column(pn.Row(self.kind, self.size, self.limit, self.how_wrong), self.answer)
 
     @property
     def amounts(self) -> StatedAmounts:
@@ -51,6 +58,21 @@ class WrongLaws:
     def show(self, text: str) -> None:
         """Show an answer."""
         self.answer.object = markup(h.p(role="status")[text])
+
+
+def how_wrong_text(subject: Study | Result, limit: float) -> str:
+    """How wrong the laws may be before more than a share of all draws can fail, in words, or why there is no answer."""
+    try:
+        found = laws(subject, limit=limit)
+    except ConfigError as error:
+        return str(error)
+    answer = found.answer
+    texts = [found.headline, f"Kullback-Leibler {answer.kl:.3g}, total variation {answer.total_variation:.3g}"]
+    if answer.most_important:
+        texts.append(f"the law of {answer.most_important} may be least wrong")
+    if answer.measure_next:
+        texts.append(f"measure {answer.measure_next} next")
+    return "; ".join(texts)
 
 
 def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method: Method) -> str:
