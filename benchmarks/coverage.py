@@ -7,25 +7,29 @@ stays as it is.
 
 import sys
 from collections.abc import Callable
+from functools import cache
 from itertools import count
 from statistics import mode
 
 import numpy as np
 from page import put
-from scipy import special, stats
+from scipy import integrate, special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.splitting import SlackFunction, split
+from dssc_jax.analyses.rare_events.estimate import SlackFunction
+from dssc_jax.analyses.rare_events.importance import importance_sampling
+from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.statistics import (
-    DataDriven,
+    CONFIDENCE,
     FixedCount,
+    Look,
     Replicated,
     compare_failures,
     compare_metrics,
-    looks,
+    multistage_interval,
     quantile_interval,
 )
 
@@ -109,13 +113,26 @@ def paired_metric(draws: int) -> Trial:
 def sequential(rule: dj.UntilWidth | dj.AcceptReject, p: float, most: int = 20_000) -> Trial:
     """The interval printed at a data-driven stop."""
 
+    @cache
+    def plan() -> list[Look]:
+        return list(rule.looks(most))
+
+    @cache
+    def interval(looks: int, failures: int) -> tuple[float, float]:
+        return multistage_interval(plan()[:looks], failures, CONFIDENCE)
+
     def trial(seed: int) -> np.ndarray:
-        failed = np.random.default_rng(seed).random(most) < p
-        total = np.cumsum(failed)
-        for look, draws in enumerate(looks(most), 1):
-            if rule.verdict(int(total[draws - 1]), draws, look):
+        rng = np.random.default_rng(seed)
+        failures = 0
+        draws = 0
+        looks = 0
+        for look in plan():
+            failures += int(rng.binomial(look.draws - draws, p))
+            draws = look.draws
+            looks += 1
+            if rule.verdict(look, failures):
                 break
-        return side(DataDriven(look).interval(failed[:draws]), p)
+        return side(interval(looks, failures), p)
 
     return trial
 
@@ -126,8 +143,8 @@ def verdict(p: float, right: str) -> Trial:
 
     def trial(seed: int) -> np.ndarray:
         total = np.cumsum(np.random.default_rng(seed).random(50_000) < p)
-        for look, draws in enumerate(looks(50_000), 1):
-            found = rule.verdict(int(total[draws - 1]), draws, look)
+        for look in rule.looks(50_000):
+            found = rule.verdict(look, int(total[look.draws - 1]))
             if found:
                 return np.asarray(found != right, dtype=int)
         return np.zeros(())  # undecided is not wrong
@@ -212,6 +229,35 @@ def plane(p: float) -> SlackFunction:
     return lambda z, _: distance - z.sum(-1) / np.sqrt(z.shape[-1])
 
 
+def two_sides(z: np.ndarray, _: np.ndarray) -> np.ndarray:
+    """Failures of 1e-5 and of 3e-6 on opposite sides."""
+    return np.minimum(stats.norm.isf(1e-5) - z[:, 0], stats.norm.isf(3e-6) + z[:, 0])
+
+
+def curved(z: np.ndarray, _: np.ndarray) -> np.ndarray:
+    """Failures behind a border that bends towards the median, of probability CURVED in three dimensions."""
+    return 4.5 - z[:, 0] - 0.1 * np.sum(z[:, 1:] ** 2, axis=1)
+
+
+BEND = (1.0, 10.0, 40.0)  # break points of the integration
+CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=BEND)[0]
+
+
+def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
+    """The interval of importance sampling around design points; its slopes are central differences."""
+
+    def slope(points: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shifts = 1e-6 * np.eye(dimension)
+        columns = [(margin(points + shift, noise) - margin(points - shift, noise)) / 2e-6 for shift in shifts]
+        return margin(points, noise), np.stack(columns, axis=1)
+
+    def trial(seed: int) -> np.ndarray | str:
+        found = importance_sampling(margin, slope, dimension, (seed,), dj.ImportanceSampling())
+        return found if isinstance(found, str) else side(found.interval(), p)
+
+    return trial
+
+
 CASES: dict[str, tuple[str, Trial]] = {
     "Clopper-Pearson, p = 0.003, n = 500": ("failure probability", independent(0.003, 500)),
     "Clopper-Pearson, p = 0.1, n = 200": ("failure probability", independent(0.1, 200)),
@@ -227,6 +273,8 @@ CASES: dict[str, tuple[str, Trial]] = {
     "until width 0.02, p = 0.01": ("sequential stop", sequential(dj.UntilWidth(0.02), 0.01)),
     "until width 0.05, p = 0.2": ("sequential stop", sequential(dj.UntilWidth(0.05), 0.2)),
     "interval after accept/reject, p = 0.03": ("sequential stop", sequential(dj.AcceptReject(0.02, 0.05), 0.03)),
+    "until width 0.02, p = 0.001": ("sequential stop", sequential(dj.UntilWidth(0.02), 0.001)),
+    "until width 0.002, p = 0.01": ("sequential stop", sequential(dj.UntilWidth(0.002), 0.01, 100_000)),
     "verdict of accept 0.02, reject 0.05 at p = 0.02": ("sequential stop", verdict(0.02, "accepted")),
     "verdict of accept 0.02, reject 0.05 at p = 0.05": ("sequential stop", verdict(0.05, "rejected")),
     **{
@@ -255,6 +303,16 @@ CASES: dict[str, tuple[str, Trial]] = {
         )
         for p, particles, repeats in ((1e-4, 60, 10), (1e-4, 100, 20), (1e-6, 60, 10))
     },
+    **{
+        f"importance sampling, half space of {numbers} numbers, p = {p:g}": (
+            "rare event",
+            weighted(p, plane(p), numbers),
+        )
+        for p, numbers in ((0.05, 3), (1e-4, 3), (1e-6, 3), (1e-4, 14))
+    },
+    "importance sampling, four branches, p = 0.0022": ("rare event", weighted(2.222795066e-3, four_branch, 2)),
+    "importance sampling, two sides, p = 1.3e-05": ("rare event", weighted(1.3e-5, two_sides, 2)),
+    "importance sampling, curved border of 3 numbers, p = 1.7e-05": ("rare event", weighted(CURVED, curved, 3)),
 }
 
 

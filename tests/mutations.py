@@ -185,7 +185,7 @@ def changed_value(random: Random, file: Path) -> str:
     if how == "taken away":
         del here[path[-1]]
     elif how == "put in" and isinstance(here, dict):
-        here["stopping"] = {"rule": "r", "most": 9, "verdict": "narrow", "look": 3, "looks": []}
+        here["stopping"] = {"rule": "r", "most": 9, "verdict": "narrow", "stops": 3, "looks": []}
     else:
         here[path[-1]] = random.choice([*ABSURD[:6], *OTHERS, None, [10**12], "../../x"])
     file.write_text(json.dumps(table))

@@ -63,7 +63,7 @@ RUN = {
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
     "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), [LOG] * 9),
-    "rare": lambda study: dj.rare(study, SPENT),
+    "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),
     "worst-wind": lambda study: dj.worst_wind(dj.Study.from_table(HOVER), segments=4, rounds=1),

@@ -131,7 +131,10 @@ DAMAGE = {
     "times missing": lambda f: resealed(f, times={}),
     "a stop that is no table": lambda f: resealed(f, stopping=[1]),
     "a stop at no look": lambda f: resealed(
-        f, stopping={"rule": "r", "most": 1, "verdict": "v", "look": 0, "looks": []}
+        f, stopping={"rule": "r", "most": 1, "verdict": "v", "stops": 1, "looks": []}
+    ),
+    "a look without failures": lambda f: resealed(
+        f, stopping={"rule": "r", "most": 1, "verdict": "v", "stops": 1, "looks": [{"draws": 24}]}
     ),
     "a cluster without workers": lambda f: resealed(f, cluster={}),
     "no data": lambda f: shutil.rmtree(f / "data.zarr"),
@@ -187,7 +190,8 @@ def metadata(name, change):
     return lambda f: edited(f / "data.zarr" / name / "zarr.json", change)
 
 
-STOPPED = {"data_driven": True, "rule": "r", "most": 24, "verdict": "narrow", "look": 9, "looks": []}
+LOOK = {"draws": 24, "few": 2, "many": 22, "failures": 1}
+STOPPED = {"data_driven": True, "rule": "r", "most": 24, "verdict": "narrow", "stops": 9, "looks": [LOOK]}
 ALTERATIONS = {
     "a chunk copied over another": lambda f: shutil.copy(
         chunk(f, "error_rms", 0, 0, 0), chunk(f, "error_rms", 1, 0, 0)

@@ -17,7 +17,7 @@ from dssc_jax.report import html
 from dssc_jax.results import summary
 from dssc_jax.results.schema import in_memory
 from dssc_jax.results.summary import BATCH_POINTS, most_violated
-from dssc_jax.statistics import DataDriven, FixedCount, clopper_pearson, compare_failures
+from dssc_jax.statistics import DataDriven, FixedCount, Look, clopper_pearson, compare_failures
 
 STUDY = {
     "name": "several",
@@ -119,8 +119,9 @@ def test_a_margin_that_is_no_number_is_a_violation(swept):
 
 def test_the_interval_is_that_of_the_draws(swept, replicated):
     """A requirement's interval is made as that of the joint failure is, at every point."""
-    stopped = dj.Result(swept.study, swept.dataset, {"stopping": {"look": 3}})
-    assert stopped.method == DataDriven(3)
+    look = {"draws": swept.study.config.draws, "few": -1, "many": 1000}
+    stopped = dj.Result(swept.study, swept.dataset, {"stopping": {"looks": [look | {"failures": 0}], "stops": 3}})
+    assert stopped.method == DataDriven((Look(**look),), 3)
     for result in (stopped, replicated):
         for index, point in zip(np.ndindex(3, 2), result.summary(0.9)["points"], strict=True):
             for requirement, here in zip(point["requirements"], by_hand(result, index)[1], strict=True):

@@ -53,6 +53,32 @@ class LinearSystem(NamedTuple):
     d: Scalar
 
 
+def scale_column(column: Column, factor: Scalar) -> Column:
+    """A column times a number; products with a known 0 are plain zeros."""
+    return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
+
+
+def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
+    """The second system driven by the output of the first; its state lists that of the first, then of the second."""
+    rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
+    for entry, row in zip(second.b, second.a, strict=True):
+        rows.append((*scale_column(first.c, entry), *row))
+    (through,) = scale_column((first.d,), second.d)
+    b = (*first.b, *scale_column(second.b, first.d))
+    return LinearSystem(tuple(rows), b, (*scale_column(first.c, second.d), *second.c), through)
+
+
+def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSystem:
+    """The system among further states, which stand still: state i of the system is state ``places[i]`` of ``size``."""
+    index = {place: i for i, place in enumerate(places)}
+
+    def wide(row: Column) -> Column:
+        return tuple(row[index[place]] if place in index else 0.0 for place in range(size))
+
+    rows = tuple(wide(system.a[index[place]]) if place in index else (0.0,) * size for place in range(size))
+    return LinearSystem(rows, wide(system.b), wide(system.c), system.d)
+
+
 class Forcing(NamedTuple):
     """An input of a linear system, by its column g and the number of terms of its polynomial p in time.
 

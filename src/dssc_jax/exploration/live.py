@@ -72,7 +72,7 @@ class LiveRun:
     @cached_property
     def interval(self) -> tuple[float, float]:
         """Lower and upper bound of the failure probability, by the method that fits the study's draws."""
-        low, high = interval_method(self.study).interval(self.failed, CONFIDENCE)
+        low, high = interval_method(self.study).failure_interval(self.failed, CONFIDENCE)
         return float(low), float(high)
 
     @cached_property

@@ -88,7 +88,7 @@ def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method
         amounts.require(study)
     except ConfigError as error:
         return str(error)
-    low, high = method.interval(failed).tolist()
+    low, high = method.failure_interval(failed).tolist()
     (found,) = amounts.errors(ScoredDraws.of(study, failed), (low, high), confidence_of(method))
     return error_text(found)
 

@@ -48,7 +48,7 @@ def probability_curve(ax: Axes, result: Result, axis: str) -> None:
     """Draw the failure probability with its interval along one axis."""
     x = result.dataset[axis].values
     failed = result.failed.values
-    interval = result.method.interval(failed)
+    interval = result.method.failure_interval(failed)
     fill_band(ax, x, interval[:, 0], interval[:, 1], RED, f"95 % {result.method.name}")
     ax.plot(*thinned(x, failed.mean(-1)), point_markers(x), color=RED, label="failed draws")
     ax.set_ylabel("failure probability")

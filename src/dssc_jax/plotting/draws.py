@@ -53,7 +53,7 @@ def failures(result: Result) -> Figure:
             ax.set_ylabel("")
             ax.tick_params(labelleft=False)
     failed = result.failed.values
-    low, high = result.method.interval(failed)
+    low, high = result.method.failure_interval(failed)
     counted = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
     estimated = f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}"
     title(figure, f"{counted}; {estimated}{unshown(result, laws)}")

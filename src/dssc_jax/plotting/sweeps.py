@@ -213,7 +213,7 @@ def probability_map(ax: Axes, result: Result, down: str, across: str) -> None:
     """Draw the failure probability over two axes."""
     failed = result.failed.transpose(down, across, "draw").values
     share = failed.mean(-1)
-    upper = result.method.interval(failed)[..., 1]
+    upper = result.method.failure_interval(failed)[..., 1]
     x = result.dataset[across].values
     y = result.dataset[down].values
     bitmap = needs_bitmap(share)

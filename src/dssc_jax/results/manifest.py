@@ -11,6 +11,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Layout
 from dssc_jax.results import lock
 from dssc_jax.results.theorem import theorem_mark
+from dssc_jax.statistics import Look
 from dssc_jax.study import Described, Study, hash_of
 from dssc_jax.study.code import recorded
 from dssc_jax.study.described import describe
@@ -32,7 +33,7 @@ MANIFEST_TABLES = ("study", "layout", "versions", "device", "times")
 TIMES = ("seconds", "compile_seconds", "rate")
 """Timing fields of every finished run."""
 
-STOPPED = ("rule", "most", "verdict", "look", "looks")
+STOPPED = ("rule", "most", "verdict", "looks", "stops")
 CLUSTER = ("workers", "lost")
 COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
@@ -125,9 +126,23 @@ def require_sound(path: Path, manifest: Manifest) -> None:
     code = manifest.get("code", {})
     if not isinstance(code, dict) or not all(isinstance(module, dict) for module in code.values()):
         raise ConfigError(str(path), f"is damaged: code must be a table of tables, got {code!r}")
-    look = (manifest.get("stopping") or {}).get("look", 1)
-    if not isinstance(look, int) or look < 1:
-        raise ConfigError(str(path), f"is damaged: stopping.look must be a whole number >= 1, got {look!r}")
+    if stopping := manifest.get("stopping"):
+        require_looks(path, stopping["looks"], stopping["stops"])
+
+
+def require_looks(path: Path, looks: object, stops: object) -> None:
+    """Require the looks of a stopping rule, and their largest number.
+
+    Raises:
+        ConfigError: One is not valid.
+    """
+    if not isinstance(looks, list) or not looks or not isinstance(stops, int) or stops < len(looks):
+        rule = f"is damaged: stopping must have one or more looks and at most `stops`, got {looks!r} and {stops!r}"
+        raise ConfigError(str(path), rule)
+    for look in looks:
+        require_fields(path, "stopping.looks", look, (*Look._fields, "failures"))
+        if not all(isinstance(count, int) for count in look.values()):
+            raise ConfigError(str(path), f"is damaged: stopping.looks must have whole numbers, got {look!r}")
 
 
 def require_fields(path: Path, name: str, table: object, fields: tuple[str, ...]) -> None:

@@ -21,7 +21,7 @@ from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import STATED, StatedAmounts, StatedError, confidence_of
 from dssc_jax.results.summary import Summary, SummaryRow, jsonable, lines, points
 from dssc_jax.results.theorem import theorem_mark
-from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Method, Replicated
+from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Look, Method, Replicated
 from dssc_jax.study import Study
 
 if TYPE_CHECKING:
@@ -133,7 +133,10 @@ class Result:
     def method(self) -> Method:
         """The method of the intervals, from the design of the draws and their stopping rule."""
         stopping = self.manifest.get("stopping")
-        return DataDriven(stopping["look"]) if stopping else interval_method(self.study)
+        if not stopping:
+            return interval_method(self.study)
+        looks = tuple(Look(look["draws"], look["few"], look["many"]) for look in stopping["looks"])
+        return DataDriven(looks, stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:
         """Failures, probability and interval of every sweep point and each requirement; quantiles of the metrics.
@@ -171,7 +174,7 @@ class Result:
             ConfigError: The result has a sweep, its draws are not independent, or no law can be changed.
         """
         amounts.require(self.study)
-        low, high = self.method.interval(self.failed.values, confidence).tolist()
+        low, high = self.method.failure_interval(self.failed.values, confidence).tolist()
         draws = ScoredDraws.of(self.study, self.failed.values)
         return amounts.errors(draws, (low, high), confidence_of(self.method, confidence))
 

@@ -40,14 +40,13 @@ class Statements(NamedTuple):
     method: Method
     confidence: float
 
+    def failures(self, failed: np.ndarray) -> dict[str, list[object]]:
+        """Columns with the frequency of failure, from draws of shape (points, draws)."""
+        return frequency(failed, self.method.failure_interval(failed, self.confidence))
+
     def shares(self, happened: np.ndarray) -> dict[str, list[object]]:
-        """Columns with the frequency of an event, from draws of shape (points, draws)."""
-        failures = np.count_nonzero(happened, axis=-1)
-        return {
-            "failures": failures.tolist(),
-            "probability": (failures / happened.shape[-1]).tolist(),
-            "interval": self.method.interval(happened, self.confidence).tolist(),
-        }
+        """Columns with the frequency of any event, from draws of shape (points, draws)."""
+        return frequency(happened, self.method.interval(happened, self.confidence))
 
     def quantiles(self, values: np.ndarray) -> dict[str, list[object]]:
         """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
@@ -59,6 +58,16 @@ class Statements(NamedTuple):
                 ranks = quantile_ranks(ordered.shape[-1], level, self.method.level(self.confidence))
                 columns[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
         return {name: nullable(column) for name, column in columns.items()}
+
+
+def frequency(happened: np.ndarray, intervals: np.ndarray) -> dict[str, list[object]]:
+    """Columns with counts and shares of an event in draws of shape (points, draws), beside intervals (points, 2)."""
+    failures = np.count_nonzero(happened, axis=-1)
+    return {
+        "failures": failures.tolist(),
+        "probability": (failures / happened.shape[-1]).tolist(),
+        "interval": intervals.tolist(),
+    }
 
 
 def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float) -> Iterator[SummaryRow]:
@@ -121,7 +130,7 @@ def summary_of_batch(
         {
             **at,
             "draws": [draws] * count,
-            **statements.shares(outcome != Outcome.OK),
+            **statements.failures(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
             "requirements": side_by_side(requirements(study, violations, early, statements), count),

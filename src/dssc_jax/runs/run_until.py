@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -15,11 +14,9 @@ from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
-from dssc_jax.statistics import AcceptReject, UntilWidth, looks
+from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study, takes_file
-
-Rule: TypeAlias = UntilWidth | AcceptReject
 
 MOST_DRAWS = 100_000  # draws, unless told otherwise
 BATCH = 1024  # draws computed at once
@@ -29,7 +26,7 @@ UNDECIDED = "undecided"
 @takes_file
 def run_until(
     study: Study,
-    rule: Rule,
+    rule: StoppingRule,
     out: str | Path | None = None,
     *,
     most: int = MOST_DRAWS,
@@ -72,21 +69,24 @@ def run_until(
     batches = execute(engine, blocks)
     batches_done: list[Arrays] = []
     failed = np.empty(0, dtype=bool)
-    seen: list[dict[str, int]] = []
+    looks = rule.looks(most)
+    seen: list[Look] = []
+    counts: list[int] = []
     verdict = None
-    draws = 0
-    for look, draws in enumerate(looks(most), 1):
-        while len(failed) < draws:
+    for look in looks:
+        while len(failed) < look.draws:
             _, results, _ = next(batches)
             batches_done.append(results)
             failed = np.concatenate([failed, results["outcome"] != Outcome.OK])
             if progress:
                 progress(len(failed), most)
-        failures = int(np.count_nonzero(failed[:draws]))
-        seen.append({"draws": draws, "failures": failures})
-        verdict = rule.verdict(failures, draws, look)
+        failures = int(np.count_nonzero(failed[: look.draws]))
+        seen.append(look)
+        counts.append(failures)
+        verdict = rule.verdict(look, failures)
         if verdict:
             break
+    draws = seen[-1].draws
     final = study.override({"draws": draws})
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
@@ -101,8 +101,8 @@ def run_until(
             "rule": rule.text,
             "most": most,
             "verdict": verdict or UNDECIDED,
-            "look": len(seen),
-            "looks": seen,
+            "looks": [look._asdict() | {"failures": count} for look, count in zip(seen, counts, strict=True)],
+            "stops": rule.stops(most),
         },
     }
     result = Result.of(final, dataset, manifest)
@@ -122,7 +122,7 @@ def require_sequential(study: Study) -> None:
     require_independent(study, "a data-driven stop")
 
 
-def require_same_rule(folder: Path, study: Study, rule: Rule, most: int) -> None:
+def require_same_rule(folder: Path, study: Study, rule: StoppingRule, most: int) -> None:
     """Require that the folder is empty, or contains a result of the same study and rule.
 
     Raises:

@@ -1,6 +1,7 @@
 """Statistics: intervals, tests and sample sizes with guaranteed confidence."""
 
 from dssc_jax.statistics.likelihood import Likelihood, distance_of_mass, mass_within
+from dssc_jax.statistics.multistage import Look, multistage_interval
 from dssc_jax.statistics.order import quantile_interval, tolerance_limits, wilks_draws, wilks_order
 from dssc_jax.statistics.paired import (
     FailureDifference,
@@ -24,7 +25,7 @@ from dssc_jax.statistics.proportions import (
     rounded_probability,
     unseen,
 )
-from dssc_jax.statistics.sequential import AcceptReject, UntilWidth, looks
+from dssc_jax.statistics.sequential import AcceptReject, StoppingRule, UntilWidth
 
 __all__ = [
     "CONFIDENCE",
@@ -33,9 +34,11 @@ __all__ = [
     "FailureDifference",
     "FixedCount",
     "Likelihood",
+    "Look",
     "Method",
     "MetricDifference",
     "Replicated",
+    "StoppingRule",
     "UntilWidth",
     "assured_draws",
     "chernoff_draws",
@@ -47,9 +50,9 @@ __all__ = [
     "distance_of_mass",
     "expected_draws",
     "lognormal_interval",
-    "looks",
     "mass_within",
     "mcnemar",
+    "multistage_interval",
     "plan",
     "quantile_interval",
     "replicate_interval",

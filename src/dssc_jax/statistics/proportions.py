@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
+from dssc_jax.statistics.multistage import Look, multistage_interval
+
 CONFIDENCE = 0.95
 
 
@@ -53,11 +55,6 @@ def clopper_pearson(failures: ArrayLike, draws: ArrayLike, confidence: float = C
     return np.stack([lower, upper], axis=-1)
 
 
-def look_error(look: int, error: float) -> float:
-    """Error probability spent at the j-th look, a_j = 6 a/(pi^2 j^2): all looks together spend at most a."""
-    return 6.0 * error / (math.pi * look) ** 2
-
-
 def unseen(draws: ArrayLike, confidence: float = CONFIDENCE) -> np.ndarray:
     """ln(2/a)/n: upper limit of the probability of an event that n independent draws have not shown."""
     return math.log(2.0 / (1.0 - confidence)) / np.asarray(draws)
@@ -80,24 +77,28 @@ class FixedCount(NamedTuple):
         """The confidence of a single statement."""
         return confidence
 
-    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals from failures of shape (..., n), shape (..., 2)."""
-        return clopper_pearson(np.count_nonzero(failed, axis=-1), failed.shape[-1], confidence)
+    def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2)."""
+        return clopper_pearson(np.count_nonzero(happened, axis=-1), happened.shape[-1], confidence)
+
+    def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of the probability of failure, as of any event."""
+        return self.interval(failed, confidence)
 
 
 FIXED = FixedCount()
 
 
 class DataDriven(NamedTuple):
-    """Independent draws that a stopping rule ended at the j-th look.
-
-    The interval is valid for any stopping rule, because those of all looks hold jointly.
+    """Independent draws that a stopping rule ended.
 
     Args:
-        look: j >= 1.
+        looks: The looks up to the one at which the rule stopped.
+        stops: Number of looks at which the rule can stop.
     """
 
-    look: int
+    looks: tuple[Look, ...]
+    stops: int
 
     @property
     def independent(self) -> bool:
@@ -107,15 +108,21 @@ class DataDriven(NamedTuple):
     @property
     def name(self) -> str:
         """The interval's name."""
-        return f"sequential Clopper-Pearson, data-driven stop at look {self.look}"
+        return f"exact interval after a data-driven stop at look {len(self.looks)}"
 
     def level(self, confidence: float) -> float:
-        """The confidence of a statement at this look."""
-        return 1.0 - look_error(self.look, 1.0 - confidence)
+        """The confidence of a statement on anything but failure: the error is divided among all looks."""
+        return 1.0 - (1.0 - confidence) / self.stops
 
-    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals from failures of shape (..., n), shape (..., 2)."""
-        return FIXED.interval(failed, self.level(confidence))
+    def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2)."""
+        return FIXED.interval(happened, self.level(confidence))
+
+    def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of the probability of failure, which the rule watched, from draws of shape (..., n)."""
+        counts = np.count_nonzero(failed, axis=-1)
+        intervals = [multistage_interval(self.looks, int(count), confidence) for count in np.ravel(counts)]
+        return np.reshape(intervals, (*np.shape(counts), 2))
 
 
 class Replicated(NamedTuple):
@@ -139,15 +146,19 @@ class Replicated(NamedTuple):
         """The interval's name."""
         return f"Student's t over {self.replicates} {self.design} replicates"
 
-    def interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
-        """Intervals from failures of shape (..., n), shape (..., 2).
+    def interval(self, happened: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of any event's probability, from draws of shape (..., n), shape (..., 2).
 
         Student's t over the replicates' shares, widened on both sides by :func:`unseen`: if all replicates agree, for
         example on no failure, t alone has width 0.
         """
-        low, high = np.moveaxis(replicate_interval(failed, self.replicates, confidence), -1, 0)
-        open_left = unseen(failed.shape[-1], confidence)
+        low, high = np.moveaxis(replicate_interval(happened, self.replicates, confidence), -1, 0)
+        open_left = unseen(happened.shape[-1], confidence)
         return np.stack([np.maximum(low - open_left, 0.0), np.minimum(high + open_left, 1.0)], axis=-1)
+
+    def failure_interval(self, failed: np.ndarray, confidence: float = CONFIDENCE) -> np.ndarray:
+        """Intervals of the probability of failure, as of any event."""
+        return self.interval(failed, confidence)
 
 
 Method: TypeAlias = FixedCount | DataDriven | Replicated
@@ -225,7 +236,7 @@ def describe_probability(failed: np.ndarray, method: Method = FIXED, confidence:
     """
     failures = int(np.count_nonzero(failed))
     draws = failed.size
-    low, high = method.interval(failed, confidence)
+    low, high = method.failure_interval(failed, confidence)
     level = f"{100 * confidence:g} % {method.name}"
     if failures == 0:
         return f"no failure in {draws} draws: failure probability <= {high:.3g} ({level})"

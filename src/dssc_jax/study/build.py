@@ -21,6 +21,7 @@ from dssc_jax.core.quantities import extent
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table, explain
 from dssc_jax.study.laws import Uncertain
 from dssc_jax.study.measuring import kinds_of, measured
@@ -42,6 +43,7 @@ from dssc_jax.study.slots import (
     PER_CHANNEL,
     REGISTRIES,
     SLOTS,
+    TABLES,
     parse_channels,
     parse_reference,
     parse_whole,
@@ -55,6 +57,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
     "loop.settled": SettledTable,
     "units": UnitsTable,
+    "actuator": ActuatorTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "envelope": EnvelopeTable,
@@ -79,7 +82,7 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
     Raises:
         ConfigError: one is not valid, or depends on a law.
     """
-    kept = {*SLOTS, *TEXTS, "compare", PARAMETERS}
+    kept = {*TABLES, *TEXTS, "compare", PARAMETERS}
     return {name: value if name in kept else parameters.constants(value, name) for name, value in table.items()}
 
 
@@ -111,7 +114,8 @@ def parsed_parts(table: TomlTable) -> Parts:
     """The parts of a study; see :func:`build`."""
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
-    tables = {slot: parameters.resolved(getattr(config, slot), slot) for slot in SLOTS}
+    require_one_form(config)
+    tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # read when controllers are compared
     plant = parse_whole(tables["plant"], "plant")
     channels = plant.model.channels or ("",)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
+from dssc_jax.study.actuators import ACTUATOR
 from dssc_jax.study.components import field_specs
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
@@ -14,7 +15,7 @@ from dssc_jax.study.sections import params_of
 from dssc_jax.study.slots import (
     PER_CHANNEL,
     REGISTRIES,
-    SLOTS,
+    TABLES,
     parse_channels,
     parse_reference,
     parse_whole,
@@ -75,12 +76,12 @@ def check_swept_parts(
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
     if PARAMETERS in slots:
-        slots = {slot for slot in SLOTS if slot in table}
+        slots = {slot for slot in TABLES if slot in table}
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
             part = parameters.resolved(table[slot], slot)
-            if slot in PER_CHANNEL:
+            if slot in (*PER_CHANNEL, ACTUATOR):
                 parse_channels(part, slot, channels)
             elif slot == "reference":
                 parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))

@@ -242,7 +242,7 @@ def laws(
     free = draws.free(draws.names)
     if not free.any():
         raise ConfigError(study.source, NO_LAW)
-    low, high = result.method.interval(draws.failed).tolist()
+    low, high = result.method.failure_interval(draws.failed).tolist()
     bounds = draws.bounds((low, high))
     guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
     confidence = confidence_of(result.method)

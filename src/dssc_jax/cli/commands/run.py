@@ -11,8 +11,8 @@ from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.stated_errors import StatedAmounts
-from dssc_jax.runs.run_until import MOST_DRAWS, Rule, run_until
-from dssc_jax.statistics import AcceptReject, UntilWidth
+from dssc_jax.runs.run_until import MOST_DRAWS, run_until
+from dssc_jax.statistics import AcceptReject, StoppingRule, UntilWidth
 from dssc_jax.study import Study
 
 
@@ -34,7 +34,7 @@ def stated_amounts(options: Run) -> StatedAmounts:
     return StatedAmounts(parse_within(options.within), options.shift, options.widening)
 
 
-def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> Rule | None:
+def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> StoppingRule | None:
     """The stopping rule given by the options."""
     if width is accept is reject is None:
         return None
@@ -52,7 +52,7 @@ def stopping_rule(width: float | None, accept: float | None, reject: float | Non
         raise ConfigError("--until-width" if width is not None else "--accept", str(error)) from None
 
 
-def run_with_rule(study: Study, rule: Rule, options: Run) -> int:
+def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
     """Make draws until the stopping rule is met."""
     warn_of_study(study)
     limit = MOST_DRAWS if options.max_draws is None else options.max_draws
@@ -73,6 +73,6 @@ def run_with_rule(study: Study, rule: Rule, options: Run) -> int:
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 
 
-def folder_of_rule(study: Study, rule: Rule, limit: int) -> Path:
+def folder_of_rule(study: Study, rule: StoppingRule, limit: int) -> Path:
     """The usual folder of a run with a stopping rule."""
     return usual_folder(study.override({"draws": limit}), f"run-{rule.slug}", limit)
