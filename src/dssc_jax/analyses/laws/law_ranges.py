@@ -171,7 +171,8 @@ def law_ranges(
 
     Example:
         >>> import dssc_jax as dj
-        >>> study = dj.Study.load("motor").override({"draws": 400, "plant.a_p": {"uniform": [[0.5, 0.8], 1.6]}})
+        >>> ranges = {"draws": 400, "disturbance.value": {"uniform": [[-3.0, -2.0], 3.0]}}
+        >>> study = dj.Study.load("motor").override(ranges)
         >>> low, high = dj.law_ranges(study).answer.interval
         >>> 0.0 <= low <= high <= 1.0
         True
