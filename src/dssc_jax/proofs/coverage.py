@@ -72,7 +72,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
             f"the actuators form a chain, {kind_in(study.config, 'unmodelled')}; only one of them is covered"
         )
     ends = ends_of(study)
-    for name, law in study.laws.items():
+    for name, law in study.written_laws.items():
         if name in study.parameter_names:
             followers = ", ".join(study.followers(name)) or "nothing"
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
@@ -174,7 +174,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     Raises:
         NotCovered: the reference's start is uncertain.
     """
-    if any(name.startswith("reference.") for name in study.laws):
+    if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
     zero = ends.low.plant.zero_dynamics
     size = 2 + (len(zero.a) if zero else 0)

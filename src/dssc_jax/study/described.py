@@ -38,7 +38,7 @@ class DescribedNumber(BaseModel):
     """A number of the loop as JSON: its value, law or expression, and its meaning."""
 
     model_config = NO_EXTRA_FIELDS
-    value: float | dict[str, list[float]] | str
+    value: float | dict[str, list[float | list[float]]] | str
     unit: str
     meaning: str
 
@@ -208,7 +208,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
     for name, number in study.numbers.items():
         law = number.value
         quantity = number.quantity
-        value = {law.kind: list(law.arguments)} if isinstance(law, Law) else law
+        value = law.table if isinstance(law, Law) else law
         value = number.expression.text if number.expression else value
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
     fields, seen = info_fields(study.loop, study.template)
