@@ -68,11 +68,17 @@ class ChannelState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the plant, the wind, and every channel."""
+    """State of the plant, the wind, every channel, and the disturbances at the inputs that the plant names."""
 
     plant: State
     wind: State
     channels: tuple[ChannelState, ...]
+    inputs: tuple[State, ...] = ()
+
+    @property
+    def disturbances(self) -> tuple[State, ...]:
+        """State of the disturbance of each channel, then of each named input."""
+        return (*(channel.disturbance for channel in self.channels), *self.inputs)
 
 
 class Recorded(NamedTuple):
@@ -107,7 +113,10 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "disturbance", name)
         disturbances.append(loop.disturbance[i].init(params.disturbance[i], jax.random.fold_in(stream_key, 0)))
-    drive = plant_input(loop, params, tuple(disturbances), wind, plant, reaching, 0.0)
+    inputs = []
+    for model, p, name in zip(loop.inputs, params.inputs, loop.input_names, strict=True):
+        inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
+    drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0)
     measurements = measure(loop, params, plant, references, drive)
     channels = []
     for i, name in enumerate(loop.channels):
@@ -130,7 +139,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reading=control.reading,
             )
         )
-    return as_arrays(LoopState(plant, wind, tuple(channels)))
+    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs)))
 
 
 def held_parts(loop: Loop) -> HeldParts:
@@ -138,7 +147,7 @@ def held_parts(loop: Loop) -> HeldParts:
     return HeldParts(
         loop.mimo_plant,
         loop.unmodelled,
-        tuple(model.variation for model in loop.disturbance),
+        tuple(model.variation for model in (*loop.disturbance, *loop.inputs)),
         loop.integrator,
         loop.sample_time,
         loop.substeps,
@@ -170,7 +179,7 @@ def plant_input(
     Args:
         loop: The models and the clock.
         params: Their parameters.
-        held: State of the disturbance of each channel.
+        held: State of the disturbance of each channel, then of each named input.
         wind: State of the wind.
         plant: State of the plant.
         actuation: The commands that reach it.
@@ -182,7 +191,11 @@ def plant_input(
     for i, model in enumerate(loop.disturbance):
         sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
         disturbances.append(model.value(params.disturbance[i], held[i], measurements[i], sigma, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t))
+    first = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
+    inputs = []
+    for model, p, state in zip(loop.inputs, params.inputs, held[len(loop.disturbance) :], strict=True):
+        inputs.append(model.value(p, state, measurements[0], first, t))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs))
 
 
 def all_finite(state: LoopState) -> Scalar:
@@ -293,9 +306,8 @@ def step(
     dt = loop.sample_time
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
-    disturbances = tuple(channel.disturbance for channel in state.channels)
     reaching = tuple(channel.reaching for channel in state.channels)
-    arriving_drive = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
+    arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t)
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
@@ -317,10 +329,13 @@ def step(
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     held = as_arrays(tuple(commands))
     sampled = tuple(channel.unmodelled for channel in channels)
-    disturbances = tuple(channel.disturbance for channel in channels)
+    held_inputs = []
+    for model, p, before, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
+        held_inputs.append(model.step(p, before, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
+    following = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, disturbances, wind, plant, actuation, time)
+        return plant_input(loop, params, following.disturbances, wind, plant, actuation, time)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
@@ -328,7 +343,7 @@ def step(
     arriving = actuate(loop, params, unmodelled, held)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels)))
+    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs))
     broken = loop.plant.broken(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info)
     return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))

@@ -11,6 +11,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 import jax
 
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import Column, LinearSystem, Rows
 from dssc_jax.core.signals import (
     Command,
@@ -80,11 +82,13 @@ class LinearDynamics(NamedTuple):
         a: A, row by row, shape (n, n).
         command: Column of the command of each channel, shape (n,) each.
         disturbance: Column of the disturbance of each channel, shape (n,) each.
+        inputs: Column of each disturbance input that the plant names, shape (n,) each.
     """
 
     a: Rows
     command: tuple[Column, ...]
     disturbance: tuple[Column, ...]
+    inputs: tuple[Column, ...] = ()
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
@@ -119,6 +123,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
+        outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
+        inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
+            ``input.inputs`` in this order; None: there are none.
     """
 
     params: type
@@ -139,6 +146,14 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     onboard: tuple[str, ...] = ()
     smooth: Declaration = None
     info: type | None = None
+    outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+    inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+
+    def reported(self, params: Params) -> tuple[NamedSignal, ...]:
+        """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
+        outputs = self.outputs(params) if self.outputs else ()
+        declared = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
+        return outputs or tuple(declared)
 
 
 class Preset(NamedTuple):

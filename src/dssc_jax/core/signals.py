@@ -62,12 +62,14 @@ class PlantInput(NamedTuple, Generic[Signal]):
     """The plant's input: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
 
     Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
-    ``Vec3`` [m/s] for flying plants.
+    ``Vec3`` [m/s] for flying plants. ``inputs`` are the disturbances at the inputs that the plant names, in their order;
+    () stands for zeros.
     """
 
     command: Signal
     disturbance: Signal
     wind: State = None
+    inputs: Signals = ()
 
 
 class Outcome(IntEnum):

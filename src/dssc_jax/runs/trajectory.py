@@ -183,7 +183,7 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     controllers = study.loop.controller
     loaded = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
     quantities = SIGNALS | quantities_of(controllers[index].info if loaded else None)
-    observed = {} if named else quantities_of(study.loop.plant.info)
+    observed = {} if named else study.loop.quantities
     if signal in quantities or signal in observed:
         quantity = quantities[signal] if signal in quantities else observed[signal]
         unit = units.of(quantity.unit)

@@ -13,11 +13,12 @@ from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import sampled_signals
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import extent
+from dssc_jax.core.quantities import extent, quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
@@ -43,6 +44,8 @@ from dssc_jax.study.slots import (
     REGISTRIES,
     SLOTS,
     parse_channels,
+    parse_disturbances,
+    parse_inputs,
     parse_reference,
     parse_whole,
     parse_winds,
@@ -126,8 +129,15 @@ def parsed_parts(table: TomlTable) -> Parts:
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
     if not has_several_channels:
         wholes["plant"] = with_units(plant, units[0])
-    columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL}
+    inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
+    places = [signal.name for signal in inputs]
+    columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL if slot != "disturbance"}
+    columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, places)
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
+    columns["inputs"] = [
+        with_units(part, units[0]._replace(command=signal.unit or UNNAMED_UNITS.command))
+        for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
+    ]
     for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
             raise ConfigError(
@@ -141,6 +151,8 @@ def parsed_parts(table: TomlTable) -> Parts:
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
         channels=channels,
+        input_names=tuple(signal.name for signal in inputs),
+        outputs=plant.model.reported(plant.params),
         **clock(config),
     )
     template = LoopParams(
@@ -150,10 +162,13 @@ def parsed_parts(table: TomlTable) -> Parts:
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, channels, numbers)
+    check_swept_parts(table, config, channels, places, numbers)
     known = kinds_of(config)
-    names = available_metrics(*info_fields(loop, template), known)
-    measures, requirements = measured(config, names, known, channels, units)
+    fields, seen = info_fields(loop, template)
+    names = available_metrics(fields, seen, known)
+    reports = [quantities_of(model.info) for model in loop.controller]
+    signals = sampled_signals(fields, seen, units, reports, loop.quantities)
+    measures, requirements = measured(config, names, known, channels, units, signals)
     check_settled(loop, measures)
     return Parts(config, loop, template, units, numbers, measures, requirements)
 

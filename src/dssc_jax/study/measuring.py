@@ -6,12 +6,13 @@ from dataclasses import replace
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, first_sample, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.importing import imported
-from dssc_jax.study.schema import StudyTable
+from dssc_jax.study.schema import RequirementTable, StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
 
@@ -47,6 +48,7 @@ def measured(
     known: Mapping[str, Metric],
     channels: tuple[str, ...],
     units: tuple[ChannelUnits, ...],
+    signals: Mapping[str, SampledSignal],
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
 
@@ -56,11 +58,15 @@ def measured(
         known: All kinds of metric.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Their units and meanings.
+        signals: Every signal of the loop by name.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
     has_several_channels = len(channels) > 1
+    of_signals = signal_metrics_of(config, signals)
+    known = {**known, **of_signals}
+    names = names | {name: (name, None) for name in of_signals}
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
@@ -87,7 +93,7 @@ def measured(
     requirements = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
-        metric = short(table.metric)
+        metric = required_metric(table)
         if metric not in names:
             if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
@@ -111,6 +117,28 @@ def measured(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def required_metric(table: RequirementTable) -> str:
+    """The name of a requirement's metric: of a signal, kind and signal."""
+    return short(table.metric) if table.signal is None else suffixed(table.metric, table.signal)
+
+
+def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
+    """The metrics of signals that a study names or requires, by name.
+
+    Raises:
+        ConfigError: A requirement's signal, or its kind of metric, is unknown.
+    """
+    for index, table in enumerate(config.requirement):
+        if table.signal is not None and table.signal not in signals:
+            rule = f"'{table.signal}' is no signal of this loop; {nearest(table.signal, signals)}"
+            raise ConfigError(f"requirement.{index}.signal", rule)
+        if table.signal is not None and table.metric not in SIGNAL_METRICS:
+            rule = f"'{table.metric}' is no metric of a signal; {nearest(table.metric, SIGNAL_METRICS)}"
+            raise ConfigError(f"requirement.{index}.metric", rule)
+    required = [required_metric(table) for table in config.requirement]
+    return metrics_of_signals([*required, *(config.metrics.names or ())], signals)
 
 
 SIGNALS = {

@@ -95,6 +95,10 @@ class BoundedMetric(BaseModel):
 
     model_config = STRICT
     metric: str = Field(description="the bounded metric")
+    signal: str | None = Field(
+        default=None,
+        description="its signal, by the name of its column in a trajectory; absent: the metric has its own",
+    )
 
 
 UsualWindow: Any = create_model("UsualWindow", __config__=STRICT, **window_fields(absent=False))
@@ -347,7 +351,9 @@ class StudyTable(BaseModel):
     sensor: TomlTable = Field(default={"kind": "ideal"}, description="model of the sensors")
     differentiator: TomlTable = Field(default={"kind": "none"}, description="estimator of the output's derivative")
     unmodelled: TomlTable = Field(default={"kind": "none"}, description="dynamics between command and plant")
-    disturbance: TomlTable = Field(default={"kind": "none"}, description="disturbance at the plant's input")
+    disturbance: TomlTable | list[TomlTable] = Field(
+        default={"kind": "none"}, description="disturbance at the command; several `[[disturbance]]` have their places"
+    )
     wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )

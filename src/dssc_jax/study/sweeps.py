@@ -1,7 +1,7 @@
 """Checks of a study's axes: each is a number of the loop, and the rules of its part hold for all values."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
@@ -16,6 +16,8 @@ from dssc_jax.study.slots import (
     REGISTRIES,
     SLOTS,
     parse_channels,
+    parse_disturbances,
+    parse_inputs,
     parse_reference,
     parse_whole,
     parse_winds,
@@ -59,7 +61,11 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
 
 
 def check_swept_parts(
-    table: TomlTable, config: StudyTable, channels: tuple[str, ...], numbers: Mapping[str, Number]
+    table: TomlTable,
+    config: StudyTable,
+    channels: tuple[str, ...],
+    inputs: Sequence[str],
+    numbers: Mapping[str, Number],
 ) -> None:
     """Require that the rules spanning several fields of a part hold for all swept values.
 
@@ -80,7 +86,10 @@ def check_swept_parts(
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
             part = parameters.resolved(table[slot], slot)
-            if slot in PER_CHANNEL:
+            if slot == "disturbance":
+                parse_disturbances(part, channels, inputs)
+                parse_inputs(part, channels, inputs)
+            elif slot in PER_CHANNEL:
                 parse_channels(part, slot, channels)
             elif slot == "reference":
                 parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))

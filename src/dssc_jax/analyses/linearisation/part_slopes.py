@@ -22,7 +22,6 @@ from dssc_jax.core.signals import (
     Measurement,
     Measurements,
     Params,
-    PlantInput,
     Scalar,
     Signals,
     State,
@@ -93,7 +92,7 @@ def part_maps(
     for i, model in enumerate(loop.unmodelled):
         sampled.append(model.sample(params.unmodelled[i], state.channels[i].unmodelled, commands[i], dt))
     actuation = actuate(loop, params, tuple(sampled), commands)
-    disturbances = tuple(channel.disturbance for channel in state.channels)
+    disturbances = state.disturbances
     drive = plant_input(loop, params, disturbances, state.wind, state.plant, actuation, t)
 
     def plant(_: int) -> PartMap:
@@ -101,7 +100,7 @@ def part_maps(
             part: Plant[Measurements, Signals], p: Params, memory: tuple[()], signals: tuple[State, Signals]
         ) -> tuple[State, Measurements]:
             plant_state, command = signals
-            slope = part.derivative(p, plant_state, PlantInput(command, drive.disturbance, drive.wind), t)
+            slope = part.derivative(p, plant_state, drive._replace(command=command), t)
             return slope, measure(loop, params, plant_state, references)
 
         return PartMap(apply, (), (state.plant, drive.command))
