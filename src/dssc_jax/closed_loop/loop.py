@@ -19,7 +19,8 @@ class LoopParams(NamedTuple):
     """Parameters of every part of the loop; any number may be traced.
 
     Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
-    channel. Those of ``inputs`` are the disturbances at the inputs that the plant names.
+    channel. Those of ``inputs`` are the disturbances at the inputs that the plant names, those of ``signal_sensor`` the
+    sensors of the measured signals.
     """
 
     plant: Params
@@ -31,6 +32,7 @@ class LoopParams(NamedTuple):
     unmodelled: tuple[Params, ...]
     disturbance: tuple[Params, ...]
     inputs: tuple[Params, ...] = ()
+    signal_sensor: tuple[Params, ...] = ()
 
 
 class Settled(NamedTuple):
@@ -59,6 +61,8 @@ class Loop:
         inputs: A disturbance at each input that the plant names.
         input_names: Names of these inputs.
         outputs: What the plant's monitor reports, as far as it is declared with unit and meaning.
+        measures: Signals that are measured beside y and y' of each channel.
+        signal_sensor: A sensor for each of them.
         settled: Rule for ending a settled draw; None: never.
     """
 
@@ -79,6 +83,8 @@ class Loop:
     inputs: tuple[Disturbance, ...] = ()
     input_names: tuple[str, ...] = ()
     outputs: tuple[NamedSignal, ...] = ()
+    measures: tuple[NamedSignal, ...] = ()
+    signal_sensor: tuple[Sensor, ...] = ()
 
     @cached_property
     def mimo_plant(self) -> Plant[Measurements, Signals]:

@@ -19,6 +19,7 @@ from dssc_jax.closed_loop.control import (
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
+from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import (
     Measurement,
@@ -68,12 +69,13 @@ class ChannelState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the plant, the wind, every channel, and the disturbances at the inputs that the plant names."""
+    """State of the plant, the wind, every channel, the disturbances at named inputs, and the sensors of signals."""
 
     plant: State
     wind: State
     channels: tuple[ChannelState, ...]
     inputs: tuple[State, ...] = ()
+    signals: tuple[State, ...] = ()
 
     @property
     def disturbances(self) -> tuple[State, ...]:
@@ -118,6 +120,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
     drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0)
     measurements = measure(loop, params, plant, references, drive)
+    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, measurements, drive))
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -125,7 +128,8 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        control = initial_control(loop, params, i, principal_value(loop, i, reading), references[i])
+        seen = principal_value(loop, i, reading)._replace(signals=signals)
+        control = initial_control(loop, params, i, seen, references[i])
         channels.append(
             ChannelState(
                 controller=control.controller,
@@ -139,7 +143,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reading=control.reading,
             )
         )
-    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs)))
+    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors))
 
 
 def held_parts(loop: Loop) -> HeldParts:
@@ -215,12 +219,13 @@ def control_channel(
     channel: ChannelState,
     i: int,
     measurement: Measurement,
+    signals: Signals,
     reference: ReferencePoint,
     k: Scalar,
 ) -> tuple[ChannelState, Controlled]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
 
-    The sensor sees an angle that is continuous in time.
+    The sensor sees an angle that is continuous in time. ``signals`` are the readings of the measured signals.
     """
     t = k * loop.sample_time
     dt = loop.sample_time
@@ -234,7 +239,8 @@ def control_channel(
         t,
         dt,
     )
-    state, controlled = control(loop, params, i, channel.control, principal_value(loop, i, reading), reference)
+    seen = principal_value(loop, i, reading)._replace(signals=signals)
+    state, controlled = control(loop, params, i, channel.control, seen, reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,
@@ -279,6 +285,8 @@ def metric_sample(
         info=controlled.info,
         reference=reference,
         e_dot=error.sigma - l0 * error.e,
+        y_measured=controlled.sensed.y,
+        y_dot_measured=controlled.sensed.y_dot,
     )
 
 
@@ -309,6 +317,8 @@ def step(
     reaching = tuple(channel.reaching for channel in state.channels)
     arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t)
     measurements = measure(loop, params, state.plant, references, arriving_drive)
+    values = signal_values(loop, params, state.plant, measurements, arriving_drive)
+    signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -316,7 +326,7 @@ def step(
     outputs = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], reference, k)
+        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], signals, reference, k)
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
@@ -343,7 +353,7 @@ def step(
     arriving = actuate(loop, params, unmodelled, held)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs))
+    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors))
     broken = loop.plant.broken(params.plant, after.plant)
-    instant = Instant(t, dt, tuple(samples), info)
+    instant = Instant(t, dt, tuple(samples), info, signals)
     return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))

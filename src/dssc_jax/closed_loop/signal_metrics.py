@@ -18,6 +18,7 @@ from dssc_jax.closed_loop.metrics import (
     total,
 )
 from dssc_jax.closed_loop.window import Window
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.units import ChannelUnits
@@ -59,9 +60,16 @@ def of_plant(field: str) -> Callable[[Instant], Scalar]:
     return lambda instant: getattr(instant.plant, field)
 
 
+def of_reading(index: int) -> Callable[[Instant], Scalar]:
+    """A measured signal as its sensor shows it."""
+    return lambda instant: instant.measured[index]
+
+
 CHANNEL_SIGNALS = {
     "e": Quantity("y", "output error e"),
     "sigma": Quantity("y/s", "sigma"),
+    "y_measured": Quantity("y", "output y as the controller sees it"),
+    "y_dot_measured": Quantity("y/s", "output's derivative y' as the controller sees it"),
     "sigma_measured": Quantity("y/s", "sigma as the controller sees it"),
     "u": Quantity("u", "robust command u"),
     "u_total": Quantity("u", "command u + u_n"),
@@ -75,6 +83,7 @@ def sampled_signals(
     units: Sequence[ChannelUnits],
     reports: Sequence[Mapping[str, Quantity]],
     outputs: Mapping[str, Quantity],
+    measured: Sequence[NamedSignal] = (),
 ) -> dict[str, SampledSignal]:
     """Every signal of a loop, by the name of its column in a trajectory.
 
@@ -84,22 +93,23 @@ def sampled_signals(
         units: Units and meanings of each channel.
         reports: The quantities that each channel's controller declares.
         outputs: Those that the plant declares.
+        measured: The measured signals.
     """
     signals = {}
     for index, (channel, infos) in enumerate(fields.items()):
-        named = units[index]
-
-        def add(
-            name: str, quantity: Quantity, of: Callable[[Instant], Scalar], channel: str, named: ChannelUnits
-        ) -> None:
-            column = f"{channel}_{name}" if channel else name
-            signals[column] = SampledSignal(named.of(quantity.unit), named.named(quantity.meaning), of)
-
-        add("y", Quantity("y", "output y"), of_output(index), channel, named)
+        sources = {"y": (Quantity("y", "output y"), of_output(index))}
         for name, quantity in CHANNEL_SIGNALS.items():
-            add(name, quantity, of_channel(index, name), channel, named)
+            sources[name] = quantity, of_channel(index, name)
         for name in infos:
-            add(name, reports[index].get(name, Quantity("1", name)), of_controller(index, name), channel, named)
+            sources[name] = reports[index].get(name, Quantity("1", name)), of_controller(index, name)
+        for name, (quantity, of) in sources.items():
+            unit = units[index].of(quantity.unit)
+            column = f"{channel}_{name}" if channel else name
+            signals[column] = SampledSignal(unit, units[index].named(quantity.meaning), of)
+    for index, signal in enumerate(measured):
+        signals[f"measured_{signal.name}"] = SampledSignal(
+            signal.unit or "1", f"measured {signal.quantity.meaning}", of_reading(index)
+        )
     for name in seen:
         quantity = outputs.get(name, Quantity("1", name))
         signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name))

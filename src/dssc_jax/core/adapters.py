@@ -147,7 +147,7 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place; the parameters are a tuple, and each has random numbers of its own."""
+    """The sum of several disturbances at one place; the parameters are a tuple, and each draws numbers of its own."""
     if len(parts) == 1:
         return parts[0]
 

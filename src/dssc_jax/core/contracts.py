@@ -10,6 +10,7 @@ from enum import StrEnum
 from typing import Generic, NamedTuple, TypeVar
 
 import jax
+import numpy as np
 
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import quantities_of
@@ -176,6 +177,47 @@ class HarmonicBalance(NamedTuple):
     residual: Callable[[complex, float, float], float]
 
 
+class NominalPlant(NamedTuple):
+    """A linear plant of one channel with the medians of its laws, in plain numbers.
+
+    Args:
+        a: A, shape (n, n).
+        command: Column of the command, shape (n,).
+        disturbances: Columns of the disturbance beside the command and of each named input, shape (n, q).
+        output: Row of y, shape (n,).
+        signals: Row of each measured signal, shape (m, n).
+        through: Feedthrough of the command to each of them, shape (m,).
+        inputs: Names of the columns of ``disturbances``.
+    """
+
+    a: np.ndarray
+    command: np.ndarray
+    disturbances: np.ndarray
+    output: np.ndarray
+    signals: np.ndarray
+    through: np.ndarray
+    inputs: tuple[str, ...]
+
+
+class LoopSetting(NamedTuple):
+    """What a controller is fitted to when a study is built.
+
+    Args:
+        sample_time: T_s [s].
+        measures: Names of the measured signals beside y and y'.
+        plant: The nominal plant; None: it has several channels, or no linear form.
+    """
+
+    sample_time: float
+    measures: tuple[str, ...]
+    plant: NominalPlant | None
+
+
+def takes_none(gains: Params) -> int:
+    """Take no measured signals."""
+    return 0
+
+
 class Controller(NamedTuple):
     """A sampled controller.
 
@@ -191,6 +233,10 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
+        takes: ``(gains) -> n``: the number of measured signals that it takes from ``measurement.signals``; 0: it takes y
+            and y' alone, and what else is measured does not matter.
+        fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
+            sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
         tunable: Names of the usual gains that a comparison tunes, dotted within the controller's table, or a function
             of the gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
         from_dssc: ``(gains of DSSC) -> table``: the gains that correspond to those of DSSC. None: a comparison needs
@@ -207,6 +253,8 @@ class Controller(NamedTuple):
     smooth: Declaration = None
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
+    takes: Callable[[Params], int] = takes_none
+    fit: Callable[[Params, LoopSetting], Params] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
     from_dssc: Callable[[Params], TomlTable] | None = None
     limit: str = ""

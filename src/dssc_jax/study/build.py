@@ -23,7 +23,8 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.components import Component, as_table, explain
-from dssc_jax.study.laws import Uncertain
+from dssc_jax.study.fitting import fitted, medians
+from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
@@ -131,6 +132,10 @@ def parsed_parts(table: TomlTable) -> Parts:
         wholes["plant"] = with_units(plant, units[0])
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
     places = [signal.name for signal in inputs]
+    known = measurable(plant.model, medians(plant.params), plant.model.reported(plant.params), channels, units)
+    sensors = sensor_tables(tables["sensor"], known)
+    measures = tuple(known[name] for name in sensors.measures)
+    tables["sensor"] = sensors.channels
     columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL if slot != "disturbance"}
     columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, places)
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
@@ -138,6 +143,10 @@ def parsed_parts(table: TomlTable) -> Parts:
         with_units(part, units[0]._replace(command=signal.unit or UNNAMED_UNITS.command))
         for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
     ]
+    columns["signal_sensor"] = parse_signal_sensors(sensors, known)
+    columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
+    for part in columns["controller"]:
+        require_signals(part.model, part.params, measures)
     for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
             raise ConfigError(
@@ -151,6 +160,7 @@ def parsed_parts(table: TomlTable) -> Parts:
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
         channels=channels,
+        measures=measures,
         input_names=tuple(signal.name for signal in inputs),
         outputs=plant.model.reported(plant.params),
         **clock(config),
@@ -162,15 +172,15 @@ def parsed_parts(table: TomlTable) -> Parts:
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, channels, places, numbers)
-    known = kinds_of(config)
+    check_swept_parts(table, config, loop, known, numbers)
+    metrics = kinds_of(config)
     fields, seen = info_fields(loop, template)
-    names = available_metrics(fields, seen, known)
+    names = available_metrics(fields, seen, metrics)
     reports = [quantities_of(model.info) for model in loop.controller]
-    signals = sampled_signals(fields, seen, units, reports, loop.quantities)
-    measures, requirements = measured(config, names, known, channels, units, signals)
-    check_settled(loop, measures)
-    return Parts(config, loop, template, units, numbers, measures, requirements)
+    signals = sampled_signals(fields, seen, units, reports, loop.quantities, measures)
+    measured_metrics, requirements = measured(config, names, metrics, channels, units, signals)
+    check_settled(loop, measured_metrics)
+    return Parts(config, loop, template, units, numbers, measured_metrics, requirements)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
@@ -246,8 +256,7 @@ Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
 
 def info_fields(loop: Loop, template: LoopParams) -> Fields:
     """Field names of each controller's info and of the plant's, found without computing anything."""
-    params = jax.tree.map(lambda leaf: leaf.median if isinstance(leaf, Uncertain) else leaf, template)
-    leaves, structure = jax.tree.flatten(params)
+    leaves, structure = jax.tree.flatten(medians(template))
     shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
     return traced_fields(loop, structure, tuple(shapes))
 

@@ -97,7 +97,7 @@ class BoundedMetric(BaseModel):
     metric: str = Field(description="the bounded metric")
     signal: str | None = Field(
         default=None,
-        description="its signal, by the name of its column in a trajectory; absent: the metric has its own",
+        description="the signal of `rms` and its like, as a trajectory names it; absent: the metric has its own",
     )
 
 

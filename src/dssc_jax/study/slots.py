@@ -122,10 +122,8 @@ def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Seque
     places = {channel or COMMAND: channel for channel in channels} | {name: name for name in inputs}
     chosen = table.get("input", COMMAND if channels == ("",) else None)
     if chosen not in places:
-        valid = nearest(str(chosen), places)
-        raise ConfigError(
-            f"{path}.input", f"must be a place of the plant at which a disturbance acts, got {chosen!r}; {valid}"
-        )
+        rule = f"must be a place of the plant at which a disturbance acts, got {chosen!r}"
+        raise ConfigError(f"{path}.input", f"{rule}; {nearest(str(chosen), places)}")
     return places[chosen]
 
 

@@ -1,12 +1,15 @@
 """Checks of a study's axes: each is a number of the loop, and the rules of its part hold for all values."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
+from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.components import field_specs
+from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import StudyTable
@@ -63,8 +66,8 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
 def check_swept_parts(
     table: TomlTable,
     config: StudyTable,
-    channels: tuple[str, ...],
-    inputs: Sequence[str],
+    loop: Loop,
+    known: Mapping[str, NamedSignal],
     numbers: Mapping[str, Number],
 ) -> None:
     """Require that the rules spanning several fields of a part hold for all swept values.
@@ -77,6 +80,7 @@ def check_swept_parts(
     if not config.sweep:
         return
     table = copy.deepcopy(table)
+    channels = loop.channels
     for name, values in config.sweep.items():
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
@@ -87,8 +91,12 @@ def check_swept_parts(
         for slot in sorted(slots):
             part = parameters.resolved(table[slot], slot)
             if slot == "disturbance":
-                parse_disturbances(part, channels, inputs)
-                parse_inputs(part, channels, inputs)
+                parse_disturbances(part, channels, loop.input_names)
+                parse_inputs(part, channels, loop.input_names)
+            elif slot == "sensor":
+                sensors = sensor_tables(part, known)
+                parse_channels(sensors.channels, slot, channels)
+                parse_signal_sensors(sensors, known)
             elif slot in PER_CHANNEL:
                 parse_channels(part, slot, channels)
             elif slot == "reference":

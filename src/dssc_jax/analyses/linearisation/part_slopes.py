@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from dssc_jax.analyses.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.readings import signal_values
 from dssc_jax.closed_loop.sample import LoopState, actuate, as_arrays, initial_state, measure, plant_input, step
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.numerics import arithmetic
@@ -98,10 +99,12 @@ def part_maps(
     def plant(_: int) -> PartMap:
         def apply(
             part: Plant[Measurements, Signals], p: Params, memory: tuple[()], signals: tuple[State, Signals]
-        ) -> tuple[State, Measurements]:
+        ) -> tuple[State, tuple[Measurements, Signals]]:
             plant_state, command = signals
             slope = part.derivative(p, plant_state, drive._replace(command=command), t)
-            return slope, measure(loop, params, plant_state, references)
+            outputs = measure(loop, params, plant_state, references)
+            shown = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
+            return slope, (outputs, shown)
 
         return PartMap(apply, (), (state.plant, drive.command))
 
