@@ -233,8 +233,8 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
-        takes: ``(gains) -> n``: the number of measured signals that it takes from ``measurement.signals``; 0: it takes y
-            and y' alone, and what else is measured does not matter.
+        takes: ``(gains) -> n``: the number of measured signals that it takes from ``measurement.signals``; 0: it takes
+            y and y' alone, and what else is measured does not matter.
         fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
             sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
         tunable: Names of the usual gains that a comparison tunes, dotted within the controller's table, or a function

@@ -74,7 +74,8 @@ def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorT
             raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
     signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
-    return SensorTables(channels, tuple(named), signals)
+    default = {"kind": "ideal"} if named else {}
+    return SensorTables(default | channels, tuple(named), signals)
 
 
 def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal]) -> list[Component]:

@@ -146,7 +146,26 @@ def part_maps(
         sigma = tracking_error(measurement, references[i], params.controller[i].l0).sigma
         return PartMap(apply, (), (measurement, sigma))
 
+    def signal_sensor(i: int) -> PartMap:
+        def apply(part: Sensor, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
+            stream = jax.random.fold_in(loop.key(key, "signal", loop.measures[i].name), k + 1)
+            after, shown = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
+            return after, shown.y
+
+        values = signal_values(loop, params, state.plant, recorded.measurements, drive)
+        return PartMap(apply, state.signals[i], values[i])
+
+    def named_input(i: int) -> PartMap:
+        def apply(part: Disturbance, p: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
+            measurement, sigma = signals
+            return part.value(p, state.inputs[i], measurement, sigma, t)
+
+        sigma = tracking_error(recorded.measurements[0], references[0], params.controller[0].l0).sigma
+        return PartMap(apply, (), (recorded.measurements[0], sigma))
+
     map_of = {
+        "signal_sensor": signal_sensor,
+        "inputs": named_input,
         "plant": plant,
         "sensor": sensor,
         "differentiator": differentiator,

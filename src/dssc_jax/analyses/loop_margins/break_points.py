@@ -73,6 +73,7 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
         sensor=tuple(map(without_noise, params.sensor)),
         disturbance=tuple(NoParams() for _ in channels),
         inputs=tuple(NoParams() for _ in loop.inputs),
+        signal_sensor=tuple(map(without_noise, params.signal_sensor)),
     )
     return undisturbed_loop, undisturbed_params
 
