@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from dssc_jax.core.contracts import Controller, LoopSetting, NominalPlant
+from dssc_jax.core.contracts import Controller, LoopSetting
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
@@ -37,7 +37,10 @@ OUTPUT_WEIGHT = Quantity("1/y^2", "weight q_y of y^2", at_least=0.0, law=False)
 COMMAND_WEIGHT = Quantity("1/u^2", "weight r of u^2", above=0.0, law=False)
 INTEGRAL_WEIGHT = Quantity("1/(y^2 s^2)", "weight q_z of z^2; 0: no integral action", at_least=0.0, law=False)
 DISTURBANCE_STD = Quantity(
-    "SI", "standard deviation of the disturbance at the command, then at each named input", at_least=0.0, law=False
+    "SI",
+    "standard deviation of the disturbance at the command, then at each named input; absent: 0",
+    at_least=0.0,
+    law=False,
 )
 STATE_STD = Quantity("SI", "standard deviation of each state's noise in a sample; absent: 0", at_least=0.0, law=False)
 SIGNAL_STD = Quantity(
@@ -98,12 +101,11 @@ class SampledPlant(NamedTuple):
     disturbances: np.ndarray
 
 
-def sampled(plant: NominalPlant, sample_time: float) -> SampledPlant:
-    """The exact solution over a sample (Van Loan)."""
-    order = len(plant.a)
-    columns = np.column_stack([plant.command, plant.disturbances])
+def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> SampledPlant:
+    """The exact solution over a sample (Van Loan); the first column is that of the command."""
+    order = len(a)
     block = np.zeros((order + columns.shape[1],) * 2)
-    block[:order, :order] = plant.a
+    block[:order, :order] = a
     block[:order, order:] = columns
     whole = expm(block * sample_time)
     return SampledPlant(whole[:order, :order], whole[:order, order], whole[:order, order + 1 :])
@@ -118,17 +120,28 @@ def regulator(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_t
         a = np.block([[a, np.zeros((order, 1))], [sample_time * output[None, :], np.ones((1, 1))]])
         b = np.vstack([b, [[0.0]]])
         q = np.block([[q, np.zeros((order, 1))], [np.zeros((1, order)), gains.integral_weight * np.ones((1, 1))]])
-    p = solution(a, b, q, gains.command_weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
-    return (np.linalg.solve(gains.command_weight + b.T @ p @ b, b.T @ p @ a))[0]
+    return regulator_gain(a, b, q, float(gains.command_weight))
+
+
+def regulator_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, weight: float) -> np.ndarray:
+    """The row K that minimises the sum of x' Q x + weight u^2; raises ConfigError."""
+    p = solution(a, b, q, weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
+    return (np.linalg.solve(weight + b.T @ p @ b, b.T @ p @ a))[0]
 
 
 def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndarray:
     """L, shape (n, m)."""
-    deviations = np.array(filled("disturbance_std", gains.disturbance_std, plant.disturbances.shape[1]))
+    count = plant.disturbances.shape[1]
+    missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
+    deviations = np.array(filled("disturbance_std", (*gains.disturbance_std, *missing), count))
     own = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
     w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + own
-    v = np.diag(np.square(gains.signal_std))
-    p = solution(plant.a.T, rows.T, w, v, "filter", "the measured signals do not show it")
+    return filter_gain(plant.a, rows, w, np.diag(np.square(gains.signal_std)))
+
+
+def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """L of the filter of least variance for noise of the covariances w of the state and v of the signals."""
+    p = solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
     return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T
 
 
@@ -170,7 +183,8 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
         named = "y" if by_output else ", ".join(setting.measures)
         rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
         raise ConfigError("signal_std", rule)
-    discrete = sampled(plant, setting.sample_time)
+    columns = np.column_stack([plant.command, plant.disturbances])
+    discrete = sampled_system(plant.a, columns, setting.sample_time)
     order = len(discrete.a)
     feedback = regulator(discrete, plant.output, gains, setting.sample_time)
     return gains._replace(
