@@ -80,5 +80,5 @@ def test_what_cannot_be_designed_gets_its_line(kind, bandwidth, limit, message):
 
 
 def test_a_plant_with_the_other_sign_is_refused():
-    with pytest.raises(ConfigError, match="turn the command's sign|is not stable"):
+    with pytest.raises(ConfigError, match=r"turn the command's sign|is not stable"):
         first_gains(buck().override({"plant.b": [-SUPPLY / INDUCTANCE, 0.0]}), "pid", BANDWIDTH)
