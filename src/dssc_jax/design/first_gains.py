@@ -9,8 +9,8 @@ of that plant alone, whatever its units:
 * DSSC: its special case SSC, with constants. In sliding it synthesises a PI law of sigma, whose loop has a double pole
   at the bandwidth; e follows at a third of that.
 
-A design counts only if the sampled closed loop is stable, and it is told if it is not. These gains begin a study: margins,
-draws and tuning follow.
+A design of PID or LQG counts only if its sampled closed loop is stable. These gains begin a study: margins, draws and
+tuning follow.
 
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapters 11 and 12.
@@ -145,10 +145,8 @@ def first_gains(
         return ssc(study, a, b, c, chosen, limit)
     table, radius = pid(plant, chosen) if kind == FirstController.PID else lqg(plant, chosen)
     if not radius < 1.0:
-        rule = (
-            f"the sampled loop is not stable at {chosen:.4g} rad/s (largest pole {radius:.4g}), by a pole or zero that"
-        )
-        raise ConfigError("`bandwidth`", f"{rule} it does not allow for; ask for another one, or for 'lqg'")
+        rule = f"gives at {chosen:.4g} rad/s a sampled loop that is not stable (largest pole {radius:.4g})"
+        raise ConfigError("`bandwidth`", f"{rule}; ask for another one, or for 'lqg'")
     limits = {} if limit is None else {"low": -limit, "high": limit}
     return FirstGains(rounded(table | limits), chosen, radius)
 
@@ -181,7 +179,7 @@ def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
     s = 1j * omega
     gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
     if needed < -math.radians(90.0):
-        rule = f"has a phase at {omega:.4g} rad/s that is {-math.degrees(needed):.0f} degrees ahead of what PID crosses 1 with"
+        rule = f"has at {omega:.4g} rad/s a phase that is {-math.degrees(needed):.0f} degrees ahead of what PID needs"
         raise ConfigError("plant", f"{rule}; ask for another bandwidth or for 'lqg', or turn the command's sign")
     k_i = gain * corner
     k_p = gain * (1.0 + corner * ahead) - k_i * filtered

@@ -1,6 +1,7 @@
 """dssc-jax design: gains with a certificate from bounds, or first gains for the plant of a study."""
 
 import json
+import math
 from pathlib import Path
 
 from dssc_jax.cli.analysing import attempt
@@ -55,9 +56,8 @@ def print_first_gains(options: Design) -> int:
         print(json.dumps(jsonable({**content, "controller": found.table}), allow_nan=False))
         return DONE
     print(toml_entries(found.table, "controller").strip())
-    print(
-        f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, T_s = {study.loop.sample_time:g} s, at the nominal plant"
-    )
-    if found.radius == found.radius:
+    sampled = f"T_s = {study.loop.sample_time:g} s"
+    print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
+    if not math.isnan(found.radius):
         print(f"largest pole of the sampled loop {found.radius:.4g}, below 1: stable; dssc-jax loop gives its margins")
     return DONE

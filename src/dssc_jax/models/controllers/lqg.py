@@ -38,7 +38,7 @@ COMMAND_WEIGHT = Quantity("1/u^2", "weight r of u^2", above=0.0, law=False)
 INTEGRAL_WEIGHT = Quantity("1/(y^2 s^2)", "weight q_z of z^2; 0: no integral action", at_least=0.0, law=False)
 DISTURBANCE_STD = Quantity(
     "SI",
-    "standard deviation of the disturbance at the command, then at each named input; absent: 0",
+    "standard deviation of the disturbance, then of that at each named input; absent: 0",
     at_least=0.0,
     law=False,
 )
