@@ -33,11 +33,11 @@ class SampledSignal(NamedTuple):
 
 
 class Travelled(NamedTuple):
-    """The last value of a signal, the sum of the sizes of its changes, and the number of samples so far."""
+    """The last value of a signal, the sum of the sizes of its changes, and whether there was a sample, 1 or 0."""
 
     last: Scalar = 0.0
     sum: Scalar = 0.0
-    count: Scalar = 0.0
+    samples: Scalar = 0.0
 
 
 def of_channel(index: int, field: str) -> Callable[[Instant], Scalar]:
@@ -121,8 +121,8 @@ def travelled(of: Callable[[Instant], Scalar]) -> Callable[[Travelled, Instant, 
 
     def update(acc: Travelled, instant: Instant, window: Window) -> Travelled:
         value = of(instant)
-        change = jnp.where(acc.count > 0.0, jnp.abs(value - acc.last), 0.0)
-        return Travelled(value, acc.sum + change, jnp.minimum(acc.count + 1.0, 1.0))
+        change = jnp.where(acc.samples > 0.0, jnp.abs(value - acc.last), 0.0)
+        return Travelled(value, acc.sum + change, jnp.minimum(acc.samples + 1.0, 1.0))
 
     return update
 

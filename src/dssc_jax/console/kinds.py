@@ -104,8 +104,10 @@ def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[F
             meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
             yield f"{prefix}{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
         elif spec.named is not None:
-            yield f"{prefix}{name}.NAME", "", "a table of items that the study names", "", "absent"
-            if spec.mark is None:
+            if isinstance(spec.mark, Quantity):
+                yield f"{prefix}{name}.NAME", *field_columns(spec), "absent"
+            else:
+                yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
                 yield from fields(spec.named, f"{prefix}{name}.NAME.", None)
         elif spec.nested:
             inner = None if default in (None, REQUIRED) else default

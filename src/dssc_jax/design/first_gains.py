@@ -6,6 +6,7 @@ of that plant alone, whatever its units:
 * PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it.
 * LQG: y weighted with 1; the weight of u is that at which the regulator's loop crosses 1 at the bandwidth, and the
   noise of y that at which the filter's does so at four times that; integral action a decade below.
+* Both have no integral action where the plant has a zero at rest.
 * DSSC: its special case SSC, with constants. In sliding it synthesises a PI law of sigma, whose loop has a double pole
   at the bandwidth; e follows at a third of that.
 
@@ -166,8 +167,8 @@ def fastest_of(study: Study, kind: str, limit: float | None, start: float) -> Fi
 def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
     """The PID controller, and the largest pole of its loop; raises ConfigError."""
     at = plant.response(omega)
-    corner = omega / DECADE
-    needed = math.remainder(PHASE_MARGIN - math.pi - np.angle(at) + math.atan(1.0 / DECADE), 2.0 * math.pi)
+    corner = omega / DECADE if acts_at_rest(plant, omega) else 0.0
+    needed = math.remainder(PHASE_MARGIN - math.pi - np.angle(at) + math.atan(corner / omega), 2.0 * math.pi)
     if needed > MOST_LEAD:
         rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
         remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
@@ -184,10 +185,15 @@ def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
     k_i = gain * corner
     k_p = gain * (1.0 + corner * ahead) - k_i * filtered
     k_d = gain * ahead - k_p * filtered if lead else 0.0
-    table: TomlTable = {"kind": "pid", "k_p": k_p, "k_i": k_i}
+    table: TomlTable = {"kind": "pid", "k_p": k_p} | ({"k_i": k_i} if k_i else {})
     if lead:
         table |= {"k_d": k_d, "filter": filtered}
     return table, pid_radius(plant, k_p, k_i, k_d, filtered)
+
+
+def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
+    """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect."""
+    return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
 
 
 def pid_radius(plant: LinearPlant, k_p: float, k_i: float, k_d: float, filtered: float) -> float:
@@ -201,7 +207,7 @@ def pid_radius(plant: LinearPlant, k_p: float, k_i: float, k_d: float, filtered:
     matrix = np.zeros((n + 3, n + 3))
     matrix[:n, :n] = plant.a
     matrix[:n] += np.outer(plant.b, u)
-    matrix[n] = np.eye(n + 3)[n] - h * k_i * y
+    matrix[n] = np.eye(n + 3)[n] - h * k_i * y if k_i else 0.0
     matrix[n + 1] = derivative
     matrix[n + 2] = y
     return spectral_radius(matrix)
@@ -231,8 +237,7 @@ def lqg(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
 
     weight = crossing(regulated, size**2)
     deviation = crossing(filtered, abs(plant.response(faster)))
-    at_rest = loop_size(plant.a, plant.b, plant.c, 1e-6 * omega, z)
-    integral = (omega / DECADE) ** 2 if at_rest > 1e-3 * size else 0.0  # a plant with a zero at rest takes none
+    integral = (omega / DECADE) ** 2 if acts_at_rest(plant, omega) else 0.0
     table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight, "integral_weight": integral}
     table |= {"signal_std": [deviation], "disturbance_std": [1.0]}
     return table, lqg_radius(plant, weight, integral, deviation)

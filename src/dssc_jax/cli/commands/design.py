@@ -59,5 +59,5 @@ def print_first_gains(options: Design) -> int:
     sampled = f"T_s = {study.loop.sample_time:g} s"
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
     if not math.isnan(found.radius):
-        print(f"largest pole of the sampled loop {found.radius:.4g}, below 1: stable; dssc-jax loop gives its margins")
+        print(f"largest pole of the sampled loop {found.radius:.6g}, below 1: stable; dssc-jax loop gives its margins")
     return DONE

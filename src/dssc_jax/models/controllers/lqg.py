@@ -75,7 +75,7 @@ class LqgGains(NamedTuple):
     correction: Rows = ()
     integral_gain: Scalar = 0.0
     feedforward: Scalar = 0.0
-    count: int = 0
+    taken: int = 0
 
 
 class LqgState(NamedTuple):
@@ -136,7 +136,7 @@ def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndar
     deviations = np.array(filled("disturbance_std", (*gains.disturbance_std, *missing), count))
     own = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
     w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + own
-    return filter_gain(plant.a, rows, w, np.diag(np.square(gains.signal_std)))
+    return filter_gain(plant.a, rows, w, np.diag(np.square(filled("signal_std", gains.signal_std, len(rows)))))
 
 
 def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -196,7 +196,7 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
         correction=plain_rows(estimator(discrete, rows, gains)),
         integral_gain=float(feedback[order]) if len(feedback) > order else 0.0,
         feedforward=gain_at_rest(discrete, plant.output, feedback[:order]),
-        count=len(setting.measures),
+        taken=len(setting.measures),
     )
 
 
@@ -266,7 +266,7 @@ LQG: Entry = single(
         prepare,
         transfer,
         limited_smoothness(lqg_within_limits),
-        takes=lambda gains: gains.count,
+        takes=lambda gains: gains.taken,
         fit=fit,
         info=LqgInfo,
     ),

@@ -12,7 +12,7 @@ from dssc_jax.core.units import parse_unit
 
 ROW = Quantity("SI", "entry of the output's row of C")
 THROUGH = Quantity("SI", "feedthrough of the command")
-INPUT_THROUGH = Quantity("SI", "feedthrough of a named input")
+INPUT_THROUGH = Quantity("SI", "feedthrough of the disturbance at this input")
 COLUMN = Quantity("SI", "entry of the input's column")
 
 
