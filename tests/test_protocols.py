@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.core.contracts import LoopSetting, NominalPlant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.registry import single
+from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS

@@ -10,11 +10,11 @@ from enum import StrEnum
 from typing import Generic, NamedTuple, TypeVar
 
 import jax
-import numpy as np
 
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import Column, LinearSystem, Rows
+from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import (
     Command,
     Info,
@@ -175,42 +175,6 @@ class HarmonicBalance(NamedTuple):
 
     amplitude: Callable[[complex], float]
     residual: Callable[[complex, float, float], float]
-
-
-class NominalPlant(NamedTuple):
-    """A linear plant of one channel with the medians of its laws, in plain numbers.
-
-    Args:
-        a: A, shape (n, n).
-        command: Column of the command, shape (n,).
-        disturbances: Columns of the disturbance beside the command and of each named input, shape (n, q).
-        output: Row of y, shape (n,).
-        signals: Row of each measured signal, shape (m, n).
-        through: Feedthrough of the command to each of them, shape (m,).
-        inputs: Names of the columns of ``disturbances``.
-    """
-
-    a: np.ndarray
-    command: np.ndarray
-    disturbances: np.ndarray
-    output: np.ndarray
-    signals: np.ndarray
-    through: np.ndarray
-    inputs: tuple[str, ...]
-
-
-class LoopSetting(NamedTuple):
-    """What a controller is fitted to when a study is built.
-
-    Args:
-        sample_time: T_s [s].
-        measures: Names of the measured signals beside y and y'.
-        plant: The nominal plant; None: it has several channels, or no linear form.
-    """
-
-    sample_time: float
-    measures: tuple[str, ...]
-    plant: NominalPlant | None
 
 
 def takes_none(gains: Params) -> int:

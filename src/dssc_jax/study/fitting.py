@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.readings import STATE
-from dssc_jax.core.contracts import LoopSetting, NominalPlant, Plant
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import errors_under
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Params, PlantInput, Scalar
 from dssc_jax.study.components import Component
 from dssc_jax.study.laws import Uncertain

@@ -12,11 +12,12 @@ References:
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Controller, LoopSetting
+from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Entry, single
+from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.nominal import L0
 from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits

@@ -23,11 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
-from dssc_jax.core.contracts import Controller, LoopSetting
+from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
+from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.nominal import L0
 from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits
