@@ -13,10 +13,12 @@ from statistics import mode
 
 import numpy as np
 from page import put
-from scipy import special, stats
+from scipy import integrate, special, stats
 
 import dssc_jax as dj
-from dssc_jax.analyses.rare_events.splitting import SlackFunction, split
+from dssc_jax.analyses.rare_events.estimate import SlackFunction
+from dssc_jax.analyses.rare_events.importance import importance_sampling
+from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.engine.sampling import latin_design, sobol_points
@@ -227,6 +229,35 @@ def plane(p: float) -> SlackFunction:
     return lambda z, _: distance - z.sum(-1) / np.sqrt(z.shape[-1])
 
 
+def two_sides(z: np.ndarray, _: np.ndarray) -> np.ndarray:
+    """Failures of 1e-5 and of 3e-6 on opposite sides."""
+    return np.minimum(stats.norm.isf(1e-5) - z[:, 0], stats.norm.isf(3e-6) + z[:, 0])
+
+
+def curved(z: np.ndarray, _: np.ndarray) -> np.ndarray:
+    """Failures behind a border that bends towards the median, of probability CURVED in three dimensions."""
+    return 4.5 - z[:, 0] - 0.1 * np.sum(z[:, 1:] ** 2, axis=1)
+
+
+BEND = (1.0, 10.0, 40.0)  # break points of the integration
+CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=BEND)[0]
+
+
+def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
+    """The interval of importance sampling around design points; its slopes are central differences."""
+
+    def slope(points: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        shifts = 1e-6 * np.eye(dimension)
+        columns = [(margin(points + shift, noise) - margin(points - shift, noise)) / 2e-6 for shift in shifts]
+        return margin(points, noise), np.stack(columns, axis=1)
+
+    def trial(seed: int) -> np.ndarray | str:
+        found = importance_sampling(margin, slope, dimension, (seed,), dj.ImportanceSampling())
+        return found if isinstance(found, str) else side(found.interval(), p)
+
+    return trial
+
+
 CASES: dict[str, tuple[str, Trial]] = {
     "Clopper-Pearson, p = 0.003, n = 500": ("failure probability", independent(0.003, 500)),
     "Clopper-Pearson, p = 0.1, n = 200": ("failure probability", independent(0.1, 200)),
@@ -272,6 +303,16 @@ CASES: dict[str, tuple[str, Trial]] = {
         )
         for p, particles, repeats in ((1e-4, 60, 10), (1e-4, 100, 20), (1e-6, 60, 10))
     },
+    **{
+        f"importance sampling, half space of {numbers} numbers, p = {p:g}": (
+            "rare event",
+            weighted(p, plane(p), numbers),
+        )
+        for p, numbers in ((0.05, 3), (1e-4, 3), (1e-6, 3), (1e-4, 14))
+    },
+    "importance sampling, four branches, p = 0.0022": ("rare event", weighted(2.222795066e-3, four_branch, 2)),
+    "importance sampling, two sides, p = 1.3e-05": ("rare event", weighted(1.3e-5, two_sides, 2)),
+    "importance sampling, curved border of 3 numbers, p = 1.7e-05": ("rare event", weighted(CURVED, curved, 3)),
 }
 
 

@@ -258,10 +258,12 @@ def test_unmodelled(kind):
     component = parse_component(example(UNMODELLED, kind), UNMODELLED, "unmodelled")
     model, params = component.model, component.params
 
+    key = jax.random.key(0)
+
     def two_steps(first, second):
         state = model.init(params)
         for command in (first, second):
-            state = model.step(params, model.sample(params, state, command, 0.01), command, 0.01)
+            state = model.step(params, model.sample(params, state, command, key, 0.01), command, 0.01)
         return state, model.output(params, state, second)
 
     assert_contract(two_steps, model.init(params))
@@ -287,7 +289,7 @@ def test_delay_is_linear_between_samples(delay):
     model, params = component.model, component.params
     state, seen = model.init(params), []
     for command in range(1, 8):
-        state = model.sample(params, state, float(command), 0.1)
+        state = model.sample(params, state, float(command), jax.random.key(0), 0.1)
         seen.append(float(model.output(params, state, float(command))))
     assert seen[3:] == pytest.approx([command - delay for command in range(4, 8)], abs=1e-14)
 

@@ -59,7 +59,7 @@ RUN = {
     "laws": lambda study: dj.laws(study.override({"draws": 200}), limit=0.7, within={"kl": 0.1}, shift=0.1, fresh=64),
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
-    "rare": lambda study: dj.rare(study, SPENT),
+    "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),
     "worst-wind": lambda study: dj.worst_wind(dj.Study.from_table(HOVER), segments=4, rounds=1),

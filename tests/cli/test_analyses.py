@@ -231,7 +231,7 @@ def test_sensitivity_and_rare(study, capsys):
     found = last_json(capsys)
     assert (found["rows"], found["simulations"]) == (256, 1024)
     assert (study.parent / "s" / "figures" / "sensitivity.png").stat().st_size > 10_000
-    spent = ["--particles", "20", "--moves", "2", "--repeats", "10", "--plain", "500"]
+    spent = ["--method", "splitting", "--particles", "20", "--moves", "2", "--repeats", "10", "--plain", "500"]
     seldom = [*uncertain, "--set", "requirement.0.max=0.743"]
     assert guarded(["rare", str(study), *seldom, *spent, "--out", "r"]) == 0
     shown = capsys.readouterr().out

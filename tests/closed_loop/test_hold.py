@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.closed_loop.hold import HeldParts, straight_lines
-from dssc_jax.core.adapters import as_mimo_plant
-from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation
-from dssc_jax.core.integrators import Integrator
+from dssc_jax.closed_loop.hold import mover
+from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement
 from dssc_jax.engine.integration import integration_error
@@ -319,8 +317,8 @@ def test_an_actuator_that_declares_nothing_acts_through_its_values():
         step=lambda params, z, command, dt: (z[0] + dt,),
         output=lambda params, z, command: z[0] ** 2,
     )
-    parts = HeldParts(as_mimo_plant(PENDULUM), (drifting,), (Variation.HELD,), Integrator.RK4, 0.5, 1)
-    (line,) = straight_lines(parts, (Pendulum(),), ((0.2,),), (0.0,), 0.5)
+
+    _, line = mover(drifting, Pendulum(), 0.5)((0.2,), 0.0)
     assert line.mean == pytest.approx((0.7**3 - 0.2**3) / 1.5)
     assert line.rise == pytest.approx(0.7**2 - 0.2**2)
     assert isinstance(line, Moments)

@@ -25,6 +25,9 @@ PARTICLES, MOVES, REPEATS, PLAIN = 200, 5, 20, 4096
 """Splitting: particles of each repeat, moves of a clone at each level, independent repeats, plain draws."""
 LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 
+VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 1024
+"""Importance sampling: coefficient of variation to reach, largest number of weighted points, plain draws."""
+
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
 

@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import jax
 
-from dssc_jax.core.contracts import LinearDynamics, Moments, Plant, Unmodelled, Variation
-from dssc_jax.core.integrators import INTEGRATORS, Integrator
-from dssc_jax.core.numerics import as_arrays, is_zero
-from dssc_jax.core.sampled_linear import Column, Forcing, HeldSystem, LinearSystem, Rows, hold
+from dssc_jax.core.contracts import LinearDynamics, Moments, Mover, Plant, Unmodelled, Variation
+from dssc_jax.core.integrators import INTEGRATORS, ORDERS, Integrator
+from dssc_jax.core.numerics import as_arrays, dot, is_zero
+from dssc_jax.core.sampled_linear import Forcing, HeldSystem, LinearSystem, Rows, hold, scale_column
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
 UNROLLED = 2  # substeps at most that are traced one by one
@@ -55,8 +55,18 @@ class HeldParts(NamedTuple):
 def is_exact(parts: HeldParts) -> bool:
     """Whether everything between the samples is held exactly, so that the number of substeps does not matter."""
     linear = parts.plant.linear is not None and parts.plant.remainder is None
-    held = all(model.held or model.linear is not None for model in parts.unmodelled)
-    return linear and held and all(variation == Variation.HELD for variation in parts.variations)
+    constant = all(input_terms(model) == 1 for model in parts.unmodelled)
+    return linear and constant and all(variation == Variation.HELD for variation in parts.variations)
+
+
+def order_between_samples(parts: HeldParts) -> int:
+    """Order of the error of what is not held exactly, in the length of a substep."""
+    return min([ORDERS[parts.integrator], *(model.order for model in parts.unmodelled if model.order is not None)])
+
+
+def input_terms(model: Unmodelled) -> int:
+    """Terms of what enters the linear part of unmodelled dynamics, or the plant: 1 where it is constant, else 2."""
+    return 1 if model.held or (model.linear is not None and model.advance is None) else 2
 
 
 def between_samples(parts: HeldParts, plant: Params, unmodelled: tuple[Params, ...]) -> Advance:
@@ -85,11 +95,6 @@ def repeat_substeps(
     return begin
 
 
-def scale_column(column: Column, factor: Scalar) -> Column:
-    """A column times a number; products with a known 0 are plain zeros."""
-    return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
-
-
 class Assembly(NamedTuple):
     """The linear plant with its linear unmodelled dynamics as one system.
 
@@ -97,11 +102,13 @@ class Assembly(NamedTuple):
         a: Its matrix, shape (n, n).
         inputs: Input of each channel's command, in the order of the channels, then of each disturbance.
         offsets: Place of the state of each channel's unmodelled dynamics; None where they are not linear.
+        systems: Linear unmodelled dynamics of each channel.
     """
 
     a: Rows
     inputs: tuple[Forcing, ...]
     offsets: tuple[int | None, ...]
+    systems: tuple[LinearSystem | None, ...]
 
 
 def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> Assembly:
@@ -122,7 +129,7 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
     for column, system, offset, model in zip(dynamics.command, systems, offsets, parts.unmodelled, strict=True):
         reaching = [*column, *(0.0,) * (size - order)]
         if system is None or offset is None:
-            inputs.append(Forcing(tuple(reaching), terms=1 if model.held else 2))
+            inputs.append(Forcing(tuple(reaching), input_terms(model)))
             continue
         for state, weight in enumerate(system.c):
             for row, entry in enumerate(scale_column(column, weight)):
@@ -131,11 +138,11 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
             matrix[offset + row][offset : offset + len(system.a)] = entries
         reaching[:order] = scale_column(column, system.d)
         reaching[offset : offset + len(system.a)] = system.b
-        inputs.append(Forcing(tuple(reaching), terms=1))
+        inputs.append(Forcing(tuple(reaching), input_terms(model)))
     for column, variation in zip((*dynamics.disturbance, *dynamics.inputs), parts.variations, strict=True):
         terms = 1 if variation == Variation.HELD else VARYING
         inputs.append(Forcing((*column, *(0.0,) * (size - order)), terms))
-    return Assembly(tuple(map(tuple, matrix)), tuple(inputs), tuple(offsets))
+    return Assembly(tuple(map(tuple, matrix)), tuple(inputs), tuple(offsets), tuple(systems))
 
 
 def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels: int) -> tuple[int, ...]:
@@ -188,30 +195,31 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     count = 1 if constant else parts.substeps
     h = parts.sample_time / count
     held = hold(assembly.a, forcings, h)
+    movers = movers_of(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             plant, states = carry
-            lines = straight_lines(parts, unmodelled, states, commands, h)
+            states, lines = moved(movers, states, commands)
 
             def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
                 """Disturbances and remainder at a stage."""
                 time = t + (index + fraction) * h
                 at_plant, at_states = scatter_state(assembly, x, plant, states)
-                drive = drive_at(at_plant, actuation_at(parts, unmodelled, at_states, commands, lines, fraction), time)
+                drive = drive_at(at_plant, actuation_at(assembly, at_states, lines, fraction), time)
                 slopes = []
                 if parts.plant.remainder is not None:
                     slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
                     slopes = [slope[row] for row in rows]
                 return [*drive.disturbance, *drive.inputs, *slopes]
 
-            inputs = command_terms(parts, commands, lines)
+            inputs = [terms_of(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)
             if constant or parts.integrator == Integrator.EULER:
                 x = held.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
             else:
                 x = etd_step(held, parts, x, inputs, forcings, signals)
-            plant, states = scatter_state(assembly, x, plant, stepped_states(parts, unmodelled, states, commands, h))
+            plant, states = scatter_state(assembly, x, plant, states)
             return parts.plant.project(params, plant), states
 
         return repeat_substeps(substep, (plant, states), count)
@@ -219,25 +227,49 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     return advance
 
 
-def command_terms(parts: HeldParts, commands: Signals, lines: tuple[Moments, ...]) -> list[tuple[Scalar, ...]]:
-    """Terms of the input of each channel's command, as a polynomial over a step."""
-    inputs = []
-    for model, command, line in zip(parts.unmodelled, commands, lines, strict=True):
+def terms_of(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
+    """Terms of what enters the linear part of unmodelled dynamics, or the plant, as a polynomial over a step."""
+    return (line.mean,) if input_terms(model) == 1 else (line.mean - 0.5 * line.rise, line.rise)
+
+
+def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
+    """What advances the unmodelled dynamics of each channel over a step, but for their linear part."""
+    return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
+
+
+def mover(model: Unmodelled, params: Params, h: float) -> Mover:
+    """What advances unmodelled dynamics over a step, but for their linear part, and gives its input.
+
+    If they do not give moments, those of their output follow by Simpson's rule.
+    """
+    if model.advance is not None:
+        return model.advance(params, h)
+
+    def move(state: State, command: Scalar) -> tuple[State, Moments]:
         if model.linear is not None:
-            inputs.append((command,))
-        elif model.held:
-            inputs.append((line.mean,))
-        else:
-            inputs.append((line.mean - 0.5 * line.rise, line.rise))
-    return inputs
+            return state, Moments(command, 0.0)
+        after = model.step(params, state, command, h)
+        if model.held:
+            return after, Moments(model.output(params, state, command), 0.0)
+        if model.moments is not None:
+            return after, model.moments(params, state, command, h)
+        middle = model.step(params, state, command, 0.5 * h)
+        end = model.step(params, middle, command, 0.5 * h)
+        start, half, final = (model.output(params, z, command) for z in (state, middle, end))
+        return after, Moments((start + 4.0 * half + final) / 6.0, final - start)
+
+    return move
 
 
-def stepped_states(parts: HeldParts, unmodelled: States, states: States, commands: Signals, h: Scalar) -> States:
-    """States of the unmodelled dynamics after a step, but for linear ones, which advance with the plant."""
+def moved(movers: Sequence[Mover], states: States, commands: Signals) -> tuple[States, tuple[Moments, ...]]:
+    """The states of all channels after their movers, and the moments that these give."""
     after = []
-    for model, params, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
-        after.append(state if model.linear is not None else model.step(params, state, command, h))
-    return tuple(after)
+    lines = []
+    for move, state, command in zip(movers, states, commands, strict=True):
+        state, line = move(state, command)
+        after.append(state)
+        lines.append(line)
+    return tuple(after), tuple(lines)
 
 
 def etd_step(
@@ -279,39 +311,14 @@ def etd_step(
     return held.full.apply(x, forced(polynomials))
 
 
-def straight_lines(
-    parts: HeldParts, unmodelled: States, states: States, commands: Signals, h: float
-) -> tuple[Moments, ...]:
-    """Moments over a step of the output of unmodelled dynamics that are not linear; of others they are not used."""
-    lines = []
-    for model, p, state, command in zip(parts.unmodelled, unmodelled, states, commands, strict=True):
-        if model.linear is not None or model.held:
-            lines.append(Moments(model.output(p, state, command), 0.0))
-        elif model.moments is not None:
-            lines.append(model.moments(p, state, command, h))
-        else:
-            middle = model.step(p, state, command, 0.5 * h)
-            end = model.step(p, middle, command, 0.5 * h)
-            start, half, final = (model.output(p, z, command) for z in (state, middle, end))
-            lines.append(Moments((start + 4.0 * half + final) / 6.0, final - start))
-    return tuple(lines)
-
-
-def actuation_at(
-    parts: HeldParts,
-    unmodelled: States,
-    states: States,
-    commands: Signals,
-    lines: tuple[Moments, ...],
-    fraction: float,
-) -> Signals:
+def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...], fraction: float) -> Signals:
     """The commands that reach the plant at a share of the step: of linear dynamics from their state at that stage."""
     reaching = []
-    for model, p, state, command, line in zip(parts.unmodelled, unmodelled, states, commands, lines, strict=True):
-        if model.linear is not None:
-            reaching.append(model.output(p, state, command))
-        else:
-            reaching.append(line.mean + (fraction - 0.5) * line.rise)
+    for system, state, line in zip(assembly.systems, states, lines, strict=True):
+        value = line.mean if is_zero(line.rise) else line.mean + (fraction - 0.5) * line.rise
+        if system is not None:
+            value = dot((*system.c, system.d), (*jax.tree.leaves(state), value))
+        reaching.append(value)
     return tuple(reaching)
 
 
@@ -326,14 +333,14 @@ class Averaged(NamedTuple):
     order: int
     held: HeldSystem
 
-    def over(self, state: State, command: Scalar) -> tuple[State, Moments]:
-        """The state after the step, and the output's moments over it."""
+    def over(self, state: State, terms: tuple[Scalar, ...]) -> tuple[State, Moments]:
+        """The state after a step with the terms of an input, and the output's moments over it."""
         leaves, structure = jax.tree.flatten(state)
-        *after, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), ((command,),))
+        *after, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), (terms,))
         return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
 
 
-def average_output(system: LinearSystem, h: float) -> Averaged:
+def average_output(system: LinearSystem, terms: int, h: float) -> Averaged:
     """Linear unmodelled dynamics with q' = y/h and r' = q/h: after h, q is the mean and r the double integral."""
     order = len(system.a)
     rate = 1.0 / h
@@ -341,7 +348,7 @@ def average_output(system: LinearSystem, h: float) -> Averaged:
     rows.append((*scale_column(system.c, rate), 0.0, 0.0))
     rows.append((*(0.0,) * order, rate, 0.0))
     column = (*system.b, *scale_column((system.d,), rate), 0.0)
-    return Averaged(order, hold(tuple(rows), (Forcing(column, 1),), h))
+    return Averaged(order, hold(tuple(rows), (Forcing(column, terms),), h))
 
 
 def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
@@ -350,7 +357,8 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Ad
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []
     for model, p in zip(parts.unmodelled, unmodelled, strict=True):
-        systems.append(None if model.linear is None else average_output(model.linear(p), h))
+        systems.append(None if model.linear is None else average_output(model.linear(p), input_terms(model), h))
+    movers = movers_of(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         @jax.jit  # traced once for all stages of the integrator
@@ -359,14 +367,12 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Ad
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             plant, states = carry
-            lines = list(straight_lines(parts, unmodelled, states, commands, h))
-            after = []
+            states, entering = moved(movers, states, commands)
+            after = list(states)
+            lines = list(entering)
             for i, (model, system) in enumerate(zip(parts.unmodelled, systems, strict=True)):
-                if system is None:
-                    after.append(model.step(unmodelled[i], states[i], commands[i], h))
-                else:
-                    state, lines[i] = system.over(states[i], commands[i])
-                    after.append(state)
+                if system is not None:
+                    after[i], lines[i] = system.over(states[i], terms_of(model, lines[i]))
 
             def derivative(plant: State, half_steps: int) -> State:
                 fraction = 0.5 * half_steps
@@ -374,8 +380,8 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Ad
                 actuation = tuple(line.mean + share * line.rise for line in lines)
                 return rate(plant, t + (index + fraction) * h, actuation)
 
-            moved = integrate(derivative, plant, h, parts.plant.velocities)
-            return parts.plant.project(params, moved), tuple(after)
+            plant = integrate(derivative, plant, h, parts.plant.velocities)
+            return parts.plant.project(params, plant), tuple(after)
 
         return repeat_substeps(substep, (plant, states), parts.substeps)
 

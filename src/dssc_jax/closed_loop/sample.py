@@ -169,6 +169,14 @@ def actuate(loop: Loop, params: LoopParams, unmodelled: tuple[State, ...], comma
     return tuple(model.output(p, z, u) for model, p, z, u in parts)
 
 
+def sampled_command(
+    loop: Loop, params: LoopParams, key: jax.Array, unmodelled: State, i: int, command: Scalar, k: Scalar
+) -> State:
+    """State of the unmodelled dynamics of channel i after they have received the command of sample k."""
+    fresh = jax.random.fold_in(loop.key(key, "unmodelled", loop.channels[i]), k + 1)
+    return loop.unmodelled[i].sample(params.unmodelled[i], unmodelled, command, fresh, loop.sample_time)
+
+
 def plant_input(
     loop: Loop,
     params: LoopParams,
@@ -332,7 +340,7 @@ def step(
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
         command = controlled.command
         total = command.total if added is None else command.total + added[i]
-        sampled = loop.unmodelled[i].sample(params.unmodelled[i], channel.unmodelled, total, dt)
+        sampled = sampled_command(loop, params, key, channel.unmodelled, i, total, k)
         channels.append(after._replace(unmodelled=sampled))
         commands.append(total)
         outputs.append(controlled)

@@ -8,7 +8,7 @@ from rich.markup import escape
 
 from dssc_jax.analyses.comparison import Comparison
 from dssc_jax.analyses.comparison.compare import ComparisonAnswer, ContestAnswer
-from dssc_jax.analyses.rare_events.rare import RareEvent
+from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 
@@ -84,19 +84,21 @@ def interval_text(value: float, low: float, high: float) -> str:
 def show_rare(event: RareEvent, files: list[Path]) -> None:
     """Print the probability of a rare failure, its cost, and where the failures are."""
     answer = event.answer
-    splitting = answer.splitting
+    found = answer.by_method
     plain = answer.plain
     console = output()
     low, high = answer.interval
     level = f"{100 * answer.confidence:g} % {answer.interval_method}"
     console.print(f"[bold]{escape(event.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
-    if splitting.probability == 0.0:
+    if answer.refusal:
+        console.print(f"no importance sampling: {answer.refusal}", markup=False)
+    if found.probability == 0.0:
         console.print("no repeat reached a failure; the splitting then says nothing of its probability", markup=False)
     if plain.contradicts:
-        splitting_low, splitting_high = splitting.interval
+        found_low, found_high = found.interval
         console.print(
-            f"warning: plain draws contradict the splitting, which found {splitting.probability:.3g} in "
-            f"[{splitting_low:.3g}, {splitting_high:.3g}]: it missed a way to failure, or its chains did not mix. "
+            f"warning: plain draws contradict the {answer.method}, which found {found.probability:.3g} in "
+            f"[{found_low:.3g}, {found_high:.3g}]: it missed a way to failure, or its points are too few. "
             "The answer is that of the plain draws",
             style="bold yellow",
             markup=False,
@@ -104,22 +106,44 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
     value = f"{answer.probability:.3g} in [{low:.3g}, {high:.3g}]" if answer.probability else f"<= {high:.3g}"
     console.print(f"failure probability {value} ({level})", markup=False)
     console.print(
-        f"beside it {plain.failures:,} of {plain.draws:,} plain draws failed; a failure that the slack does not "
-        f"lead to may be as probable as {plain.interval[1]:.3g}",
+        f"beside it {plain.failures:,} of {plain.draws:,} plain draws failed; a failure that the search did not meet "
+        f"may be as probable as {plain.interval[1]:.3g}",
         markup=False,
     )
-    if splitting.probability > 0.0:
+    if found.probability > 0.0:
         console.print(
             f"coefficient of variation {answer.variation:.2g} by {answer.simulations:,} simulations; plain "
             f"draws would take {answer.plain_draws:,.0f}",
             markup=False,
         )
-        rows = []
-        for name, number in answer.where.items():
-            if number.failing is not None:
-                rows.append((name, f"{number.median:.4g}", *(f"{value:.4g}" for value in number.failing)))
-        if rows:
-            show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)
+        show_design_points(answer)
+        show_failing_ranges(answer)
     if answer.in_loop_noise:
-        console.print("in-loop noise: half of the moves redraw it; a failure that only rare noise causes costs more")
+        console.print("in-loop noise is redrawn with the numbers; a failure that only rare noise causes costs more")
     show_files(files)
+
+
+def show_design_points(answer: RareAnswer) -> None:
+    """Print the design points with the approximations made there."""
+    if not answer.design_points:
+        return
+    rows = []
+    for design_point in answer.design_points:
+        approximated = (design_point.first_order, design_point.second_order)
+        probabilities = ("-" if np.isnan(value) else f"{value:.3g}" for value in approximated)
+        values = (f"{value:.4g}" for value in design_point.values.values())
+        rows.append((f"{design_point.distance:.3g}", *probabilities, *values))
+    names = answer.design_points[0].values
+    show_table(("design point [sigma]", "FORM", "SORM", *names), rows)
+    console = output()
+    console.print("FORM and SORM approximate the failures around one design point; they have no interval", markup=False)
+
+
+def show_failing_ranges(answer: RareAnswer) -> None:
+    """Print where the uncertain numbers lie at failures."""
+    rows = []
+    for name, number in answer.where.items():
+        if number.failing is not None:
+            rows.append((name, f"{number.median:.4g}", *(f"{value:.4g}" for value in number.failing)))
+    if rows:
+        show_table(("number", "median", "failing: 5 %", "median", "95 %"), rows)

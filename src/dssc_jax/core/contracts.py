@@ -7,13 +7,13 @@ annotated with a :class:`~dssc_jax.core.quantities.Quantity`, which is used to v
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import quantities_of
-from dssc_jax.core.sampled_linear import Column, LinearSystem, Rows
+from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import (
     Command,
@@ -71,25 +71,9 @@ def unchanged(params: Params, state: State, key: jax.Array, t: Scalar, dt: Scala
     return state
 
 
-def ignore_sample(params: Params, state: State, command: Scalar, dt: Scalar) -> State:
+def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array, dt: Scalar) -> State:
     """Return the state unchanged, as continuous dynamics do at a sample instant."""
     return state
-
-
-class LinearDynamics(NamedTuple):
-    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
-
-    Args:
-        a: A, row by row, shape (n, n).
-        command: Column of the command of each channel, shape (n,) each.
-        disturbance: Column of the disturbance of each channel, shape (n,) each.
-        inputs: Column of each disturbance input that the plant names, shape (n,) each.
-    """
-
-    a: Rows
-    command: tuple[Column, ...]
-    disturbance: tuple[Column, ...]
-    inputs: tuple[Column, ...] = ()
 
 
 class Plant(NamedTuple, Generic[Output, Signal]):
@@ -346,16 +330,16 @@ class Differentiator(NamedTuple):
     smooth: Declaration = None
 
 
-class Moments(NamedTuple):
-    """A signal over a step, as the straight line with the same mean and the same first moment.
+class Timing(StrEnum):
+    """When a part with a state whose output is held acts on its command, which decides its place in a chain."""
 
-    Args:
-        mean: Mean of the signal over the step.
-        rise: Rise of the line from the start to the end of the step.
-    """
+    SAMPLED = "sampled"  # once a sample, as a computer does: it stands before everything that moves between the samples
+    INVARIANT = "invariant"  # it commutes with dynamics, as a delay does: it acts before them wherever it stands
+    INSTANT = "instant"  # at every instant: between the samples, `follow` advances it
 
-    mean: Scalar
-    rise: Scalar
+
+Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
+"""``(state, command) -> (state, Moments)`` after a step with the command held, and of the output over it."""
 
 
 class Unmodelled(NamedTuple):
@@ -371,7 +355,8 @@ class Unmodelled(NamedTuple):
         step: ``(params, state, command, dt) -> state`` with the command held over dt.
         output: ``(params, state, command) -> command`` received by the plant.
         prepare: As in :class:`Plant`.
-        sample: ``(params, state, command, dt) -> state`` once per sample of length dt, at the time of its command.
+        sample: ``(params, state, command, key, dt) -> state`` once per sample of length dt, at the time of its
+            command. The random key is that of the channel and the sample.
         linear: ``(params) -> LinearSystem`` from the command to the output; its state lists the leaves of ``state``.
         held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
         moments: ``(params, state, command, dt) -> Moments`` of the output over dt. None: by Simpson's rule, from the
@@ -379,6 +364,13 @@ class Unmodelled(NamedTuple):
         smooth: As in :class:`Plant`.
         continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
         time_constant: Name of the parameter that scales their time, over which oscillations are predicted; empty: none.
+        timing: When they act, if their output is held and they have a state.
+        advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. Beside
+            ``linear`` it advances what acts before the linear part, whose states it leaves, and gives the linear part's
+            input; ``held`` then says that this input is constant from one sample to the next.
+        follow: ``(params, state, start, end, dt) -> state`` over dt while the command runs straight from start to end,
+            as behind a lag in a chain. None: ``step`` with its mean.
+        order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
     """
 
     params: type
@@ -386,10 +378,14 @@ class Unmodelled(NamedTuple):
     step: Callable[[Params, State, Scalar, Scalar], State]
     output: Callable[[Params, State, Scalar], Scalar]
     prepare: Callable[[Params], Params] = as_given
-    sample: Callable[[Params, State, Scalar, Scalar], State] = ignore_sample
+    sample: Callable[[Params, State, Scalar, jax.Array, Scalar], State] = ignore_sample
     linear: Callable[[Params], LinearSystem] | None = None
     held: bool = False
     moments: Callable[[Params, State, Scalar, Scalar], Moments] | None = None
     smooth: Declaration = None
     continuous: bool = False
     time_constant: str = ""
+    timing: Timing = Timing.SAMPLED
+    advance: Callable[[Params, Scalar], Mover] | None = None
+    follow: Callable[[Params, State, Scalar, Scalar, Scalar], State] | None = None
+    order: int | None = None

@@ -37,6 +37,34 @@ Column = tuple[Scalar, ...]
 Rows = tuple[Column, ...]
 
 
+class LinearDynamics(NamedTuple):
+    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
+
+    Args:
+        a: A, row by row, shape (n, n).
+        command: Column of the command of each channel, shape (n,) each.
+        disturbance: Column of the disturbance of each channel, shape (n,) each.
+        inputs: Column of each disturbance input that the plant names, shape (n,) each.
+    """
+
+    a: Rows
+    command: tuple[Column, ...]
+    disturbance: tuple[Column, ...]
+    inputs: tuple[Column, ...] = ()
+
+
+class Moments(NamedTuple):
+    """A signal over a step, as the straight line with the same mean and the same first moment.
+
+    Args:
+        mean: Mean of the signal over the step.
+        rise: Rise of the line from the start to the end of the step.
+    """
+
+    mean: Scalar
+    rise: Scalar
+
+
 class LinearSystem(NamedTuple):
     """x' = A x + b u, y = c x + d u, with one input and one output; a zero known before tracing is a plain 0.0.
 
@@ -51,6 +79,32 @@ class LinearSystem(NamedTuple):
     b: Column
     c: Column
     d: Scalar
+
+
+def scale_column(column: Column, factor: Scalar) -> Column:
+    """A column times a number; products with a known 0 are plain zeros."""
+    return tuple(0.0 if is_zero(entry) or is_zero(factor) else entry * factor for entry in column)
+
+
+def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
+    """The second system driven by the output of the first; its state lists that of the first, then of the second."""
+    rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
+    for entry, row in zip(second.b, second.a, strict=True):
+        rows.append((*scale_column(first.c, entry), *row))
+    (through,) = scale_column((first.d,), second.d)
+    b = (*first.b, *scale_column(second.b, first.d))
+    return LinearSystem(tuple(rows), b, (*scale_column(first.c, second.d), *second.c), through)
+
+
+def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSystem:
+    """The system among further states, which stand still: state i of the system is state ``places[i]`` of ``size``."""
+    index = {place: i for i, place in enumerate(places)}
+
+    def wide(row: Column) -> Column:
+        return tuple(row[index[place]] if place in index else 0.0 for place in range(size))
+
+    rows = tuple(wide(system.a[index[place]]) if place in index else (0.0,) * size for place in range(size))
+    return LinearSystem(rows, wide(system.b), wide(system.c), system.d)
 
 
 class Forcing(NamedTuple):

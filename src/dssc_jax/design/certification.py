@@ -31,6 +31,7 @@ from dssc_jax.models.plants.normal_form import NORMAL_FORM
 from dssc_jax.models.references import ZERO
 from dssc_jax.models.references.sine import MISSION, MISSION_ENTRY, SINE
 from dssc_jax.study import Described, Study
+from dssc_jax.study.actuators import tables_of
 from dssc_jax.study.laws import SPREAD
 
 OUTSIDE = {
@@ -40,7 +41,9 @@ OUTSIDE = {
     "controller.rho": "it takes sliding for granted",
 }
 """Numbers that the theorem does not cover, with the reason."""
-LIMITS = ("unmodelled.rate", "unmodelled.limit")  # unmodelled dynamics whose absence is an infinite number
+ACTUATION = ("unmodelled", "actuator")
+"""Sections of the study file with the unmodelled dynamics."""
+LIMITS = ("rate", "limit")  # of unmodelled dynamics whose absence is an infinite number
 OTHER_FUNCTIONS = "the controller is not DSSC with functions.kind = 'vgsta', those of Table 1"
 REFINEMENTS = 2  # of the walk's cell in which the certificate is lost
 REFINED = 33  # points of a refined cell, so that two refinements reach 1/1024 of it
@@ -116,14 +119,21 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
         refusal = parameter_refusal(study, name)
         return Reach(None, refusal) if refusal else certified_up_to(study, name, np.asarray(values, float))
     part = name.partition(".")[0]
-    if part == "unmodelled":
+    if part in ACTUATION:
         verdict, reason = mark(study.override({"sweep": {}}))
         if verdict is None:
             return Reach(None, f"Theorem 1 does not apply: {reason}")
         if not verdict:
             return Reach(None, "Theorem 1 does not certify the loop, not even without unmodelled dynamics")
-        text = "Theorem 1 certifies only the loop without unmodelled dynamics; it covers no"
-        return Reach(None, f"{text} finite {name}") if name in LIMITS else Reach(0.0, f"{text} {name} > 0")
+        text = "Theorem 1 certifies only the loop without unmodelled dynamics"
+        if len(tables_of(study.config, "unmodelled")) > 1:
+            return Reach(None, f"{text}; the chain has other elements than that of {name}")
+        if name.rpartition(".")[2] in LIMITS:
+            return Reach(None, f"{text}; it covers no finite {name}")
+        quantity = study.quantities[name]
+        if 0.0 not in (quantity.above, quantity.at_least):
+            return Reach(None, f"{text}, whatever {name} is")
+        return Reach(0.0, f"{text}; it covers no {name} > 0")
     if part in OUTSIDE or name in OUTSIDE:
         return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
     return certified_up_to(study, name, np.asarray(values, float))
@@ -133,7 +143,7 @@ def parameter_refusal(study: Study, name: str) -> str:
     """Why the theorem cannot follow a parameter; empty if it covers every number that follows from it."""
     for follower in study.followers(name):
         part = follower.partition(".")[0]
-        if part == "unmodelled" or part in OUTSIDE or follower in OUTSIDE:
+        if part in ACTUATION or part in OUTSIDE or follower in OUTSIDE:
             return f"Theorem 1 does not cover {name}: {follower} follows from it, and it knows nothing of that"
     return ""
 

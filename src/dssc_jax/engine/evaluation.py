@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.requirements import Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
@@ -114,6 +115,25 @@ class GradientEvaluator(Evaluator):
             else:
                 results[key] = column[:count]
         return results
+
+
+def worst_slopes(requirements: Sequence[Requirement], results: Arrays, names: Sequence[str]) -> np.ndarray:
+    """Derivatives of the worst requirement's slack, relative to its scale, with respect to numbers.
+
+    Args:
+        requirements: The study's requirements.
+        results: Results of a :class:`GradientEvaluator`, shape (n,) each.
+        names: The numbers.
+
+    Returns:
+        Shape (n, numbers).
+    """
+    binding = binding_requirement(requirements, results)[None]
+    columns = []
+    for name in names:
+        rows = np.array([results[Derivative(r.name, name)] / r.scale for r in requirements])
+        columns.append(np.take_along_axis(rows, binding, 0)[0])
+    return np.stack(columns, axis=1)
 
 
 def metrics_and_slacks(

@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.closed_loop.hold import is_exact
+from dssc_jax.closed_loop.hold import is_exact, order_between_samples
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.closed_loop.sample import held_parts
-from dssc_jax.core.integrators import ORDERS
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.engine.batching import Arrays, Engine, evaluate, lane_numbers
 from dssc_jax.statistics.order import typical_size
@@ -39,6 +38,7 @@ class IntegrationError(NamedTuple):
         scale: ``bound`` or ``median size``.
         verdicts: Number of draws whose outcome changes.
         remedy: Number of substeps that is expected to make the change negligible.
+        order: Order of the error in the length of a substep, from which the remedy follows.
     """
 
     exact: bool
@@ -49,6 +49,7 @@ class IntegrationError(NamedTuple):
     scale: str
     verdicts: int
     remedy: int
+    order: int
 
     @property
     def matters(self) -> bool:
@@ -63,9 +64,8 @@ class IntegrationError(NamedTuple):
         size = f"{self.change:.1g}" if self.change < 1e-4 else f"{100.0 * self.change:.2g} %"
         changes = f"{self.metric} changes by at most {size} of its {self.scale}" if self.metric else "no metric changes"
         flips = "no verdict changes" if not self.verdicts else f"{self.verdicts} verdicts change"
-        return (
-            f"with {2 * self.substeps} substeps instead of {self.substeps}, {changes} and {flips} in {self.draws} draws"
-        )
+        halved = f"with {2 * self.substeps} substeps instead of {self.substeps} (order {self.order})"
+        return f"{halved}, {changes} and {flips} in {self.draws} draws"
 
     @property
     def warning(self) -> str:
@@ -89,8 +89,9 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
         draws: Number of draws at most.
     """
     loop = study.loop
+    order = order_between_samples(held_parts(loop))
     if is_exact(held_parts(loop)):
-        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps)
+        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order)
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = int(np.prod(shape))
     picked = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
@@ -103,11 +104,10 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     change, metric = largest_change(study, *results)
     verdicts = int(np.count_nonzero(results[0]["outcome"] != results[1]["outcome"]))
     scale = "bound" if study.requirements else "median size"
-    order = ORDERS[loop.integrator]
     excess = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
     doublings = int(np.ceil(np.log2(excess) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
-    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy)
+    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy, order)
 
 
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:

@@ -23,7 +23,7 @@ MEDIAN = "median"
 WIDTH = "width"
 CLOCK_SLIDER = "loop.sample_time"
 SAMPLE_TIMES = (0.25, 0.5, 1.0, 2.0, 4.0)  # relative to the study's own
-FIRST = ("parameters", "controller.functions", "controller", "unmodelled")
+FIRST = ("parameters", "controller.functions", "controller", "unmodelled", "actuator")
 """Parts of the loop whose numbers get sliders first; then uncertain numbers, then all others."""
 
 SliderEnds: TypeAlias = tuple[float, float]

@@ -44,7 +44,7 @@ from dssc_jax.flight_logs.refusals import (
 from dssc_jax.flight_logs.replay import replayed_channel, study_references
 from dssc_jax.study import Study
 
-PLANT_SLOTS = ("plant", "unmodelled", "disturbance", "wind")
+PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
 
 

@@ -8,8 +8,6 @@ from dssc_jax.plotting.levels import law_axis, level_of
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, set_scale, styled, title
 from dssc_jax.results.analysis import Analysis
 
-ROWS = ("each repeat", "splitting", "plain draws")
-
 
 @styled
 def rare(event: Analysis) -> Figure:
@@ -37,18 +35,19 @@ def probabilities(ax: Axes, event: Analysis) -> None:
     """Draw estimates of a probability, one above the other; an interval from 0 begins below all of them."""
     summary = event.summary()
     plain = summary["plain"]
-    splitting = summary["splitting"]
+    found = summary["by_method"]
     estimates = np.array(summary["estimates"])
+    rows = ("each repeat" if len(estimates) else "", summary["method"], "plain draws")
     positive = estimates[estimates > 0.0]
     left_end = 0.1 * min([*positive, 1.0 / plain["draws"]])
     ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
-    split_ends = np.maximum(splitting["interval"], left_end)
+    split_ends = np.maximum(found["interval"], left_end)
     plain_ends = np.maximum(plain["interval"], left_end)
-    estimate(ax, 1, splitting["probability"], split_ends, BLUE)
+    estimate(ax, 1, found["probability"], split_ends, BLUE)
     estimate(ax, 2, plain["failures"] / plain["draws"], plain_ends, ORANGE)
     set_scale(ax, np.concatenate([positive, split_ends, plain_ends]))
-    ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(ROWS)), yticklabels=ROWS)
-    ax.set_ylim(len(ROWS) - 0.5, -0.5)
+    ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(rows)), yticklabels=rows)
+    ax.set_ylim(len(rows) - 0.5, -0.5)
 
 
 def estimate(ax: Axes, row: int, probability: float, ends: np.ndarray, colour: str) -> None:

@@ -30,12 +30,13 @@ from dssc_jax.proofs.problem import Interval, ProofProblem
 from dssc_jax.proofs.vehicle_coverage import is_vehicle, vehicle_problem_of
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in, tables_of
 from dssc_jax.study.laws import Law
 
 LARGEST_NUMBER = 1e100
 """Largest number that a problem may hold."""
-UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.mu")
-"""Numbers of a loop that a proof covers over an interval."""
+UNCERTAIN = ("plant.k_p", "plant.a_p", "unmodelled.0.mu")
+"""Paths, in the loop's parameters, of the numbers that a proof covers over an interval."""
 BOUNDED_SIGNALS = ("plant.initial", "disturbance.", "reference.")
 """Beginnings of the names of numbers that only bound a signal."""
 LAGS = {
@@ -66,13 +67,20 @@ def axis_problem_of(study: Study) -> ProofProblem:
     """
     study = study.without_sweep()
     loop = study.loop
+    if len(tables_of(study.config, "unmodelled")) > 1:
+        raise NotCovered(
+            f"the actuators form a chain, {kind_in(study.config, 'unmodelled')}; only one of them is covered"
+        )
     ends = ends_of(study)
     for name, law in study.laws.items():
         if name in study.parameter_names:
             followers = ", ".join(study.followers(name)) or "nothing"
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
-        if name not in UNCERTAIN and not name.startswith(BOUNDED_SIGNALS):
-            raise NotCovered(f"{name} is uncertain; a proof takes intervals of {', '.join(UNCERTAIN)} only")
+        covered = set(study.numbers[name].paths) & set(UNCERTAIN)
+        if not covered and not name.startswith(BOUNDED_SIGNALS):
+            raise NotCovered(
+                f"{name} is uncertain; a proof takes intervals of plant.k_p, plant.a_p, unmodelled.mu only"
+            )
         if not all(abs(end) < float("inf") for end in law.support):
             raise NotCovered(f"the law of {name} has no bounds; give one with bounded support")
     if loop.plant is not NORMAL_FORM:

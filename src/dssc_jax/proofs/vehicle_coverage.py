@@ -180,7 +180,7 @@ def delay_of(study: Study, ends: Ends) -> float:
     if all(model is NO_DYNAMICS for model in models):
         return 0.0
     if any(model is not DELAY for model in models):
-        raise NotCovered("the unmodelled dynamics are no delay; a lag belongs to plant.vehicle.motor_lag")
+        raise NotCovered("the unmodelled dynamics are no single delay; a lag belongs to plant.vehicle.motor_lag")
     samples = {float(part.samples) for end in ends for part in end.unmodelled}
     if len(samples) > 1:
         raise NotCovered("the delay is uncertain, or differs between the channels")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import htpy as h
 
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in, section_of
 
 WIDTH = 158  # of a block
 HEIGHT = 66
@@ -64,15 +65,12 @@ class Drawing:
 
 def part_kind(study: Study, slot: str) -> str:
     """The kind that a slot of the study holds."""
-    table = getattr(study.config, slot)
-    if isinstance(table, list):
-        return " + ".join(str(part.get("kind")) for part in table)
-    return str(table.get("kind", "by channel"))
+    return kind_in(study.config, slot)
 
 
 def present(study: Study, slot: str) -> bool:
     """Whether a slot has a part other than ``none``, in any channel."""
-    table = getattr(study.config, slot)
+    table = getattr(study.config, section_of(study.config, slot))
     if isinstance(table, list):
         return any(part.get("kind") not in ABSENT for part in table)
     channel_tables = [table[name] for name in study.loop.channels if name and name in table]
@@ -89,9 +87,10 @@ def notes(study: Study, slot: str) -> list[str]:
     table = getattr(study.config, slot)
     functions = table.get("functions") if isinstance(table, dict) else None
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
-    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.uncertain, slot)]
+    section = section_of(study.config, slot)
+    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.uncertain, section)]
     swept = [follower for name in study.axes for follower in study.followers(name)]
-    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(dict.fromkeys(swept), slot)]
+    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(dict.fromkeys(swept), section)]
     numbers = "  ".join(marked) if len(marked) <= 2 else f"~ {len(marked)} uncertain or swept"
     return [part_kind(study, slot) + inner, numbers]
 

@@ -22,6 +22,7 @@ from dssc_jax.core.quantities import extent, quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table, explain
 from dssc_jax.study.fitting import fitted, medians
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
@@ -44,6 +45,7 @@ from dssc_jax.study.slots import (
     PER_CHANNEL,
     REGISTRIES,
     SLOTS,
+    TABLES,
     parse_channels,
     parse_disturbances,
     parse_inputs,
@@ -59,6 +61,7 @@ FIXED_TABLES: dict[str, type[BaseModel]] = {
     "loop": LoopTable,
     "loop.settled": SettledTable,
     "units": UnitsTable,
+    "actuator": ActuatorTable,
     "metrics": MetricsTable,
     "requirement": RequirementTable,
     "envelope": EnvelopeTable,
@@ -83,7 +86,7 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
     Raises:
         ConfigError: one is not valid, or depends on a law.
     """
-    kept = {*SLOTS, *TEXTS, "compare", PARAMETERS}
+    kept = {*TABLES, *TEXTS, "compare", PARAMETERS}
     return {name: value if name in kept else parameters.constants(value, name) for name, value in table.items()}
 
 
@@ -115,7 +118,8 @@ def parsed_parts(table: TomlTable) -> Parts:
     """The parts of a study; see :func:`build`."""
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     config = validate_fixed(with_constants(table, parameters))
-    tables = {slot: parameters.resolved(getattr(config, slot), slot) for slot in SLOTS}
+    require_one_form(config)
+    tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # read when controllers are compared
     plant = parse_whole(tables["plant"], "plant")
     channels = plant.model.channels or ("",)

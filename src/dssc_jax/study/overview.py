@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from dssc_jax.study.actuators import section_of, tables_of
 from dssc_jax.study.expressions import MARK
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.slots import SLOTS
@@ -55,15 +56,14 @@ def part_rows(study: "Study") -> list[tuple[str, ...]]:
     """Kind and first numbers of each part that does something."""
     rows = []
     for slot in SLOTS:
-        table = getattr(study.config, slot)
-        parts = table if isinstance(table, list) else [table]
-        kinds = [str(part.get("kind", "by channel")) for part in parts]
+        kinds = [str(part.get("kind", "by channel")) for part in tables_of(study.config, slot)]
         if all(kind in ABSENT for kind in kinds):
             continue
-        names = [name for name in study.numbers if name.startswith(f"{slot}.")]
+        section = section_of(study.config, slot)
+        names = [name for name in study.numbers if name.startswith(f"{section}.")]
         values = [f"{name.partition('.')[2]} = {content(study.numbers[name])}" for name in names[:MOST_NUMBERS]]
         values += ["..."] if len(names) > MOST_NUMBERS else []
-        rows.append((slot, " + ".join(kinds), ", ".join(values)))
+        rows.append((section, " + ".join(kinds), ", ".join(values)))
     return rows
 
 

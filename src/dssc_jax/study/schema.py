@@ -351,6 +351,9 @@ class StudyTable(BaseModel):
     sensor: TomlTable = Field(default={"kind": "ideal"}, description="model of the sensors")
     differentiator: TomlTable = Field(default={"kind": "none"}, description="estimator of the output's derivative")
     unmodelled: TomlTable = Field(default={"kind": "none"}, description="dynamics between command and plant")
+    actuator: list[TomlTable] = Field(
+        default=[], description="chain of actuators between command and plant, in order; instead of `[unmodelled]`"
+    )
     disturbance: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="disturbance at the command; several `[[disturbance]]` have their places"
     )

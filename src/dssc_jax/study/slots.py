@@ -18,6 +18,7 @@ from dssc_jax.models.references import REFERENCES, TRAJECTORIES
 from dssc_jax.models.sensors import SENSORS
 from dssc_jax.models.uav import UAV
 from dssc_jax.models.wind import WINDS
+from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.numbers import dotted
 from dssc_jax.study.tables import has_dotted, merged
@@ -35,6 +36,8 @@ REGISTRIES = {
 }
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
+TABLES = (*SLOTS, ACTUATOR)
+"""Sections of the study file that hold parts of the loop."""
 
 
 def with_units(component: Component, units: ChannelUnits) -> Component:
@@ -90,11 +93,14 @@ def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[Ch
     return Component(joint.kind, model, params, tuple(numbers))
 
 
-def parse_channels(table: TomlTable, slot: str, channels: tuple[str, ...]) -> list[Component]:
-    """Parse one component per channel. A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
+def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tuple[str, ...]) -> list[Component]:
+    """Parse one component per channel; a list is the chain ``[[actuator]]``.
 
+    A table ``[controller.x]`` overrides ``[controller]``, which applies to all.
     A number that no channel overrides is one number for all channels: one draw of its law, one axis.
     """
+    if isinstance(table, list):
+        return parse_chain(table, channels)
     common = {name: value for name, value in table.items() if name not in channels}
     components = []
     for index, channel in enumerate(channels):

@@ -8,6 +8,7 @@ from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
+from dssc_jax.study.actuators import ACTUATOR
 from dssc_jax.study.components import field_specs
 from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
@@ -17,7 +18,7 @@ from dssc_jax.study.sections import params_of
 from dssc_jax.study.slots import (
     PER_CHANNEL,
     REGISTRIES,
-    SLOTS,
+    TABLES,
     parse_channels,
     parse_disturbances,
     parse_inputs,
@@ -85,7 +86,7 @@ def check_swept_parts(
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
     if PARAMETERS in slots:
-        slots = {slot for slot in SLOTS if slot in table}
+        slots = {slot for slot in TABLES if slot in table}
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
@@ -97,7 +98,7 @@ def check_swept_parts(
                 sensors = sensor_tables(part, known)
                 parse_channels(sensors.channels, slot, channels)
                 parse_signal_sensors(sensors, known)
-            elif slot in PER_CHANNEL:
+            elif slot in (*PER_CHANNEL, ACTUATOR):
                 parse_channels(part, slot, channels)
             elif slot == "reference":
                 parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))

@@ -107,8 +107,20 @@ def is_index(part: str) -> bool:
     return part.isascii() and part.isdecimal() and len(part) < 10
 
 
+def index_in(container: object, part: str) -> int | None:
+    """The item of a list that a part of a dotted name gives; None if it gives none, or there is no list."""
+    if not isinstance(container, list):
+        return None
+    for index, item in enumerate(container):
+        if isinstance(item, Mapping) and item.get("name") == part:
+            return index
+    return int(part) if is_index(part) and int(part) < len(container) else None
+
+
 def set_dotted(table: TomlTable, name: str, value: object) -> None:
-    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created, list items are given by index.
+    """Set ``table[a][b][c]`` for the name ``a.b.c``; missing tables are created.
+
+    Items of a list are given by index, or by the entry ``name`` of a table in it.
 
     Raises:
         ConfigError: The name passes through a number, or beyond a list's end.
@@ -125,14 +137,16 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
     *parents, key = name.split(".")
     container: Any = table
     for part in parents:
-        if isinstance(container, list) and is_index(part) and int(part) < len(container):
-            container = container[int(part)]
+        place = index_in(container, part)
+        if place is not None:
+            container = container[place]
         elif isinstance(container, dict):
             container = container.setdefault(part, {})
         else:
             raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
-    if isinstance(container, list) and is_index(key) and int(key) < len(container):
-        container[int(key)] = value
+    place = index_in(container, key)
+    if place is not None:
+        container[place] = value
     elif isinstance(container, dict):
         container[key] = value
     else:

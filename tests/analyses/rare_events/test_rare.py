@@ -7,8 +7,9 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
+from dssc_jax.analyses.rare_events.estimate import Plain
 from dssc_jax.analyses.rare_events.rare import RareEvent
-from dssc_jax.analyses.rare_events.splitting import Plain, split
+from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.console.analyses import show_rare
 from dssc_jax.core.signals import Outcome
@@ -108,7 +109,7 @@ def test_a_contradiction_is_told(capsys):
     study = dj.Study.from_table(TABLE).override({"plant.a_p": 1.0})
     estimate = split(hidden, 1, (0,), dj.Splitting(particles=60, killed=30, repeats=10))
     assert estimate.contradicted
-    event = RareEvent.of(study, dj.Splitting(), estimate, False)
+    event = RareEvent.of(study, dj.Splitting(particles=60, killed=30, repeats=10), estimate, False)
     content = event.summary()
     assert content["plain"] == {
         "draws": 4096,
@@ -118,7 +119,7 @@ def test_a_contradiction_is_told(capsys):
     }
     assert content["interval"] == content["plain"]["interval"]
     assert content["interval_method"] == "Clopper-Pearson, 4,096 plain draws"
-    assert content["splitting"]["probability"] < 1e-5
+    assert content["by_method"]["probability"] < 1e-5
     show_rare(event, [])
     shown = " ".join(capsys.readouterr().out.split())
     assert "warning: plain draws contradict the splitting" in shown
@@ -130,7 +131,7 @@ def test_a_study_agrees_with_plain_draws():
     study = dj.Study.from_table(TABLE).override({"requirement.0.max": 0.91, "draws": 20_000})
     plain = dj.run(study)
     low, high = plain.summary(0.999)["points"][0]["interval"]
-    found = dj.rare(study, dj.Splitting(particles=100, killed=50, repeats=10))
+    found = dj.rare(study, None, dj.Splitting(particles=100, killed=50, repeats=10))
     below, above = found.estimate.interval(0.999)
     assert 1e-4 < plain.failed.mean() < 2e-2
     assert max(low, below) < min(high, above)

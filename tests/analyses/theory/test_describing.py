@@ -67,6 +67,14 @@ def test_no_phase_lag_no_chattering():
         assert dj.theory.limit_cycle(chattering("smc").override({"unmodelled": lag})) is None
 
 
+def test_a_chain_of_two_lags_chatters_as_a_lag_of_order_two():
+    table = {name: value for name, value in chattering("smc").table.items() if name != "unmodelled"}
+    lag = {"kind": "lag", "mu": 0.03}
+    double = dj.theory.limit_cycle(chattering("smc").override({"unmodelled": lag | {"order": 2}}))
+    chain = dj.theory.limit_cycle(dj.Study.from_table(table | {"actuator": [lag, lag]}))
+    assert chain == pytest.approx(double, rel=1e-9)
+
+
 def test_unknown_law():
     pi = {"kind": "pi", "l0": 1.0, "k_p": 1.0, "k_i": 1.0}
     with pytest.raises(dj.ConfigError, match="the describing function of 'pi' is not known"):
@@ -82,10 +90,10 @@ def test_dynamics_that_declare_no_time_constant_are_refused():
 def test_the_declared_time_constant_is_the_one_that_is_swept():
     """A part that declares another name than mu is walked over that name, and over no other."""
     lagging = chattering("smc").override({"unmodelled": {"kind": "lag", "order": 2, "mu": 0.05}})
-    renamed = replace(
-        lagging, loop=replace(lagging.loop, unmodelled=(lagging.loop.unmodelled[0]._replace(time_constant="tau"),))
-    )
+    delayed = chattering("smc").override({"unmodelled": {"kind": "delay", "samples": 2.0}})
+    declaring = delayed.loop.unmodelled[0]._replace(time_constant="samples")
+    renamed = replace(delayed, loop=replace(delayed.loop, unmodelled=(declaring,)))
     assert time_constant_of(lagging) == "unmodelled.mu"
-    assert time_constant_of(renamed) == "unmodelled.tau"
+    assert time_constant_of(renamed) == "unmodelled.samples"
     with pytest.raises(dj.ConfigError, match="over the time constant of the unmodelled dynamics"):
-        time_constants(renamed, "unmodelled.mu", (0.01, 0.1))
+        time_constants(renamed, "unmodelled.memory", (0.01, 0.1))

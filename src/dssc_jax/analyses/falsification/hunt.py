@@ -11,7 +11,7 @@ from dssc_jax.analyses.falsification.search_sets import SearchSet
 from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
-from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, worst_slopes
 from dssc_jax.study import Study
 
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
@@ -154,12 +154,8 @@ class Hunt:
 
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
-        binding = binding_requirement(self.requirements, results)
-        columns = []
-        for name in self.programs.study.laws:
-            rows = [results[Derivative(r.name, name)] / r.scale for r in self.requirements]
-            columns.append(np.take_along_axis(np.array(rows), binding[None], 0)[0])
-        slopes = self.region.slopes(points, np.stack(columns, axis=1))
+        gradients = worst_slopes(self.requirements, results, list(self.programs.study.laws))
+        slopes = self.region.slopes(points, gradients)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:

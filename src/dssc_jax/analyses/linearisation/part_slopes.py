@@ -15,7 +15,16 @@ from jax.flatten_util import ravel_pytree
 from dssc_jax.analyses.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.readings import signal_values
-from dssc_jax.closed_loop.sample import LoopState, actuate, as_arrays, initial_state, measure, plant_input, step
+from dssc_jax.closed_loop.sample import (
+    LoopState,
+    actuate,
+    as_arrays,
+    initial_state,
+    measure,
+    plant_input,
+    sampled_command,
+    step,
+)
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import (
@@ -90,8 +99,8 @@ def part_maps(
     references = recorded.references
     commands = tuple(sample.u_total for sample in recorded.instant.channels)
     sampled = []
-    for i, model in enumerate(loop.unmodelled):
-        sampled.append(model.sample(params.unmodelled[i], state.channels[i].unmodelled, commands[i], dt))
+    for i, channel in enumerate(state.channels):
+        sampled.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
     actuation = actuate(loop, params, tuple(sampled), commands)
     disturbances = state.disturbances
     drive = plant_input(loop, params, disturbances, state.wind, state.plant, actuation, t)
@@ -131,7 +140,8 @@ def part_maps(
 
     def unmodelled(i: int) -> PartMap:
         def apply(part: Unmodelled, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar, Scalar]:
-            begin = part.sample(p, memory, signals, dt)
+            stream = jax.random.fold_in(loop.key(key, "unmodelled", loop.channels[i]), k + 1)
+            begin = part.sample(p, memory, signals, stream, dt)
             end = part.step(p, begin, signals, dt)
             return end, part.output(p, begin, signals), part.output(p, end, signals)
 
@@ -205,7 +215,7 @@ def slopes_of(
         return jax.jvp(lambda inputs: vector_of(part_map.apply(model, p, *unravel(inputs))), (point,), (axis,))
 
     value, slope = derivative(part, params)
-    inner = derivative(*place.substitute(params))[1] if place.inner else slope
+    inner = derivative(*place.inner_side(params))[1] if place.inner else slope
     return Slopes(value, slope, inner)
 
 
@@ -340,7 +350,7 @@ def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: n
         large = error(slopes, 1)
         largest = np.max(np.abs(slopes), axis=1)[:, None, None]
         defect = np.any((small > DEVIATION * largest) & (small > SHRINKING * large), axis=(1, 2, 3))
-        if place.smoothness.extent != SmoothExtent.PIECEWISE:
+        if place.remaining.extent != SmoothExtent.PIECEWISE:
             signal_directions = ~np.any(pattern[:, :memory], axis=1)
             defect |= np.any(staircase(moves, slopes, value) & signal_directions, axis=1)
         corner = np.zeros(len(value), dtype=bool)

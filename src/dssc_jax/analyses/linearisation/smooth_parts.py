@@ -17,13 +17,16 @@ import numpy as np
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import is_known
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in, section_of
 
 CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
 DISTURBANCE = "disturbance"
 SIGNAL_SENSOR = "signal_sensor"
+UNMODELLED = "unmodelled"
 INPUTS = "inputs"
 SECTIONS = {SIGNAL_SENSOR: "sensor", INPUTS: DISTURBANCE}
 """Sections of the study that hold the parts of a slot of another name."""
@@ -47,12 +50,14 @@ class LoopPart(NamedTuple):
         channel: Index of its channel; 0 for the plant.
         label: Slot, channel and kind in words.
         smoothness: Its declaration.
+        remaining: That of what is differentiated: of its substitute, if that is always taken, else its own.
     """
 
     slot: str
     channel: int
     label: str
     smoothness: Smoothness
+    remaining: Smoothness
 
     @property
     def replaced(self) -> bool:
@@ -64,10 +69,15 @@ class LoopPart(NamedTuple):
         assert self.smoothness.substitute is not None  # held where places are declared
         return self.smoothness.substitute(params)
 
+    def inner_side(self, params: Params) -> tuple[Part, Params]:
+        """The part within the boundaries of what is differentiated, and the parameters of that."""
+        assert self.remaining.substitute is not None  # held by the caller
+        return self.remaining.substitute(params)
+
     @property
     def inner(self) -> bool:
-        """Whether it has a substitute for operating points on its boundaries."""
-        return self.smoothness.extent == SmoothExtent.PIECEWISE and self.smoothness.substitute is not None
+        """Whether what is differentiated has a substitute for operating points on its boundaries."""
+        return self.remaining.extent == SmoothExtent.PIECEWISE and self.remaining.substitute is not None
 
 
 class Finding(IntEnum):
@@ -135,17 +145,21 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     loop = study.loop
     names = {"plant": ("",), SIGNAL_SENSOR: [signal.name for signal in loop.measures], INPUTS: loop.input_names}
     channel = names.get(slot, loop.channels)[index]
-    kind = named_kind(study, slot, channel)
-    slot_name = SECTIONS.get(slot, slot)
-    path = f"{study.source}: {slot_name}{'.' if channel else ''}{channel}.kind"
+    kind = kind_in(study.config, slot, channel) if slot == UNMODELLED else named_kind(study, slot, channel)
+    section = SECTIONS.get(slot) or section_of(study.config, slot)
+    path = f"{study.source}: {section}{'.' if channel else ''}{channel}.kind"
     try:
         smoothness = declared_smoothness(part, params)
     except ConfigError as error:
         raise ConfigError(path, f"'{kind}' {error.rule}") from None
     if smoothness.extent == SmoothExtent.NOWHERE and smoothness.substitute is None:
         raise ConfigError(path, f"'{kind}' {smoothness.meaning}")
-    label = f"{slot_name} '{kind}'" if not channel else f"{slot_name} '{kind}' of {channel}"
-    return LoopPart(slot, index, label, smoothness)
+    label = f"{section} '{kind}'" if not channel else f"{section} '{kind}' of {channel}"
+    remaining = smoothness
+    if smoothness.substitute is not None and smoothness.extent == SmoothExtent.NOWHERE:
+        substitute, values = smoothness.substitute(params)
+        remaining = declared_smoothness(substitute, values)
+    return LoopPart(slot, index, label, smoothness, remaining)
 
 
 def stated(places: Sequence[LoopPart]) -> list[str]:
@@ -194,10 +208,25 @@ def with_inner_sides(
     for place, finding in zip(places, findings, strict=True):
         if place.inner:
             part, part_params = part_of(loop, params, place)
-            substitute, substitute_params = place.substitute(part_params)
-            chosen = Chosen(part_params, substitute_params, finding == Finding.CORNER)
-            loop, params = with_part(loop, params, place, choice(part, substitute), chosen)
+            substitute, substitute_params = place.inner_side(part_params)
+            taken = finding == Finding.CORNER
+            if substitute is part:
+                chosen = chosen_params(part_params, substitute_params, taken)
+                loop, params = with_part(loop, params, place, part, chosen)
+            else:
+                chosen = Chosen(part_params, substitute_params, taken)
+                loop, params = with_part(loop, params, place, choice(part, substitute), chosen)
     return loop, params
+
+
+def chosen_params(params: Params, substitute: Params, taken: Scalar) -> Params:
+    """The substitute's parameters where it is taken; numbers that both share stay as they are, such as a memory."""
+
+    def chosen(a: Scalar, b: Scalar) -> Scalar:
+        same = a is b or (is_known(a) and is_known(b) and a == b)
+        return a if same else jnp.where(taken, b, a)
+
+    return jax.tree.map(chosen, params, substitute)
 
 
 def choice(part: Part, substitute: Part) -> Part:
@@ -235,9 +264,9 @@ def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.
         defects = int(np.count_nonzero(column == Finding.DEFECT))
         corners = int(np.count_nonzero(column == Finding.CORNER))
         outside = int(np.count_nonzero(column == Finding.BEYOND))
-        meaning = place.smoothness.meaning
+        meaning = place.remaining.meaning
         boundary = meaning.partition(";")[0]
-        if defects and place.smoothness.extent == SmoothExtent.PIECEWISE:
+        if defects and place.remaining.extent == SmoothExtent.PIECEWISE:
             raise ConfigError(
                 study.source,
                 f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {boundary}; "

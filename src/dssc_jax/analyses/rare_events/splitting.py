@@ -11,20 +11,18 @@ If the slack does not lead to some kind of failure, every particle may miss it. 
 If they contradict the particles, their answer is reported instead.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.analyses.defaults import LEAST_PARTICLES, LEAST_REPEATS, MOVES, PARTICLES, PLAIN, REPEATS
+from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
-from dssc_jax.statistics import CONFIDENCE, clopper_pearson, lognormal_interval
-
-SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Slacks, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
+from dssc_jax.statistics import CONFIDENCE, lognormal_interval
 
 FIRST_STEP = 0.7  # size of a move in standard normal space; it adapts to what is accepted
 SMALLEST_STEP = 0.02
@@ -120,52 +118,17 @@ class Clones(NamedTuple):
     places: np.ndarray
 
 
-class Plain(NamedTuple):
-    """Plain independent draws in addition to the splitting.
-
-    Args:
-        draws: Their number.
-        points: Those that failed, in standard normal space, shape (failures, d).
-    """
-
-    draws: int
-    points: np.ndarray
-
-    @property
-    def failures(self) -> int:
-        """Number of draws that failed."""
-        return len(self.points)
-
-    @property
-    def share(self) -> float:
-        """Share of draws that failed."""
-        return self.failures / self.draws
-
-    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """The exact interval of the failure probability."""
-        low, high = clopper_pearson(self.failures, self.draws, confidence)
-        return float(low), float(high)
-
-
 @dataclass(frozen=True)
-class Estimate:
-    """An estimate of a rare event's probability.
+class SplittingEstimate(Estimate):
+    """The estimate of a splitting; its failing particles have equal weights.
 
     Args:
         estimates: Estimate of each independent repeat, shape (R,).
         levels: Number of levels that each repeat passed, shape (R,).
-        simulations: Number of evaluations of the slack, for all repeats together.
-        points: Failing particles of all repeats in standard normal space, shape (n, d).
-        noise: Their noise indices, shape (n,).
-        plain: The plain draws.
     """
 
     estimates: np.ndarray
     levels: np.ndarray
-    simulations: int
-    points: np.ndarray = field(repr=False)
-    noise: np.ndarray = field(repr=False)
-    plain: Plain
 
     @property
     def mean(self) -> float:
@@ -181,35 +144,14 @@ class Estimate:
         return min(low, 1.0), min(high, 1.0)
 
     @property
-    def contradicted(self) -> bool:
-        """Whether the plain draws' interval and that of the repeats are disjoint."""
-        low, high = self.mean_interval()
-        plain_low, plain_high = self.plain.interval()
-        return plain_high < low or high < plain_low
+    def reached(self) -> bool:
+        """Whether repeats reached failures by levels; without a level they amount to fewer plain draws."""
+        return self.mean > 0.0 and bool(self.levels.any())
 
     @property
-    def answered(self) -> bool:
-        """Whether the repeats' answer is valid: they reached failures by levels, and plain draws do not contradict it.
-
-        Without a level the repeats amount to a smaller number of plain draws.
-        """
-        return self.mean > 0.0 and bool(self.levels.any()) and not self.contradicted
-
-    @property
-    def probability(self) -> float:
-        """Mean over the repeats, or the share of failed plain draws if the repeats' answer is not valid."""
-        return self.mean if self.answered else self.plain.share
-
-    def interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
-        """Interval from the repeats, or from the plain draws if the repeats' answer is not valid."""
-        return self.mean_interval(confidence) if self.answered else self.plain.interval(confidence)
-
-    @property
-    def method(self) -> str:
-        """Name of the interval's method."""
-        if self.answered:
-            return f"lognormal mean over {len(self.estimates)} independent repeats"
-        return f"Clopper-Pearson, {self.plain.draws:,} plain draws"
+    def interval_name(self) -> str:
+        """See :class:`Estimate`."""
+        return f"lognormal mean over {len(self.estimates)} independent repeats"
 
     @property
     def variation(self) -> float:
@@ -218,14 +160,10 @@ class Estimate:
             return np.inf
         return float(self.estimates.std(ddof=1) / np.sqrt(len(self.estimates)) / self.mean)
 
-    @property
-    def plain_draws(self) -> float:
-        """Number of plain draws that would give the same coefficient of variation."""
-        p = self.mean
-        return (1.0 - p) / (p * self.variation**2) if p > 0.0 and self.variation > 0.0 else np.inf
 
-
-def split(slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = USUAL) -> Estimate:
+def split(
+    slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting: Splitting = USUAL
+) -> SplittingEstimate:
     """Run adaptive multilevel splitting, and additional plain draws.
 
     All repeats advance together, so that slacks are computed in large batches.
@@ -243,7 +181,7 @@ def split(slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting:
     """
     counter = Counter(slack)
     repeats = [started(generator(*seeds, index), dimension, splitting, counter) for index in range(splitting.repeats)]
-    for repeat, slacks in zip(repeats, np.split(counter.of(repeats, slice(None)), splitting.repeats), strict=True):
+    for repeat, slacks in zip(repeats, np.split(slacks_of(repeats, counter), splitting.repeats), strict=True):
         repeat.slacks = slacks
     for _ in range(MOST_LEVELS):
         moving = []
@@ -257,43 +195,23 @@ def split(slack: SlackFunction, dimension: int, seeds: Sequence[int], splitting:
         for _ in range(splitting.moves):
             move(moving, counter)
     simulations = counter.simulations
-    points = generator(*seeds, stream("plain")).standard_normal((splitting.plain, dimension))
-    plain = Plain(splitting.plain, points[counter(points, counter.fresh(splitting.plain)) < 0.0])
-    return Estimate(
+    plain = plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
+    failing = np.concatenate([repeat.points[repeat.failing] for repeat in repeats])
+    return SplittingEstimate(
+        simulations=simulations,
+        points=failing,
+        noise=np.concatenate([repeat.noise[repeat.failing] for repeat in repeats]),
+        weights=np.ones(len(failing)),
+        plain=plain,
         estimates=np.array([repeat.answer for repeat in repeats]),
         levels=np.array([repeat.levels for repeat in repeats]),
-        simulations=simulations,
-        points=np.concatenate([repeat.points[repeat.failing] for repeat in repeats]),
-        noise=np.concatenate([repeat.noise[repeat.failing] for repeat in repeats]),
-        plain=plain,
     )
 
 
-class Counter:
-    """Computes slacks, counts the evaluations, and provides fresh noise indices."""
-
-    def __init__(self, slack: SlackFunction) -> None:
-        self.slack = slack
-        self.simulations = 0
-        self.indices = 0
-
-    def fresh(self, count: int) -> np.ndarray:
-        """Noise indices that no particle has used."""
-        self.indices += count
-        return np.arange(self.indices - count, self.indices)
-
-    def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        """Compute slacks; a point without a slack fails."""
-        self.simulations += len(points)
-        slacks = self.slack(points, noise)
-        return np.where(np.isnan(slacks), -np.inf, slacks)
-
-    def of(self, repeats: list[Repeat], particles: slice) -> np.ndarray:
-        """Compute the slacks of particles of all repeats, in one batch."""
-        return self(
-            np.concatenate([repeat.points[particles] for repeat in repeats]),
-            np.concatenate([repeat.noise[particles] for repeat in repeats]),
-        )
+def slacks_of(repeats: list[Repeat], counter: Counter) -> np.ndarray:
+    """Compute the slacks of the particles of all repeats, in one batch."""
+    points = np.concatenate([repeat.points for repeat in repeats])
+    return counter(points, np.concatenate([repeat.noise for repeat in repeats]))
 
 
 def started(rng: np.random.Generator, dimension: int, splitting: Splitting, counter: Counter) -> Repeat:

@@ -247,7 +247,7 @@ def assess(
             local[kind] = local_margin(study, **walk, kind=kind)
         except ConfigError as error:
             not_covered[kind.value] = error.rule
-    if Time.SAMPLED in local and over == f"unmodelled.{study.loop.unmodelled[0].time_constant}":
+    if Time.SAMPLED in local and scales_time(study, over):
         middle = study.override({**{name: law.median for name, law in study.laws.items()}, "draws": 1})
         critical = float(local_margin(middle, **walk).dataset["critical"].values[0])
         edge = None if np.isnan(critical) else critical
@@ -260,6 +260,14 @@ def assess(
     except ConfigError as error:
         not_covered[OSCILLATIONS] = error.rule
     return Assessment.of(performance, local, oscillations, edge, not_covered, time.perf_counter() - began)
+
+
+def scales_time(study: Study, name: str) -> bool:
+    """Whether a number is the time constant of the unmodelled dynamics."""
+    try:
+        return time_constant_of(study) == name
+    except ConfigError:
+        return False
 
 
 def time_constants(study: Study, over: str, bounds: tuple[float, float]) -> list[float]:

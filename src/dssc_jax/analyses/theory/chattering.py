@@ -10,6 +10,7 @@ from dssc_jax.analyses.theory.linearised import at_rest, kind_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.runs import run as running
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import section_of
 
 SAMPLES_IN_MU = 20  # samples in the smallest time constant: fewer, and the clock chatters rather than the dynamics
 
@@ -20,11 +21,12 @@ def time_constant_of(study: Study) -> str:
     Raises:
         ConfigError: they declare none.
     """
-    field = study.loop.unmodelled[0].time_constant
-    if not field:
-        rule = "chattering needs dynamics with a time constant, such as a lag"
-        raise ConfigError(f"{study.source}: unmodelled.kind", rule)
-    return f"unmodelled.{field}"
+    path = f"unmodelled.0.{study.loop.unmodelled[0].time_constant}"
+    for name, number in study.numbers.items():
+        if path in number.paths:
+            return name
+    rule = "chattering needs dynamics with a time constant, and with one only, such as a lag"
+    raise ConfigError(f"{study.source}: {section_of(study.config, 'unmodelled')}.kind", rule)
 
 
 def chattering(study: Study, values: Sequence[float], *, push: float, after: float) -> xr.Dataset:

@@ -11,12 +11,14 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.registry import Registry
 from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, tracking_error
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.nominal import nominal_control
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in, section_of
 
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
 QUIET = PlantInput(0.0, 0.0)
@@ -45,8 +47,8 @@ def at_rest(study: Study) -> Study:
 
 
 def kind_of(study: Study, slot: str) -> str:
-    """The kind of the part in a slot."""
-    return str(getattr(study.config, slot)["kind"])
+    """The kind of the part in a slot, or the kinds of a chain."""
+    return kind_in(study.config, slot)
 
 
 def require_continuous(study: Study) -> None:
@@ -75,7 +77,7 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
     if not dynamics.continuous:
         known = ", ".join(kinds_with(UNMODELLED, "continuous"))
         raise ConfigError(
-            f"{study.source}: unmodelled.kind",
+            f"{study.source}: {section_of(study.config, 'unmodelled')}.kind",
             f"the continuous-time analysis covers {known}, got '{kind_of(study, 'unmodelled')}'; use the sampled loop",
         )
 
@@ -97,21 +99,21 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     gains = params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]
     resting, unravel = ravel_pytree(loop.plant.init(params.plant))
-    order = len(model.init(dynamics))
+    memory, unravel_memory = ravel_pytree(as_arrays(model.init(dynamics)))
 
     def sigma_of(x: jax.Array) -> Scalar:
         return tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
-        x, z = state[: resting.size], tuple(state[resting.size :])
+        x, z = state[: resting.size], unravel_memory(state[resting.size :])
         error = tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
         reaching = model.output(dynamics, z, total)
         rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(reaching, 0.0), 0.0)
-        return jnp.concatenate([ravel_pytree(rate)[0], jnp.array(slope)])
+        return jnp.concatenate([ravel_pytree(rate)[0], ravel_pytree(as_arrays(slope))[0]])
 
-    origin = jnp.zeros(resting.size + order)
+    origin = jnp.zeros(resting.size + memory.size)
     a, b = jax.jacfwd(derivative, argnums=(0, 1))(origin, 0.0)
     c = jax.grad(lambda state: sigma_of(state[: resting.size]))(origin)
     return Linearised(a, b, c)

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.analyses.defaults import LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS
-from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, SeededOptions, TrustCode
+from dssc_jax.analyses.defaults import FEWER_PLAIN, LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS, VARIATION
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, RareMethod, SeededOptions, TrustCode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,11 +80,19 @@ class Laws(OutputOptions, DrawsOptions):
 class Rare(OutputOptions, SeededOptions):
     """A failure probability too small for plain draws.
 
-    Adaptive multilevel splitting on the smallest slack of a requirement: failures are approached level by level. The
-    interval comes from independent repeats; plain draws show where it cannot be right. The study's [sweep] and its
-    number of draws are ignored.
+    Importance sampling around the design points, the failures nearest to the median draw, takes some thousand
+    simulations. Where it has no answer, adaptive multilevel splitting approaches failures level by level, which takes
+    some hundred thousand. Plain draws show where an answer cannot be right. The study's [sweep] and its number of draws
+    are ignored.
     """
 
+    method: Annotated[
+        RareMethod, typer.Option("--method", help="How to search failures; auto: by importance, else by splitting.")
+    ] = RareMethod.AUTO
+    variation: Annotated[
+        float,
+        typer.Option("--variation", metavar="V", help="Coefficient of variation of importance sampling."),
+    ] = VARIATION
     particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = PARTICLES
     killed: Annotated[
         int | None, typer.Option("--killed", metavar="K", help="Particles killed at each level [N/2].")
@@ -93,4 +101,9 @@ class Rare(OutputOptions, SeededOptions):
     repeats: Annotated[
         int, typer.Option("--repeats", metavar="R", help=f"Independent repeats, at least {LEAST_REPEATS}.")
     ] = REPEATS
-    plain: Annotated[int, typer.Option("--plain", metavar="N", help="Plain draws, which may contradict.")] = PLAIN
+    plain: Annotated[
+        int | None,
+        typer.Option(
+            "--plain", metavar="N", help=f"Plain draws, which may contradict [{FEWER_PLAIN}; splitting: {PLAIN}]."
+        ),
+    ] = None

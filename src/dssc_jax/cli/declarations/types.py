@@ -1,6 +1,7 @@
 """Arguments and options shared by several commands: the types of single ones, and groups of them."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +29,14 @@ Local = Annotated[
 Prove = Annotated[
     bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
 ]
+
+
+class RareMethod(StrEnum):
+    """How a rare failure is searched."""
+
+    AUTO = "auto"
+    IMPORTANCE = "importance"
+    SPLITTING = "splitting"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,9 +2,10 @@
 
 from typing import Annotated, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.contracts import Timing, Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, extent
@@ -45,7 +46,7 @@ def init(params: DelayParams) -> DelayState:
     return DelayState((0.0,) * (int(params.memory) + 1), 0.0)
 
 
-def sample(params: DelayParams, state: DelayState, command: Scalar, dt: Scalar) -> DelayState:
+def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Array, dt: Scalar) -> DelayState:
     """Store a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
     commands = (command, *state.commands[:-1])
     weights = [jnp.maximum(0.0, 1.0 - jnp.abs(params.samples - age)) for age in range(len(commands))]
@@ -61,4 +62,5 @@ DELAY = Unmodelled(
     sample=sample,
     held=True,
     smooth=SMOOTH,
+    timing=Timing.INVARIANT,
 )

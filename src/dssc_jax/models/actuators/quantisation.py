@@ -27,9 +27,7 @@ def unit_gain(params: QuantisationParams) -> tuple[Unmodelled, QuantisationParam
     return UNIT_GAIN, params
 
 
-UNIT_GAIN = static_unmodelled(
-    QuantisationParams, lambda params, command: command, held=False, smooth=SMOOTH, continuous=True
-)
+UNIT_GAIN = static_unmodelled(QuantisationParams, lambda params, command: command, smooth=SMOOTH, continuous=True)
 QUANTISATION = static_unmodelled(
     QuantisationParams, nearest_multiple, smooth=not_smooth(f"counts as {MEAN_GAIN}", unit_gain)
 )

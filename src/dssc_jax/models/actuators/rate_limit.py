@@ -23,6 +23,19 @@ def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Sca
     return (z + saturate(command - z, params.rate * dt),)
 
 
+def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Scalar, dt: Scalar) -> tuple[Scalar]:
+    """Exact solution for a command that runs straight from start to end: towards it, then with it or behind it."""
+    (z,) = state
+    slope = (end - start) / dt
+    gap = start - z
+    reach = params.rate * dt
+    closing = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)
+    is_met = jnp.abs(gap) < closing * dt
+    meeting = jnp.where(is_met, jnp.abs(gap) / jnp.where(is_met, closing, 1.0), 0.0)
+    behind = start + slope * meeting + saturate(slope, params.rate) * (dt - meeting)
+    return (jnp.where(is_met, behind, jnp.where(gap > 0.0, z + reach, z - reach)),)
+
+
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
     """Of a ramp that reaches the command after the share s of dt, and of the constant after it.
 
@@ -47,6 +60,7 @@ RATE_LIMIT = Unmodelled(
     step=step,
     output=lambda params, state, command: state[0],
     moments=moments,
+    follow=follow,
     smooth=piecewise(
         "its largest slope; there it counts as slower than that, and follows the command", without_rate_limit
     ),

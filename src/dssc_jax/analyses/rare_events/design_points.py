@@ -1,0 +1,150 @@
+"""Design points: the failures nearest to the median draw in standard normal space, and approximations made at them.
+
+Near a design point lie the most probable failures of one kind. A search from several starts finds several of them. FORM
+replaces the border of failure by its tangent there, SORM by a paraboloid. Both are approximations without an interval.
+
+References:
+    R. Rackwitz, B. Fiessler, "Structural reliability under combined random load sequences", Computers and Structures 9
+    (1978) 489-494, the search; Y. Zhang, A. Der Kiureghian, "Two improved algorithms for reliability analysis",
+    Reliability and Optimization of Structural Systems (1995) 297-304, its merit; K. Breitung, "Asymptotic
+    approximations for multinormal integrals", ASCE J. Engineering Mechanics 110 (1984) 357-366, SORM.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+SlopeFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d) with noise indices (n,)."""
+
+ITERATIONS = 20
+SHORTER, LONGER = 0.4, 2.0  # factors of a step after failure and success
+SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach
+SMALLEST_STEP = 0.02
+SETTLED = 0.02  # length of the last step of a search
+ON_BORDER = 0.05  # distance from the border of failure of a point that counts as on it
+SAME = 0.7  # distance of two design points that count as one
+FARTHER = 2.5  # design points that lie so much farther out than the nearest contribute nothing
+CURVATURE_STEP = 0.05  # of a difference of slopes
+
+
+class DesignPoint(NamedTuple):
+    """A failure nearest to the median draw.
+
+    Args:
+        point: In standard normal space, shape (d,).
+        noise: Its noise index.
+        distance: beta, its distance from the origin.
+        second_order: SORM's factor beside FORM's probability Phi(-beta); NaN if it does not exist.
+    """
+
+    point: np.ndarray
+    noise: int
+    distance: float
+    second_order: float
+
+    @property
+    def first_order_probability(self) -> float:
+        """FORM's probability of the failures around this point."""
+        return float(special.ndtr(-self.distance))
+
+    @property
+    def second_order_probability(self) -> float:
+        """SORM's probability of the failures around this point; NaN if it does not exist."""
+        return self.first_order_probability * self.second_order
+
+
+def find_design_points(slope: SlopeFunction, starts: np.ndarray, noise: np.ndarray) -> list[DesignPoint]:
+    """Search for design points from several starts at once.
+
+    Each search steps to the nearest point of the border's tangent, or part of the way if that improves too little the
+    merit |u|^2/2 + c |g| of the point u with slack g.
+
+    Args:
+        slope: Computes slacks and slopes.
+        starts: Shape (n, d).
+        noise: Noise index of each start, which its search keeps, shape (n,).
+
+    Returns:
+        Different design points, the nearest first.
+    """
+    points = starts
+    slacks, slopes = slope(points, noise)
+    steps = np.ones(len(points))
+    running = np.isfinite(slacks) & np.isfinite(slopes).all(axis=1)
+    for _ in range(ITERATIONS):
+        active = np.flatnonzero(running)
+        if not active.size:
+            break
+        steepness = np.linalg.norm(slopes, axis=1)
+        squares = np.where(steepness > 0.0, steepness, 1.0) ** 2
+        ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squares
+        directions = ahead[:, None] * slopes - points
+        trials = points + steps[:, None] * directions
+        reached = np.full(len(points), np.nan)
+        reached_slopes = np.full(points.shape, np.nan)
+        reached[active], reached_slopes[active] = slope(trials[active], noise[active])
+        penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squares) + 1e-9
+        merit = 0.5 * np.sum(points**2, axis=1) + penalty * np.abs(slacks)
+        reached_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(reached)
+        predicted = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
+        better = running & (reached_merit < merit + SUFFICIENT * steps * predicted)
+        better &= np.isfinite(reached_slopes).all(axis=1)
+        lengths = np.linalg.norm(trials - points, axis=1)
+        points = np.where(better[:, None], trials, points)
+        slacks = np.where(better, reached, slacks)
+        slopes = np.where(better[:, None], reached_slopes, slopes)
+        steps = np.where(better, np.minimum(LONGER * steps, 1.0), SHORTER * steps)
+        running &= ~(better & (lengths < SETTLED)) & (steps >= SMALLEST_STEP)
+    steepness = np.linalg.norm(slopes, axis=1)
+    with np.errstate(invalid="ignore"):
+        on_border = (np.abs(slacks) < ON_BORDER * steepness) & np.isfinite(points).all(axis=1)
+    distances = np.linalg.norm(points, axis=1)
+    found = [index for index in np.argsort(distances) if on_border[index]]
+    return [
+        DesignPoint(points[index], int(noise[index]), float(distances[index]), np.nan)
+        for index in distinct(points, found, SAME)
+    ]
+
+
+def distinct(points: np.ndarray, order: Iterable[int], distance: float) -> list[int]:
+    """Indices, in the order given, of points that lie farther than a distance from all earlier ones."""
+    chosen: list[int] = []
+    for index in order:
+        if all(np.linalg.norm(points[index] - points[earlier]) > distance for earlier in chosen):
+            chosen.append(index)
+    return chosen
+
+
+def relevant(found: list[DesignPoint]) -> list[DesignPoint]:
+    """Different design points of several searches, the nearest first, without those far beyond the nearest."""
+    ordered = sorted(found, key=lambda candidate: candidate.distance)
+    points = np.array([candidate.point for candidate in ordered])
+    kept = [ordered[index] for index in distinct(points, range(len(ordered)), SAME)]
+    return [candidate for candidate in kept if candidate.distance <= kept[0].distance + FARTHER]
+
+
+def with_curvature(slope: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
+    """Add SORM's factor prod (1 + beta kappa_i)^(-1/2), with the border's principal curvatures kappa_i.
+
+    The second derivatives are differences of slopes, 2 d evaluations.
+    """
+    point = design_point.point
+    dimension = len(point)
+    if dimension == 1 or design_point.distance == 0.0:
+        return design_point._replace(second_order=1.0)
+    shifts = CURVATURE_STEP * np.concatenate([np.eye(dimension), -np.eye(dimension)])
+    noise = np.full(2 * dimension, design_point.noise)
+    _, slopes = slope(point + shifts, noise)
+    hessian = (slopes[:dimension] - slopes[dimension:]) / (2.0 * CURVATURE_STEP)
+    steepness = float(np.linalg.norm(slopes.mean(axis=0)))
+    if not np.isfinite(hessian).all() or steepness == 0.0:
+        return design_point
+    basis, _ = np.linalg.qr(np.column_stack([point, np.eye(dimension)]))
+    tangent = basis[:, 1:dimension]
+    curvatures = np.linalg.eigvalsh(tangent.T @ (0.5 * (hessian + hessian.T)) @ tangent) / steepness
+    factors = 1.0 + design_point.distance * curvatures
+    second_order = float(np.prod(factors) ** -0.5) if np.all(factors > 0.0) else np.nan
+    return design_point._replace(second_order=second_order)

@@ -1,0 +1,326 @@
+"""Several actuators in series as one, whose properties follow from those of its elements.
+
+The elements act on the command in their order. Those before the first one that moves between the samples act on the
+sampled command, so their output is constant. Delays commute with everything that does not depend on time, and act
+there, too, wherever they stand. The linear elements at the end are one linear system, which the loop holds exactly
+together with the plant. Whatever stands between is advanced from Gauss node to Gauss node of a step: linear elements by
+their exact solution for an input that is the straight line with the same mean and first moment, all others as if their
+input were straight between the nodes. Behind a static element the error is of order 4 in the step where signals are
+smooth, of order 2 where one passes a corner such as a limit or behind an element with a state, of order 1 at jumps.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import groupby
+from typing import NamedTuple, TypeAlias
+
+import jax
+
+from dssc_jax.core.contracts import Moments, Mover, NoParams, Timing, Unmodelled, ignore_sample
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.sampled_linear import Forcing, LinearSystem, hold, series, spread
+from dssc_jax.core.signals import Params, Scalar, State
+from dssc_jax.core.smoothness import (
+    SMOOTH,
+    SmoothExtent,
+    Smoothness,
+    Substitution,
+    declared_smoothness,
+    not_smooth,
+    piecewise,
+)
+
+HALF_DISTANCE = math.sqrt(3.0) / 6.0
+NODES = (0.0, 0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
+"""The start of a step, its Gauss nodes, and its end, as shares of it."""
+ORDER = 2
+"""Order of the error of elements that are not linear, behind elements that move between the samples."""
+
+
+class Element(NamedTuple):
+    """An element of a chain: the kind that it has in messages, and the model."""
+
+    kind: str
+    model: Unmodelled
+
+
+class Course(NamedTuple):
+    """A signal over a step.
+
+    Args:
+        nodes: Its values at :data:`NODES`.
+        line: Its moments.
+    """
+
+    nodes: tuple[Scalar, ...]
+    line: Moments
+
+
+States: TypeAlias = tuple[State, ...]
+"""The state of each element, in the order of the study."""
+Values: TypeAlias = tuple[Params, ...]
+"""The parameters of each element."""
+Stage: TypeAlias = Callable[[States, Course], tuple[dict[int, State], Course]]
+"""``(states, input) -> (new states by element, output)`` of one or several elements over a step."""
+
+
+class Arrangement(NamedTuple):
+    """Indices of the elements in the order in which they act.
+
+    Args:
+        sampled: Those that act on the sampled command.
+        between: Those between.
+        linear: The linear ones before the plant.
+    """
+
+    sampled: tuple[int, ...]
+    between: tuple[int, ...]
+    linear: tuple[int, ...]
+
+    @property
+    def head(self) -> tuple[int, ...]:
+        """All but the linear ones before the plant."""
+        return self.sampled + self.between
+
+
+def arrange(elements: Sequence[Element]) -> Arrangement:
+    """The order in which the elements act.
+
+    Raises:
+        ConfigError: One acts on the sampled command, and stands behind one that moves between the samples; or one does
+            both.
+    """
+    sampled = []
+    moving = []
+    for index, (kind, model) in enumerate(elements):
+        static = model.sample is ignore_sample
+        if model.advance is not None or not (static or model.held):
+            raise ConfigError(f"{index}.kind", f"'{kind}' acts at the samples and between them; it stands alone")
+        if model.held and (not moving or (not static and model.timing == Timing.INVARIANT)):
+            sampled.append(index)
+        elif model.held and not static and model.timing == Timing.SAMPLED:
+            first = elements[moving[0]].kind
+            rule = f"'{kind}' acts on the sampled command; place it before '{first}', which moves between the samples"
+            raise ConfigError(f"{index}.kind", rule)
+        else:
+            moving.append(index)
+    count = len(moving)
+    while count and elements[moving[count - 1]].model.linear is not None:
+        count -= 1
+    return Arrangement(tuple(sampled), tuple(moving[:count]), tuple(moving[count:]))
+
+
+@lru_cache(maxsize=256)
+def chain(elements: tuple[Element, ...]) -> Unmodelled:
+    """The elements in series; parameters and state are tuples with those of each element, in the order given.
+
+    Raises:
+        ConfigError: As :func:`arrange` says.
+    """
+    places = arrange(elements)
+    models = tuple(element.model for element in elements)
+    moving = bool(places.between)
+
+    def init(params: Values) -> States:
+        return tuple(model.init(p) for model, p in zip(models, params, strict=True))
+
+    def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
+        after = list(states)
+        value = command
+        for index in places.sampled:
+            fresh = jax.random.fold_in(key, index)
+            after[index] = models[index].sample(params[index], states[index], value, fresh, dt)
+            value = models[index].output(params[index], after[index], value)
+        return tuple(after)
+
+    def output_of(indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
+        value = command
+        for index in indices:
+            value = models[index].output(params[index], states[index], value)
+        return value
+
+    def output(params: Values, states: States, command: Scalar) -> Scalar:
+        return output_of(places.head + places.linear, params, states, command)
+
+    def linear(params: Values) -> LinearSystem:
+        return merged(models, places.linear, params)
+
+    def linear_among_all(params: Values) -> LinearSystem:
+        leaves = [len(jax.tree.leaves(state)) for state in init(params)]
+        starts = [sum(leaves[:index]) for index in range(len(leaves))]
+        linear_leaves = [starts[index] + i for index in places.linear for i in range(leaves[index])]
+        return spread(linear(params), linear_leaves, sum(leaves))
+
+    def advance(params: Values, dt: Scalar) -> Mover:
+        stages = stages_of(models, places.between, params, dt)
+
+        def move(states: States, command: Scalar) -> tuple[States, Moments]:
+            value = output_of(places.sampled, params, states, command)
+            course = Course((value,) * len(NODES), Moments(value, 0.0))
+            after = dict(enumerate(states))
+            for stage in stages:
+                changed, course = stage(states, course)
+                after |= changed
+            return tuple(after.values()), course.line
+
+        return move
+
+    def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
+        after, line = advance(params, dt)(states, command)
+        if not places.linear:
+            return after
+        stage = linear_stage(models, places.linear, params, dt, constant=not moving)
+        changed, _ = stage(after, Course((command,) * len(NODES), line))
+        return tuple(changed.get(index, state) for index, state in enumerate(after))
+
+    return Unmodelled(
+        NoParams,
+        init,
+        step,
+        output,
+        sample=sample,
+        linear=linear_among_all if places.linear else None,
+        held=not moving and bool(places.sampled),
+        smooth=lambda params: smoothness_of(elements, params),
+        continuous=all(model.continuous for model in models),
+        time_constant=scale_of(models),
+        advance=advance if moving or (places.sampled and places.linear) else None,
+        order=ORDER if moving else None,
+    )
+
+
+def merged(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
+    """Linear elements in series as one system, whose state lists theirs."""
+    systems = []
+    for index in indices:
+        system = models[index].linear
+        assert system is not None  # held by the arrangement
+        systems.append(system(params[index]))
+    total = systems[0]
+    for system in systems[1:]:
+        total = series(total, system)
+    return total
+
+
+def scale_of(models: Sequence[Unmodelled]) -> str:
+    """Path of the parameter that scales the chain's time; empty unless exactly one element has one."""
+    names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
+    return names[0] if len(names) == 1 else ""
+
+
+def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar) -> list[Stage]:
+    """The stages of a step in order: consecutive linear elements as one, every other element alone."""
+    stages: list[Stage] = []
+    for is_linear, group in groupby(indices, key=lambda index: models[index].linear is not None):
+        if is_linear:
+            stages.append(linear_stage(models, tuple(group), params, dt, constant=not stages))
+            continue
+        for index in group:
+            stages.append(stepped_stage(models[index], index, params[index], dt, constant=not stages))
+    return stages
+
+
+def linear_stage(
+    models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar, constant: bool
+) -> Stage:
+    """Linear elements over a step by their exact solution at the nodes; ``constant`` tells that their input is."""
+    system = merged(models, indices, params)
+    forcing = Forcing(system.b, 1 if constant else 2)
+    transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
+
+    def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
+        leaves, structure = jax.tree.flatten([states[index] for index in indices])
+        line = entering.line
+        reached = [tuple(leaves)]
+        for share, transition in zip(NODES[1:], transitions, strict=True):
+            terms = (line.mean,) if constant else (line.mean - 0.5 * line.rise, share * line.rise)
+            reached.append(transition.apply(leaves, (terms,)))
+        row = (*system.c, system.d)
+        nodes = tuple(dot(row, (*x, value)) for x, value in zip(reached, entering.nodes, strict=True))
+        after = dict(zip(indices, structure.unflatten(list(reached[-1])), strict=True))
+        return after, Course(nodes, line_through(nodes))
+
+    return stage
+
+
+def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
+    """Another element over a step, from node to node; by its own moments where its input is constant."""
+    follow = model.follow or follow_mean(model)
+
+    def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
+        begin = states[index]
+        start = entering.nodes[0]
+        state = model.step(params, begin, start, 0.0)
+        nodes = [model.output(params, state, start)]
+        for i, value in enumerate(entering.nodes[1:]):
+            if constant:
+                state = model.step(params, begin, value, NODES[i + 1] * dt)
+            else:
+                state = follow(params, state, entering.nodes[i], value, (NODES[i + 1] - NODES[i]) * dt)
+            nodes.append(model.output(params, state, value))
+        if constant and model.moments is not None:
+            line = model.moments(params, begin, start, dt)
+        else:
+            line = line_through(nodes)
+        return {index: state}, Course(tuple(nodes), line)
+
+    return stage
+
+
+def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
+    """The ``follow`` of a model that has none: its step with the mean of its command, which is of order 2."""
+    return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
+
+
+def line_through(nodes: Sequence[Scalar]) -> Moments:
+    """The moments of a signal from its values at the Gauss nodes, exact for polynomials of degree 2."""
+    _, first, second, _ = nodes
+    return Moments(0.5 * (first + second), (0.5 / HALF_DISTANCE) * (second - first))
+
+
+def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
+    """Where a chain has a derivative: where all its elements have one.
+
+    Raises:
+        ConfigError: An element does not declare it.
+    """
+    declared = []
+    for (kind, model), values in zip(elements, params, strict=True):
+        try:
+            declared.append(declared_smoothness(model, values))
+        except ConfigError as error:
+            raise ConfigError("", f"contains '{kind}', which {error.rule}") from None
+    nowhere = [index for index, smooth in enumerate(declared) if smooth.extent == SmoothExtent.NOWHERE]
+    corners = [index for index, smooth in enumerate(declared) if smooth.extent == SmoothExtent.PIECEWISE]
+    for index in nowhere:
+        if declared[index].substitute is None:
+            return not_smooth(f"contains '{elements[index].kind}', which {declared[index].meaning}")
+    if nowhere:
+        meaning = "; ".join(f"contains '{elements[index].kind}', which {declared[index].meaning}" for index in nowhere)
+        return not_smooth(meaning, substitution(elements, declared, nowhere))
+    if not corners:
+        return SMOOTH
+    meaning = ", or ".join(f"a boundary of '{elements[index].kind}', {declared[index].meaning}" for index in corners)
+    for index in corners:
+        substitute = declared[index].substitute
+        if substitute is None or substitute(params[index])[0] is not elements[index].model:
+            return piecewise(meaning)  # another model cannot be chosen by parameters alone
+    return piecewise(meaning, substitution(elements, declared, corners))
+
+
+def substitution(elements: tuple[Element, ...], declared: Sequence[Smoothness], indices: Sequence[int]) -> Substitution:
+    """The chain in which some elements are replaced by their substitutes."""
+
+    def substitute(params: Values) -> tuple[Unmodelled, Values]:
+        replaced = list(elements)
+        values = list(params)
+        for index in indices:
+            replacing = declared[index].substitute
+            assert replacing is not None  # held by the caller
+            model, values[index] = replacing(params[index])
+            replaced[index] = Element(elements[index].kind, model)
+        return chain(tuple(replaced)), tuple(values)
+
+    return substitute

@@ -1,0 +1,65 @@
+"""Backlash (play) in series with the plant input, as of a gear: the output moves when the gap is used up.
+
+The play is taken implicitly: after a monotone change of the command the output is that of the continuous-time play,
+whatever the step, and it cannot chatter.
+
+Reference:
+    M. Brokate, J. Sprekels, Hysteresis and Phase Transitions (1996), section 2.3.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax
+
+from dssc_jax.core.contracts import Timing, Unmodelled
+from dssc_jax.core.numerics import clip
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH, not_smooth
+
+
+class BacklashParams(NamedTuple):
+    """The half-width of the gap; 0 for an ideal actuator."""
+
+    half_width: Annotated[Scalar, Quantity("u", "half of the gap", at_least=0.0)]
+
+
+def step(params: BacklashParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
+    """The output stays where it is as long as the command stays within the gap around it."""
+    (z,) = state
+    return (clip(z, command - params.half_width, command + params.half_width),)
+
+
+def sample(params: BacklashParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar) -> tuple[Scalar]:
+    """:func:`step`: the command that is held moves the output at once."""
+    return step(params, state, command, dt)
+
+
+def unit_gain(params: BacklashParams) -> tuple[Unmodelled, BacklashParams]:
+    """The backlash for signals that are large against its gap: a gain of 1."""
+    return UNIT_GAIN, params
+
+
+BACKLASH = Unmodelled(
+    BacklashParams,
+    init=lambda params: (0.0,),
+    step=step,
+    output=lambda params, state, command: state[0],
+    sample=sample,
+    held=True,
+    smooth=not_smooth(
+        "counts as its gain 1 for large motions; its describing function loses gain and lags by up to 90 degrees at "
+        "small ones, so that the margins do not exclude an oscillation of the size of the gap",
+        unit_gain,
+    ),
+    timing=Timing.INSTANT,
+    follow=lambda params, state, start, end, dt: step(params, state, end, dt),
+)
+UNIT_GAIN = BACKLASH._replace(
+    step=lambda params, state, command, dt: state,
+    output=lambda params, state, command: command,
+    sample=lambda params, state, command, key, dt: state,
+    smooth=SMOOTH,
+    continuous=True,
+    follow=lambda params, state, start, end, dt: state,
+)

@@ -1,0 +1,46 @@
+"""Commands that are lost at random on their way to the actuator, which then holds the last one that arrived."""
+
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.numerics import is_zero, uniforms
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.smoothness import SMOOTH, Smoothness, not_smooth
+
+
+class LostCommandParams(NamedTuple):
+    """The probability of a loss, independent from sample to sample."""
+
+    probability: Annotated[Scalar, Quantity("1", "probability that a command is lost", at_least=0.0, below=1.0)]
+
+
+def sample(
+    params: LostCommandParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar
+) -> tuple[Scalar]:
+    """The command if it arrives, else the last one; before t = 0 it was 0."""
+    if is_zero(params.probability):
+        return (command,)
+    (chance,) = uniforms(key, 1)
+    return (jnp.where(chance >= params.probability, command, state[0]),)
+
+
+def smoothness(params: LostCommandParams) -> Smoothness:
+    """Linear without losses."""
+    if extent(params.probability)[1] > 0.0:
+        return not_smooth("loses commands at random, so that no derivative holds from sample to sample; leave it out")
+    return SMOOTH
+
+
+LOST_COMMAND = Unmodelled(
+    LostCommandParams,
+    init=lambda params: (0.0,),
+    step=lambda params, state, command, dt: state,
+    output=lambda params, state, command: state[0],
+    sample=sample,
+    held=True,
+    smooth=smoothness,
+)
