@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws notebooks pages screenshots exploring pareto wind docs clean hover vehicle
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws library formulas notebooks pages screenshots exploring pareto wind docs clean hover vehicle
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -58,8 +58,14 @@ vehicle: $(VENV)/test  ## regenerate the measured part of docs/vehicle_proofs.md
 fuzz: $(VENV)/test  ## regenerate a part of docs/lanes.md: 100,000 random programs of jax.lax as machine code, half an hour
 	$(BIN)/python -m benchmarks.fuzz --page
 
+library: $(VENV)/run  ## regenerate the measured part of docs/library.md: bits and rates of controllers in C
+	$(BIN)/python -m benchmarks.library
+
 laws: $(VENV)/run  ## regenerate the measured parts of docs/laws.md: the vehicle, and how often the bounds hold
 	$(BIN)/python -m benchmarks.laws
+
+formulas: $(VENV)/test $(VENV)/rtamt/done  ## regenerate a part of docs/formulas.md: 1,000 random formulas against NumPy and rtamt
+	$(BIN)/python -m benchmarks.formulas $(VENV)/rtamt/bin/python
 
 notebooks: $(VENV)/test  ## run the notebooks anew; a test tells where their stored output is old
 	$(BIN)/python -m benchmarks.notebooks
@@ -84,7 +90,7 @@ wind: $(VENV)/test  ## regenerate the measured part of docs/wind.md: the worst w
 
 $(VENV)/run: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[proofs]"
 	touch $@
 
 $(VENV)/test: $(VENV)/run
@@ -104,6 +110,11 @@ $(VENV)/simulators/done:
 	$(PYTHON) -m venv $(VENV)/simulators
 	for name in crazyflow "rotorpy torch"; do \
 		$(VENV)/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
+	touch $@
+
+$(VENV)/rtamt/done:
+	$(PYTHON) -m venv $(VENV)/rtamt
+	$(VENV)/rtamt/bin/python -m pip install --quiet --disable-pip-version-check rtamt==0.4.10
 	touch $@
 
 clean:

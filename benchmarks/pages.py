@@ -19,7 +19,8 @@ from dssc_jax.results.fields import field_meanings
 from dssc_jax.study.build import FIXED_TABLES
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
-from dssc_jax.study.schema import AXES, StudyTable
+from dssc_jax.study.parsed_values import AXES
+from dssc_jax.study.schema import StudyTable
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY_FILE = """# The study file

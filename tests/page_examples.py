@@ -21,7 +21,7 @@ SHELL = set("|&;<>$`*?~(){}")
 def examples(page: Path) -> Iterator[tuple[str, str]]:
     """Language and text of each block that runs; files are written on the way."""
     for language, text in BLOCK.findall(page.read_text()):
-        named = re.match(r"# (\w+\.(?:toml|py))\n", text)
+        named = re.match(r"(?:#|/\*) (\w+\.(?:toml|py|c))\b", text)
         if named:
             Path(named[1]).write_text(text)
         elif language == "python":

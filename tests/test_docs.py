@@ -31,7 +31,7 @@ WITH_EXAMPLES = sorted(
     for file in SOURCE.rglob("*.py")
     if re.search(r"^ +>>> ", file.read_text(), re.MULTILINE)
 )
-LANGUAGES = {"sh", "python", "toml"}
+LANGUAGES = {"sh", "python", "toml", "c"}
 
 
 FIRST, *OTHERS = sorted(PAGES, key=lambda page: page != "README.md")

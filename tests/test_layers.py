@@ -44,7 +44,9 @@ ALLOWED = {
     "__init__.py": {"Path(__file__).with_suffix('.pyi').read_text"},  # of the package
     "cli/main.py": {"open"},  # the null device
     "cli/fmu_library.py": {"TemporaryDirectory"},  # private to the process
+    "cli/native_build.py": {"TemporaryDirectory"},  # private to the process
     "cli/trajectories.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
+    "core/native/libraries.py": {"TemporaryDirectory"},  # private to the process
     "exploration/serving.py": {"TemporaryDirectory", "webbrowser.open"},  # private to the process
     "flight_code/fmu.py": {"zipfile.ZipFile"},  # in memory
     "lanes/program_cache.py": {"self._path.mkdir", "path.read_bytes", "partial.open", "os.replace", "partial.unlink"}

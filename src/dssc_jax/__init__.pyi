@@ -21,6 +21,7 @@ from dssc_jax.analyses.rare_events.splitting import Splitting as Splitting
 from dssc_jax.analyses.region.safe_region import RegionAxis as RegionAxis, SafeRegion as SafeRegion, region as region
 from dssc_jax.analyses.sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
 from dssc_jax.analyses.tuning import Tuned as Tuned, tune as tune
+from dssc_jax.analyses.worst_loop import WorstLoop as WorstLoop, worst_loop as worst_loop
 from dssc_jax.analyses.worst_wind.flights import fly_winds as fly_winds
 from dssc_jax.analyses.worst_wind.worst_wind import (
     WorstWind as WorstWind,
@@ -28,6 +29,7 @@ from dssc_jax.analyses.worst_wind.worst_wind import (
     worst_wind as worst_wind,
 )
 from dssc_jax.core.errors import ConfigError as ConfigError
+from dssc_jax.core.native.libraries import allow_native as allow_native
 from dssc_jax.engine.integration import IntegrationError as IntegrationError, integration_error as integration_error
 from dssc_jax.engine.pure_functions import lane as lane, stepper as stepper
 from dssc_jax.exploration import explore as explore

@@ -62,6 +62,7 @@ RUN = {
     "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),
+    "worst-loop": lambda study: dj.worst_loop(study.override({"draws": 8}), cells=200),
     "worst-wind": lambda study: dj.worst_wind(dj.Study.from_table(HOVER), segments=4, rounds=1),
     "theory": lambda study: dj.theory.assess(study, **WALK, rivals={"pi": study}),
 }

@@ -76,6 +76,21 @@ def test_compare(study, capsys):
     assert "McNemar" in capsys.readouterr().out
 
 
+def test_worst_loop(study, capsys):
+    """A worst case, written as a study, has its margin again."""
+    arguments = ["worst-loop", str(study), "--cells", "500", "--draws", "8", "--out", "v"]
+    assert guarded([*arguments, "--json"]) == 0
+    found = last_json(capsys)["loops"]["input"]["margins"]["disk"]
+    witness = dj.Study.load(study.parent / "v" / "witnesses" / "input-disk.toml").override({"draws": 1})
+    again = dj.loop_margins(witness).dataset["disk"].sel(loop="input")
+    assert float(again.values.min()) == pytest.approx(found["found"], rel=1e-6)
+    assert (study.parent / "v" / "figures" / "worst-loop.png").exists()
+    assert guarded(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "worst found" in shown
+    assert "robust stability" in shown
+
+
 HOVER = """
 name = "hover"
 loop = { duration = 2.0, sample_time = 0.02 }

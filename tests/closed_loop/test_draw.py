@@ -28,7 +28,7 @@ def test_a_draw_that_has_ended_is_frozen_where_that_is_asked_for(freeze):
     """Either way its outcome and its samples stay; the state stays finite only where it is frozen."""
     study = dj.Study.from_table(DIVERGING)
     key, params = jax.random.key(0), study.params({})
-    sample = sampler(study.loop, params, key, study.measures, freeze)
+    sample = sampler(study.loop, params, key, study.measures, (), freeze)
     begin = initial_progress(study.loop, params, key, study.measures)
     end = jax.lax.fori_loop(0, study.loop.steps, lambda _, at: sample(at)[0], begin)
     assert int(end.outcome) == Outcome.NON_FINITE

@@ -45,7 +45,7 @@ def test_streaming_equals_stored(case_2):
     e, u, energy, sigma, t = (run[name].values[inside] for name in ("e", "u", "u_total", "sigma", "t"))
     slow = [u[0]]
     for value in u[1:]:
-        slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.005)) * (value - slow[-1]))
+        slow.append(slow[-1] + (1.0 - np.exp(-2.0 * np.pi * 0.05)) * (value - slow[-1]))
     fast = np.sum((u - slow) ** 2)
     noise = (run["sigma_measured"] - run["sigma"]).values[inside]
     gain = 1.0 / (run["k_o"] * run["tau_av"]).values[inside]

@@ -160,7 +160,8 @@ def test_the_terminal_shows_each_requirement(swept, capsys):
     for each in point["requirements"]:
         low, high = each["interval"]
         count = [f"{each['failures']}/64", f"{each['probability']:.4g}", f"[{low:.3g},", f"{high:.3g}]"]
-        assert [*each["text"].split(), *count, str(each["alone"])] in shown
+        timing = [str(each["first"]), f"{each['violated_at']:.4g}"]
+        assert [*each["text"].split(), *count, str(each["alone"]), *timing] in shown
     for pair in point["overlaps"]:
         low, high = pair["interval"]
         count = [f"{pair['failures']}/64", f"{pair['probability']:.4g}", f"[{low:.3g},", f"{high:.3g}]"]

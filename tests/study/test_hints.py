@@ -121,7 +121,14 @@ def test_gains_as_books_write_them(written, meant):
 
 @pytest.mark.parametrize(
     ("word", "command"),
-    [("bode", "loop"), ("Nyquist", "loop"), ("step", "simulate"), ("pole", "theory"), ("mc", "run")],
+    [
+        ("bode", "loop"),
+        ("Nyquist", "loop"),
+        ("step", "simulate"),
+        ("pole", "theory"),
+        ("mc", "run"),
+        ("mussv", "worst-loop"),
+    ],
 )
 def test_words_of_other_programs_lead_to_their_command(word, command, capsys):
     assert guarded([word, "motor"]) == 2

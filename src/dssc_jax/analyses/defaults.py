@@ -36,3 +36,6 @@ SEGMENTS, CLIMBS = 100, 10
 LEAST_SEGMENTS, MOST_SEGMENTS, MOST_CLIMBS = 2, 400, 1000
 LIMIT = 0.05
 """Laws: largest failure probability allowed."""
+
+CELLS, MOST_CELLS, SIGMA = 10_000, 10**7, 3.0
+"""Worst loop: parts of box and frequencies for each loop; standard deviations at which laws without ends are cut."""

@@ -25,6 +25,7 @@ KINDS = {
     "laws": "dssc_jax.analyses.laws.law_errors:LawErrors",
     "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
     "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
+    "worst-loop": "dssc_jax.analyses.worst_loop:WorstLoop",
     "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }

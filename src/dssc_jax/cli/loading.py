@@ -15,10 +15,11 @@ from dssc_jax.proofs.certificate_text import certificate_content
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result, load_result
 from dssc_jax.study import Study, read_toml
-from dssc_jax.study.code import describe_code, folders_of
+from dssc_jax.study.code import describe_modules, folders_of
 from dssc_jax.study.importing import allow_imports
 from dssc_jax.study.library import find
-from dssc_jax.study.recorded import with_records
+from dssc_jax.study.native import load_native, native_files
+from dssc_jax.study.study import with_files
 from dssc_jax.study.tables import changed
 
 
@@ -29,24 +30,28 @@ def study_of(options: StudyOptions) -> Study:
         changes["draws"] = options.draws
     if isinstance(options, SeededOptions) and options.seed is not None:
         changes["seed"] = options.seed
-    return load_study(options.study, changes, options.allow_local)
+    return load_study(options.study, changes, options.allow_local, options.allow_native)
 
 
-def load_study(name: str, changes: Mapping[str, object], local: bool) -> Study:
+def load_study(name: str, changes: Mapping[str, object], local: bool, native: bool = False) -> Study:
     """Load a study, changed.
 
     Args:
         name: A file, or the name of a packaged study.
         changes: Values by dotted name.
         local: Let its ``module:object`` names also import from its folder.
+        native: Load the shared objects that it names, after showing which.
     """
     path = find(name)
     if local:
         allow_imports(path.parent)
     try:
-        table = with_records(changed(read_toml(path), changes, str(path)), path.parent)
+        table = with_files(changed(read_toml(path), changes, str(path)), path.parent)
     except ConfigError as error:
         raise error.within(str(path)) from None
+    if native:
+        show_native("study", table)
+        load_native(table, [path.parent])
     show_code("study", table)
     return Study.from_table(table, str(path))
 
@@ -56,24 +61,42 @@ def spare_gpu_memory() -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
-def stored_result(folder: Path, trust_code: bool = False, local: bool = False) -> Result:
+def stored_result(folder: Path, trust_code: bool = False, local: bool = False, native: bool = False) -> Result:
     """Load a stored result, which may be from an untrusted source.
 
     Args:
         folder: The results folder.
         trust_code: Import the code that its study names, after showing which.
         local: As in :func:`load_study`, for the study file it was made from; only used if its code is trusted.
+        native: As in :func:`load_study`.
     """
+    if native:
+        load_stored_native(read_manifest(folder))
     if trust_code:
         show_trusted(read_manifest(folder), local)
     return load_result(folder, trust_code)
 
 
-def stored_analysis(folder: Path, trust_code: bool = False, local: bool = False) -> Loaded:
+def stored_analysis(folder: Path, trust_code: bool = False, local: bool = False, native: bool = False) -> Loaded:
     """Load a stored result or analysis; arguments as for :func:`stored_result`."""
+    if native:
+        load_stored_native(description(folder))
     if trust_code:
         show_trusted(description(folder), local)
     return load(folder, trust_code)
+
+
+def load_stored_native(manifest: Manifest) -> None:
+    """Load the native code of a stored study, after showing which: that of the run, by its digest."""
+    table = manifest["study"]
+    show_native("result", table)
+    load_native(table, [Path(str(manifest.get("source", ""))).parent], manifest.get("code"))
+
+
+def show_native(subject: str, table: Mapping[str, object]) -> None:
+    """Show which native code is about to be loaded, with file and digest; arguments as for :func:`show_code`."""
+    for native in native_files(table):
+        say(f"this {subject} runs {native.text}")
 
 
 def show_trusted(manifest: Manifest, local: bool) -> None:
@@ -95,7 +118,7 @@ def show_code(subject: str, table: Mapping[str, object], recorded: Manifest | No
         table: The table that names it.
         recorded: The code that a stored result ran.
     """
-    if names := describe_code(table, recorded):
+    if names := describe_modules(table, recorded):
         say(f"this {subject} runs code: {names}")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Accumulator, Instant, Measure, starts, update_all, values
-from dssc_jax.closed_loop.requirements import Requirement, judge
+from dssc_jax.closed_loop.requirements import Requirement, certain_violations, judge, violated, watch
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
 from dssc_jax.closed_loop.time_loops import scan_recorded, scan_segments, until_all_ended
 from dssc_jax.core.numerics import as_arrays
@@ -26,6 +26,8 @@ class Run(NamedTuple):
         outcome: An :class:`~dssc_jax.core.signals.Outcome`.
         failed_at: Time of the step that ended it early [s]; NaN: none.
         settled_at: Time at which it ended because it had settled [s]; NaN: none.
+        violated_at: Time of the sample at which a violation of each requirement became certain, by the name that it has
+            in results [s]; NaN: it is met.
     """
 
     metrics: dict[str, Scalar]
@@ -33,6 +35,7 @@ class Run(NamedTuple):
     outcome: Scalar
     failed_at: Scalar
     settled_at: Scalar
+    violated_at: dict[str, Scalar]
 
 
 class Progress(NamedTuple):
@@ -46,6 +49,7 @@ class Progress(NamedTuple):
         steps: Samples that the draw has completed.
         in_band: Number of consecutive samples, up to the last, with errors small enough to settle; empty for a loop
             without :class:`~dssc_jax.closed_loop.loop.Settled`.
+        violations: See :func:`~dssc_jax.closed_loop.requirements.watch`.
     """
 
     k: Scalar
@@ -54,14 +58,22 @@ class Progress(NamedTuple):
     outcome: Scalar
     steps: Scalar
     in_band: State
+    violations: tuple[Scalar, ...]
 
 
-def initial_progress(loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...]) -> Progress:
+def initial_progress(
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    measures: tuple[Measure, ...],
+    requirements: tuple[Requirement, ...] = (),
+) -> Progress:
     """The state of the time loop before the first sample."""
     zero = jnp.zeros((), dtype=jnp.int32)
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
-    return Progress(zero, state, as_arrays(starts(measures)), zero, zero, in_band)
+    watched = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
+    return Progress(zero, state, as_arrays(starts(measures)), zero, zero, in_band, watched)
 
 
 def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
@@ -81,7 +93,12 @@ def is_running(loop: Loop, at: Progress) -> Scalar:
 
 
 def sampler(
-    loop: Loop, params: LoopParams, key: jax.Array, measures: tuple[Measure, ...], freeze: bool
+    loop: Loop,
+    params: LoopParams,
+    key: jax.Array,
+    measures: tuple[Measure, ...],
+    requirements: tuple[Requirement, ...],
+    freeze: bool,
 ) -> Callable[[Progress], tuple[Progress, Recorded]]:
     """Return the function that advances a draw by one sample.
 
@@ -90,6 +107,7 @@ def sampler(
         params: Their parameters.
         key: The draw's own random key.
         measures: The metrics to compute.
+        requirements: Bounds on some of the metrics.
         freeze: Whether an ended draw keeps its last state and accumulators, so that later values are finite.
             Otherwise they continue; the draw's outcome and number of samples are kept in either case.
     """
@@ -105,15 +123,22 @@ def sampler(
         outcome = jnp.where(running, code, at.outcome)
         completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(recorded.broken))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
+        violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
         if freeze:
-            state, accumulators, in_band = jax.tree.map(
-                lambda new, old: jnp.where(completed, new, old),
-                (state, accumulators, in_band),
-                (at.state, at.accumulators, at.in_band),
+            state, in_band, violations = jax.tree.map(
+                partial(jnp.where, completed),
+                (state, in_band, violations),
+                (at.state, at.in_band, at.violations),
             )
-        return Progress(at.k + 1, state, accumulators, outcome, at.steps + completed, in_band), recorded
+            accumulators = jax.tree.map(partial(kept_number, completed), accumulators, at.accumulators)
+        return Progress(at.k + 1, state, accumulators, outcome, at.steps + completed, in_band, violations), recorded
 
     return sample
+
+
+def kept_number(completed: Scalar, new: jax.Array, old: jax.Array) -> jax.Array:
+    """A number of an accumulator, which an ended draw keeps; delay lines, which no final value reads, move on."""
+    return new if jnp.ndim(new) else jnp.where(completed, new, old)
 
 
 def simulate_draw(
@@ -142,8 +167,9 @@ def simulate_draw(
             them have ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
     """
-    sample = sampler(loop, params, key, measures, freeze=axis_name is None or loop.settled is not None)
-    begin = initial_progress(loop, params, key, measures)
+    freeze = axis_name is None or loop.settled is not None
+    sample = sampler(loop, params, key, measures, requirements, freeze)
+    begin = initial_progress(loop, params, key, measures, requirements)
 
     def advance(at: Progress) -> Progress:
         return sample(at)[0]
@@ -168,13 +194,14 @@ def simulate_recorded(
     Returns:
         The outcome, and the trajectory with leaves of shape (ceil(steps/stride),).
     """
-    advance = sampler(loop, params, key, measures, freeze=True)
+    advance = sampler(loop, params, key, measures, requirements, freeze=True)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         after, recorded = advance(at)
         return after, recorded._replace(controlled=())  # the trajectory has it all, by other names
 
-    end, recorded = scan_recorded(sample, initial_progress(loop, params, key, measures), loop.steps, stride)
+    begin = initial_progress(loop, params, key, measures, requirements)
+    end, recorded = scan_recorded(sample, begin, loop.steps, stride)
     return conclude(loop, measures, requirements, end), recorded
 
 
@@ -184,10 +211,19 @@ def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requ
     completed = loop.steps if loop.settled is None else end.steps
     metrics = values(measures, end.accumulators, completed, loop.sample_time)
     outcome, slacks = judge(requirements, metrics, end.outcome)
+    certain = certain_violations(requirements, measures, end.accumulators, end.violations, completed, loop.sample_time)
+    failed_at = jnp.where(ok, jnp.nan, (end.steps + 1) * loop.sample_time)
+    violated_at = {}
+    for requirement in requirements:
+        samples = certain[requirement.label]
+        time = jnp.where(ok | (samples <= end.steps), (samples - 1) * loop.sample_time, failed_at)
+        is_violated = violated(slacks[requirement.name])
+        violated_at[requirement.violation_name] = jax.lax.stop_gradient(jnp.where(is_violated, time, jnp.nan))
     return Run(
         metrics={name: jnp.where(ok, value, jnp.nan) for name, value in metrics.items()},
         slacks=slacks,
         outcome=outcome,
-        failed_at=jnp.where(ok, jnp.nan, (end.steps + 1) * loop.sample_time),
+        failed_at=failed_at,
         settled_at=jnp.where(ok & (end.steps < loop.steps), end.steps * loop.sample_time, jnp.nan),
+        violated_at=violated_at,
     )

@@ -4,7 +4,6 @@ A metric consists of the start of its accumulator and two pure functions, ``upda
 >= ``after`` count.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.spans import Span, in_window, span_of
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
@@ -70,12 +70,12 @@ class Scope(StrEnum):
     VEHICLE = "vehicle"
 
 
-class Span(NamedTuple):
-    """Data for the final value of an accumulator: samples in the run, samples in the window, and T_s [s]."""
+class Course(StrEnum):
+    """How a metric's value changes while samples are added: a bound that a rising value exceeds stays exceeded."""
 
-    steps: Scalar
-    inside: Scalar
-    sample_time: float
+    RISES = "rises"
+    FALLS = "falls"
+    OPEN = "open"
 
 
 class Metric(NamedTuple):
@@ -91,6 +91,8 @@ class Metric(NamedTuple):
         scope: Whether the metric describes a channel or the vehicle.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
         counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
+        course: How the value changes while samples are added.
+        certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
     """
 
     unit: str
@@ -101,6 +103,11 @@ class Metric(NamedTuple):
     scope: Scope = Scope.CHANNEL
     start: Accumulator = 0.0
     counted: bool = False
+    course: Course = Course.OPEN
+    certain_after: Callable[[Accumulator], Scalar] | None = None
+
+
+RISES = Course.RISES
 
 
 def peak(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
@@ -195,9 +202,10 @@ def vehicle_metric(
     value: Callable[[Accumulator, Window, Span], Scalar],
     start: Accumulator = 0.0,
     counted: bool = False,
+    course: Course = Course.OPEN,
 ) -> Metric:
     """A metric of the vehicle."""
-    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted)
+    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted, course)
 
 
 def rotor_limited(instant: Instant) -> Scalar:
@@ -215,26 +223,32 @@ SAMPLING = ("integral_gain", "tau_m")
 FLYING = ("tilt",)
 METRICS: dict[str, Metric] = {
     "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
-    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself),
+    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself, course=RISES),
     "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
-    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself),
-    "settling_time": Metric("s", "time after which |e| stays within the band", last_outside, settling, counted=True),
+    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES),
+    "settling_time": Metric(
+        "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES
+    ),
     "command_tv": Metric(
-        "u", "total variation of the robust command u", total(lambda s: jnp.abs(s.u - s.u_previous)), itself
+        "u",
+        "total variation of the robust command u",
+        total(lambda s: jnp.abs(s.u - s.u_previous)),
+        itself,
+        course=RISES,
     ),
     "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
-    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself),
-    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself),
+    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES),
+    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES),
     "outside_sliding": share_of_time("outside sliding", lambda s: s.info.sliding_margin < 0.0, SLIDING),
-    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING),
+    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING, course=RISES),
     "sampling_ratio_above_1": share_of_time(
         "with a sampling ratio above 1", lambda s: sampling_ratio(s) > 1.0, SAMPLING
     ),
     "position_error_rms": vehicle_metric(
         "m", "rms of the position error", total(lambda i: jnp.square(position_error(i))), root_mean
     ),
-    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself),
-    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself),
+    "position_error_max": vehicle_metric("m", "largest position error", peak(position_error), itself, course=RISES),
+    "tilt_max": vehicle_metric("rad", "largest tilt of body z", peak(lambda i: i.plant.tilt), itself, course=RISES),
     "rotor_limited": vehicle_metric(
         "1", "share of time with a rotor at its limit", total(rotor_limited), mean, counted=True
     ),
@@ -245,6 +259,7 @@ METRICS: dict[str, Metric] = {
         longest,
         Stretch(),
         counted=True,
+        course=RISES,
     ),
     "lift_bounded": vehicle_metric(
         "1", "share of time with the wanted lift at its lower bound", total(lift_bounded), mean, counted=True
@@ -329,11 +344,6 @@ def available_metrics(
     return kinds
 
 
-def first_sample(window: Window, sample_time: float) -> int:
-    """Index of the first sample at t >= after, robust to rounding of t = k T_s."""
-    return max(0, math.ceil(window.after / sample_time - 1e-9))
-
-
 def starts(measures: tuple[Measure, ...]) -> tuple[Accumulator, ...]:
     """Every accumulator before the first sample."""
     return tuple(measure.metric.start for measure in measures)
@@ -348,8 +358,8 @@ def update_all(
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
             new = measure.metric.update(acc, measure.of(instant), measure.window)
             require_like(new, acc)
-        start = first_sample(measure.window, t_s)
-        updated.append(new if start == 0 else jax.tree.map(partial(jnp.where, k >= start), new, acc))
+        inside = in_window(measure.window, k, t_s)
+        updated.append(new if inside is None else jax.tree.map(partial(jnp.where, inside), new, acc))
     return tuple(updated)
 
 
@@ -359,7 +369,7 @@ def values(
     """Every metric at the end of a run of ``steps`` samples."""
     computed = {}
     for measure, acc in zip(measures, accumulators, strict=True):
-        span = Span(steps, steps - first_sample(measure.window, t_s), t_s)
+        span = span_of(measure.window, steps, t_s)
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.value):
             value = measure.metric.value(acc, measure.window, span)
             require_like(value, 0.0)
@@ -368,7 +378,7 @@ def values(
 
 
 def require_like(value: Accumulator, pattern: Accumulator) -> None:
-    """Require that a metric's code returns numbers in the structure that it began with.
+    """Require that a metric's code returns numbers, or arrays, in the structure that it began with.
 
     Raises:
         TypeError: It returns another structure, or an array.
@@ -378,5 +388,5 @@ def require_like(value: Accumulator, pattern: Accumulator) -> None:
     if structure != expected:
         raise TypeError(f"it must return {expected}, got {structure}")
     shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(value)]
-    if any(shapes):
+    if shapes != [jnp.shape(leaf) for leaf in jax.tree.leaves(pattern)]:
         raise TypeError(f"it must return numbers, got arrays of shapes {shapes}")

@@ -6,11 +6,24 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import SAMPLING, Instant, Metric, Sample, Scope, Span, Window, itself, peak, total
+from dssc_jax.closed_loop.metrics import (
+    RISES,
+    SAMPLING,
+    Course,
+    Instant,
+    Metric,
+    Sample,
+    Scope,
+    Span,
+    Window,
+    itself,
+    peak,
+    total,
+)
 from dssc_jax.core.numerics import at_least, root_abs, sign
 from dssc_jax.core.signals import Scalar
 
-CUTOFF = 2.0 * math.pi  # rad/s: the command above 1 Hz counts as chattering (assumed)
+SHARE_OF_SAMPLING = 0.05  # of the sampling frequency, a tenth of Nyquist's: faster is chattering (assumed)
 
 
 def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
@@ -53,7 +66,8 @@ class Bands(NamedTuple):
 
 def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
     """Split the command by a first-order low-pass filter that starts at the window's first command."""
-    share = -jnp.expm1(-CUTOFF * sample.dt)
+    frequency = window.chattering or SHARE_OF_SAMPLING / sample.dt
+    share = -jnp.expm1(-2.0 * math.pi * frequency * sample.dt)
     slow = jnp.where(acc.samples == 0.0, sample.u, acc.slow + share * (sample.u - acc.slow))
     fast = sample.u - slow
     return Bands(acc.samples + 1.0, slow, acc.total + slow, acc.squares + slow * slow, acc.fast + fast * fast)
@@ -150,18 +164,29 @@ def smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
 
 
 PERFORMANCE: dict[str, Metric] = {
-    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself),
-    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral),
-    "itae": Metric("y s^2", "integral of time, from the window's start, times |e|", timed_error, integral),
+    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself, course=RISES),
+    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES),
+    "itae": Metric(
+        "y s^2", "integral of time, from the window's start, times |e|", timed_error, integral, course=RISES
+    ),
     "overshoot": Metric(
-        "y", "largest error on the other side of zero", time_beyond, lambda acc, *_: acc.largest, start=Beyond()
+        "y",
+        "largest error on the other side of zero",
+        time_beyond,
+        lambda acc, *_: acc.largest,
+        start=Beyond(),
+        course=RISES,
     ),
     "steady_state_error": Metric("y", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
-    "command_energy": Metric("u^2 s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral),
-    "chattering_index": Metric("1", "share of the robust command above 1 Hz", bands, fast_share, start=Bands()),
+    "command_energy": Metric(
+        "u^2 s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral, course=RISES
+    ),
+    "chattering_index": Metric(
+        "1", "share of the robust command above the chattering frequency", bands, fast_share, start=Bands()
+    ),
     "noise_amplification": Metric(
         "1",
-        "rms of the robust command above 1 Hz per rms of measurement error",
+        "rms of the command above the chattering frequency per rms of measurement error",
         amplified,
         amplification,
         start=Amplified(),
@@ -174,14 +199,27 @@ PERFORMANCE: dict[str, Metric] = {
         SAMPLING,
         start=DriftSum(),
     ),
-    "total_command_tv": Metric("u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path()),
-    "roll_max": Metric("rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE),
-    "pitch_max": Metric("rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE),
+    "total_command_tv": Metric(
+        "u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path(), course=RISES
+    ),
+    "roll_max": Metric(
+        "rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE, course=RISES
+    ),
+    "pitch_max": Metric(
+        "rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE, course=RISES
+    ),
     "rotor_thrust_max": Metric(
-        "N", "largest commanded thrust of a rotor", largest_thrust, itself, ("rotor",), Scope.VEHICLE
+        "N", "largest commanded thrust of a rotor", largest_thrust, itself, ("rotor",), Scope.VEHICLE, course=RISES
     ),
     "rotor_thrust_min": Metric(
-        "N", "smallest commanded thrust of a rotor", smallest_thrust, itself, ("rotor",), Scope.VEHICLE, math.inf
+        "N",
+        "smallest commanded thrust of a rotor",
+        smallest_thrust,
+        itself,
+        ("rotor",),
+        Scope.VEHICLE,
+        math.inf,
+        course=Course.FALLS,
     ),
     "growth_rate": Metric("1/s", "rate at which |sigma| grows, fitted over the window", trend, slope, start=Trend()),
 }

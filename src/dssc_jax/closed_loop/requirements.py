@@ -7,31 +7,48 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.metrics import Accumulator, Course, Measure
+from dssc_jax.closed_loop.spans import samples_before_end, span_of
 from dssc_jax.core.signals import Outcome, Scalar
+
+VIOLATED_AT = "violated_at_"
+"""First characters of the name of a time of violation in results."""
 
 
 @dataclass(frozen=True)
 class Requirement:
     """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit.
 
-    ``size`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0.
+    ``size`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0. Of a
+    formula, whose robustness must not be negative, ``formula`` is the text.
     """
 
     measure: Measure
     maximum: float | None = None
     minimum: float | None = None
     size: float | None = None
+    formula: str = ""
 
     @property
     def label(self) -> str:
         """Name among the study's requirements: that of the measure, marked if it is a lower bound."""
-        return self.measure.name if self.maximum is not None else f"{self.measure.name}_min"
+        has_plain_name = self.maximum is not None or self.formula
+        return self.measure.name if has_plain_name else f"{self.measure.name}_min"
 
     @property
     def name(self) -> str:
         """Name of the slack in results."""
         return f"slack_{self.label}"
+
+    @property
+    def violation_name(self) -> str:
+        """Name in results of the time at which it is first violated."""
+        return f"{VIOLATED_AT}{self.label}"
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a violation is certain as soon as the value so far violates the bound."""
+        return self.measure.metric.course == (Course.RISES if self.maximum is not None else Course.FALLS)
 
     @property
     def bound(self) -> float:
@@ -46,6 +63,8 @@ class Requirement:
     @property
     def text(self) -> str:
         """The requirement in words."""
+        if self.formula:
+            return f"{self.label}: {self.formula}"
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
 
@@ -81,6 +100,65 @@ def violated(slack: Any) -> Any:
 def ended_early(outcome: Any) -> Any:
     """Whether a draw ended early, and so violates every requirement, from outcome codes of any shape."""
     return (outcome != Outcome.OK) & (outcome < Outcome.REQUIREMENT)
+
+
+def watch(
+    requirements: tuple[Requirement, ...],
+    measures: tuple[Measure, ...],
+    accumulators: tuple[Accumulator, ...],
+    violations: tuple[Scalar, ...],
+    samples: Scalar,
+    steps: int,
+    sample_time: float,
+) -> tuple[Scalar, ...]:
+    """Note for each watched requirement the number of samples after which it was first violated; 0: not yet.
+
+    Args:
+        requirements: The requirements.
+        measures: The metrics.
+        accumulators: Those of the metrics, after the last sample.
+        violations: What was noted before it; one number for each watched requirement.
+        samples: Number of samples so far.
+        steps: Number of samples of the run.
+        sample_time: T_s [s].
+    """
+    states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
+    noted = []
+    watched = (requirement for requirement in requirements if requirement.is_watched)
+    for requirement, before in zip(watched, violations, strict=True):
+        measure = requirement.measure
+        value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
+        is_first = (before == 0.0) & (requirement.slack(value) < 0.0)
+        noted.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), before))
+    return tuple(noted)
+
+
+def certain_violations(
+    requirements: tuple[Requirement, ...],
+    measures: tuple[Measure, ...],
+    accumulators: tuple[Accumulator, ...],
+    violations: tuple[Scalar, ...],
+    steps: Scalar,
+    sample_time: float,
+) -> dict[str, Scalar]:
+    """The number of samples after which a violation of each requirement was certain, by its label, if it is violated.
+
+    Most metrics that must stay below a bound only rise, and tell it at once; so does the metric of a formula. Any other
+    requirement is judged at the end of its window.
+    """
+    states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
+    remaining = iter(violations)
+    found = {}
+    for requirement in requirements:
+        measure = requirement.measure
+        if requirement.is_watched:
+            noted = next(remaining)
+            found[requirement.label] = jnp.where(noted > 0.0, noted, steps)
+        elif measure.metric.certain_after is not None:
+            found[requirement.label] = measure.metric.certain_after(states[measure.name])
+        else:
+            found[requirement.label] = samples_before_end(measure.window, sample_time, steps)
+    return found
 
 
 def judge(

@@ -20,7 +20,7 @@ from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
 from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
-from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
     Measurements,
@@ -217,7 +217,8 @@ def all_finite(state: LoopState) -> Scalar:
     """
     state = state._replace(channels=tuple(channel._replace(reaching=0.0) for channel in state.channels))
     largest = float(jnp.finfo(jnp.result_type(float)).max)
-    return jnp.abs(sum(jax.tree.leaves(state))) < FAR_BELOW * math.sqrt(largest)
+    numbers = [leaf for leaf in jax.tree.leaves(state) if not is_word(leaf)]
+    return jnp.abs(sum(numbers)) < FAR_BELOW * math.sqrt(largest)
 
 
 def control_channel(

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.metrics import Metric, Sample, Span, Window
+from dssc_jax.closed_loop.metrics import RISES, Course, Metric, Sample, Span, Window
 from dssc_jax.core.numerics import arithmetic, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.lanes.functions.approximations import atan2
@@ -167,10 +167,10 @@ def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
 
 STEP_RESPONSE: dict[str, Metric] = {
     "rise_time": Metric("s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise()),
-    "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak()),
+    "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES),
     "settling_time_percent": Metric(
         "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True,
+        counted=True, course=RISES,
     ),
     "following_gain": Metric(
         "1", "amplitude of the output over that of a sine reference", following, following_gain, start=Following()
@@ -213,7 +213,7 @@ def envelope_metric(
         return jnp.minimum(acc, jnp.minimum(above_lower, below_upper))
 
     description = f"smallest distance of {meaning} from its envelope"
-    return Metric(unit, description, update, lambda acc, *_: acc, start=math.inf)
+    return Metric(unit, description, update, lambda acc, *_: acc, start=math.inf, course=Course.FALLS)
 
 
 def crossing(lower: Points, upper: Points) -> float | None:

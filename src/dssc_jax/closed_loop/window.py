@@ -4,6 +4,7 @@ Everything that a study says of a window is declared on the fields of :class:`Wi
 names of measures, the words of requirements and copies of a study follow from them.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ class WindowEntry(NamedTuple):
         words: Said of a requirement, with the value.
         bounds: Admissible values, as pydantic's ``Field`` names bounds.
         relative: Whether the value of ``[metrics]`` is left unsaid; if not, the default is.
+        absent: What holds where no value is written, in words; empty if the default is a value that can be written.
     """
 
     key: str
@@ -27,6 +29,7 @@ class WindowEntry(NamedTuple):
     words: str
     bounds: Mapping[str, float]
     relative: bool = True
+    absent: str = ""
 
 
 def declared(default: float, entry: WindowEntry) -> Any:
@@ -36,7 +39,7 @@ def declared(default: float, entry: WindowEntry) -> Any:
 
 @dataclass(frozen=True)
 class Window:
-    """Samples at t >= ``after`` [s].
+    """Samples at ``after`` <= t <= ``until`` [s].
 
     The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
     """
@@ -65,6 +68,23 @@ class Window:
             {"gt": 0.0, "lt": 100.0},
         ),
     )
+    until: float = declared(
+        math.inf,
+        WindowEntry(
+            "until", "end of the window [s]", "_until_{:.12g}", " up to {:g} s", {"ge": 0.0}, False, "the flight's end"
+        ),
+    )
+    chattering: float = declared(
+        0.0,
+        WindowEntry(
+            "chattering_frequency",
+            "frequency above which the command counts as chattering [Hz]",
+            "_above_{:.12g}",
+            " with chattering above {:g} Hz",
+            {"gt": 0.0},
+            absent="a tenth of the Nyquist frequency, 1/(20 T_s)",
+        ),
+    )
 
     @classmethod
     def of(cls, entries: Mapping[str, Any], usual: "Window | None" = None) -> "Window":
@@ -80,7 +100,12 @@ class Window:
 
     def entries(self) -> dict[str, float]:
         """The window as a study's ``[metrics]`` or ``[[requirement]]`` has it: the inverse of :meth:`of`."""
-        return {entry.key: getattr(self, name) for name, entry in window_entries().items()}
+        written = {}
+        for name, entry in window_entries().items():
+            value = getattr(self, name)
+            if not entry.absent or value != getattr(WHOLE_RUN, name):
+                written[entry.key] = value
+        return written
 
     def suffix(self, usual: "Window") -> str:
         """What distinguishes a measure's name from that over the study's usual window: the start, and what differs."""

@@ -87,7 +87,8 @@ def rows_of(entry: Entry) -> list[FieldRow]:
     """Every field of a kind; nested fields have dotted names."""
     params = params_of(entry)
     preset = getattr(entry.default_member, "defaults", None)
-    rows = list(fields(params, "", preset))
+    rows: list[FieldRow] = [(name, "", meaning, "", "") for name, meaning in entry.keys.items()]
+    rows += fields(params, "", preset)
     for name, values in options_of(entry).items():
         rows.append((name, "", "option", " | ".join(map(str, values)), text_of(entry.default)))
     return rows

@@ -1,4 +1,4 @@
-"""Print classical margins."""
+"""Print classical margins: those of the draws, and their worst case."""
 
 import math
 from collections.abc import Callable
@@ -8,6 +8,8 @@ from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
 from dssc_jax.analyses.loop_margins.result import EQUILIBRIUM, LoopStatistics
+from dssc_jax.analyses.worst_loop import WorstLoop
+from dssc_jax.analyses.worst_loop.result import LoopWorst
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.statistics import wilks_draws
 
@@ -76,3 +78,38 @@ def no_margins_text(statistics: LoopStatistics, draws: int, needed: int, level: 
 def margin_text(value: float, form: Callable[[float], str]) -> str:
     """A margin as text; that of a loop without margins is infinite."""
     return form(value) if math.isfinite(value) else "-"
+
+
+def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
+    """Print the worst margins of every break point: drawn, found and guaranteed."""
+    answer = worst.answer
+    console = output()
+    console.print(f"[bold]{escape(worst.study.name)}[/bold]  {escape(worst.headline)}", soft_wrap=True)
+    for broken_at, loop in answer.loops.items():
+        rows = []
+        for name, margin in loop.margins.items():
+            text, form = MARGIN_ROWS[name]
+            numbers = ", ".join(f"{number} = {value:.6g}" for number, value in margin.numbers.items())
+            values = (margin.drawn, margin.found, margin.guaranteed)
+            rows.append((text, *(margin_text(value, form) for value in values), numbers))
+        head = (broken_at, f"worst of {answer.draws} draws", "worst found", "guaranteed", "found at")
+        show_table(head, rows)
+        console.print(growth_text(loop), markup=False, soft_wrap=True)
+    cut = [name for name, side in answer.box.items() if side.cut]
+    ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut)}" if cut else ""
+    ranges = ", ".join(f"{name} in [{side.low:.6g}, {side.high:.6g}]" for name, side in answer.box.items())
+    console.print(f"box: {ranges}{ends}", markup=False, soft_wrap=True)
+    console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
+    show_files(files)
+
+
+def growth_text(loop: LoopWorst) -> str:
+    """How far the box may grow, in words."""
+    if loop.unstable:
+        numbers = ", ".join(f"{name} = {value:.6g}" for name, value in loop.unstable.items())
+        nearest = f"; unstable from {loop.growth_found:.4g} times its size on, at {numbers}"
+    else:
+        nearest = f"; no unstable loop was found up to {loop.growable:.4g} times its size"
+    if loop.growth_guaranteed == 0.0:
+        return f"robust stability: nothing is guaranteed after {loop.cells} cells{nearest}"
+    return f"robust stability: stable up to {loop.growth_guaranteed:.4g} times the box{nearest}"

@@ -89,8 +89,10 @@ def show_point(study: "Study", point: SummaryRow) -> None:
         rows = []
         for requirement in point["requirements"]:
             cells = failure_cells(requirement, point["draws"])
-            rows.append((requirement["text"], *cells, str(requirement["alone"])))
-        show_table(("requirement", "violated by", *SHARE, "by it alone"), rows)
+            time = requirement["violated_at"]
+            timing = str(requirement["first"]), "-" if time is None else f"{time:.4g}"
+            rows.append((requirement["text"], *cells, str(requirement["alone"]), *timing))
+        show_table(("requirement", "violated by", *SHARE, "by it alone", "first", "median time [s]"), rows)
     if point["overlaps"]:
         rows = []
         for pair in point["overlaps"]:

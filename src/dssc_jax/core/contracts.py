@@ -191,6 +191,7 @@ class Controller(NamedTuple):
             ``[compare.NAME]``.
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
+        native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
     """
 
     gains: type
@@ -207,6 +208,7 @@ class Controller(NamedTuple):
     from_dssc: Callable[[Params], TomlTable] | None = None
     limit: str = ""
     info: type | None = None
+    native: str = ""
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
         """Names of the usual gains, dotted within the controller's table."""

@@ -135,6 +135,11 @@ def cosine(a: Interval) -> Interval:
     return wave(np.cos, 0.0, a)
 
 
+def absolute(a: Interval) -> Interval:
+    """|a|."""
+    return maximum(a, negative(a))
+
+
 def minimum(a: Interval, b: Interval) -> Interval:
     """The smaller of a and b."""
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high), a.defined & b.defined)

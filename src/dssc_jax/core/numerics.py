@@ -103,8 +103,16 @@ def clip(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
 
 
 def as_arrays(tree: Tree) -> Tree:
-    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types."""
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+    """Convert every leaf to an array of the working precision, so that the scan's carry keeps its types.
+
+    Words of memory stay as they are.
+    """
+    return jax.tree.map(lambda x: x if is_word(x) else jnp.asarray(x, dtype=jnp.result_type(float)), tree)
+
+
+def is_word(x: Scalar) -> bool:
+    """Whether a value is a word of memory, such as the state of a controller in C, and no number of the loop."""
+    return isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.unsignedinteger)
 
 
 def is_zero(value: Scalar) -> bool:

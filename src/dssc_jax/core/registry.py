@@ -38,6 +38,8 @@ class Entry(NamedTuple):
         default_of: ``(table) -> value`` of the option where a part in the table decides on its default; None where
             ``default`` holds for every table.
         example: A small table of the kind, without ``kind``; tests take their cases from it.
+        loaded: ``(table) -> model`` where a file that the table names defines the model; None: ``members`` does.
+        keys: Names in the table that ``loaded`` reads, with their meanings.
     """
 
     members: dict[Any, Any]
@@ -47,6 +49,8 @@ class Entry(NamedTuple):
     base: TomlTable = {}  # noqa: RUF012  (never changed)
     default_of: Callable[[TomlTable], Any] | None = None
     example: TomlTable = {}  # noqa: RUF012  (never changed)
+    loaded: Callable[[TomlTable], Any] | None = None
+    keys: dict[str, str] = {}  # noqa: RUF012  (never changed)
 
     @property
     def default_member(self) -> Any:

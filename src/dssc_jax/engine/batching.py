@@ -64,7 +64,7 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
 
 def results_of(study: Study, run: Run) -> dict[str, Scalar]:
     """The results of a finished lane by name."""
-    results = {**run.metrics, **run.slacks, "outcome": run.outcome, "failed_at": run.failed_at}
+    results = {**run.metrics, **run.slacks, **run.violated_at, "outcome": run.outcome, "failed_at": run.failed_at}
     if study.loop.settled:
         results["settled_at"] = run.settled_at
     return results

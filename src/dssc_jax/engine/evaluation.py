@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.closed_loop.requirements import Requirement, binding_requirement
+from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
@@ -20,6 +20,11 @@ from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
 DIRECTION = "direction"  # index, among an evaluator's names, of the number along which a lane differentiates
+
+
+def is_differentiated(name: str) -> bool:
+    """Whether a result has derivatives: outcomes, and times that are known to the sample, have none."""
+    return name not in NOT_DIFFERENTIATED and not name.startswith(VIOLATED_AT)
 
 
 class Derivative(NamedTuple):
@@ -71,6 +76,22 @@ class Evaluator:
         return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
 
 
+def native_code(study: Study) -> str:
+    """The file of native code that a controller of a study calls; empty if all of its loop has derivatives."""
+    return next((controller.native for controller in study.loop.controller if controller.native), "")
+
+
+def require_derivatives(study: Study) -> None:
+    """Require that derivatives pass through the loop of a study.
+
+    Raises:
+        ConfigError: A controller is native code.
+    """
+    file = native_code(study)
+    if file:
+        raise ConfigError("controller", f"is native code ({file}), through which no derivative passes")
+
+
 @dataclass
 class GradientEvaluator(Evaluator):
     """An evaluator that also computes the derivative of every metric and slack with respect to some of the numbers.
@@ -100,7 +121,12 @@ class GradientEvaluator(Evaluator):
         return Engine(self.swept, lanes, program=partial(forward_mode, names=self.names), extra=(DIRECTION,))
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
-        """Results of each lane, as in :class:`Evaluator`, and their derivatives."""
+        """Results of each lane, as in :class:`Evaluator`, and their derivatives.
+
+        Raises:
+            ConfigError: A controller is native code.
+        """
+        require_derivatives(self.swept)
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)
@@ -143,7 +169,7 @@ def metrics_and_slacks(
 
     def at(numbers: dict[str, jax.Array]) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
         results = plain({**values, **numbers}, index)
-        return {name: value for name, value in results.items() if name not in NOT_DIFFERENTIATED}, results
+        return {name: value for name, value in results.items() if is_differentiated(name)}, results
 
     return at
 

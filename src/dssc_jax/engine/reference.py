@@ -169,6 +169,7 @@ def sample_counts(study: Study) -> dict[str, float]:
         if measure.metric.counted:
             samples[measure.name] = (1.0 + 1e-6) * sample[measure.metric.unit]
     for requirement in study.requirements:
+        samples[requirement.violation_name] = (1.0 + 1e-6) * clock.sample_time
         if requirement.measure.name in samples:
             samples[requirement.name] = samples[requirement.measure.name]
     return samples

@@ -145,6 +145,10 @@ def trace_controller(study: Study, index: int) -> SampledController:
         ConfigError: A part has no exact form in C.
     """
     loop = study.loop
+    place = f"controller.{loop.channels[index]}".rstrip(".")
+    native = loop.controller[index].native
+    if native:
+        raise ConfigError(place, f"is C already: {native}")
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]
 
@@ -182,7 +186,6 @@ def trace_controller(study: Study, index: int) -> SampledController:
             transfer_program, _, transfer_origins = translate_with_origins(transfer, numbers, number, *signals)
             transferred = TracedFunction(transfer_program, transfer_origins)
     except Unsupported as problem:
-        place = f"controller.{loop.channels[index]}".rstrip(".")
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
         loop.channels[index],

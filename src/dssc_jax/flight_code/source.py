@@ -13,6 +13,7 @@ from dssc_jax.flight_code.controller import (
     TracedFunction,
 )
 from dssc_jax.flight_code.header import file_comment
+from dssc_jax.flight_code.library import description_text
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.lanes.c.text import CText
@@ -83,6 +84,7 @@ def source_text(code: FlightCode) -> str:
         fabs=absolute_value(first),
         largest="FLT_MAX" if first.precision == 32 else "DBL_MAX",
         functions="\n".join(functions),
+        description=description_text(code),
     )
 
 

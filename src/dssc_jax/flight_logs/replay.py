@@ -155,7 +155,7 @@ def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str
     def lane(values: dict[str, Scalar], index: jax.Array) -> DrawCurves:
         params = study.params(values)
         key = draw_key(study.config.seed, index)
-        advance = sampler(loop, params, key, (), freeze=True)
+        advance = sampler(loop, params, key, (), (), freeze=True)
 
         def sample(progress: Progress) -> tuple[Progress, DrawCurves]:
             after, recorded = advance(progress)

@@ -1,6 +1,8 @@
 """The operations of a lane's program."""
 
+from collections.abc import Sequence
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +48,16 @@ class Operation(StrEnum):
     """An element of a table."""
     RARELY = "rarely"
     """With a condition, a value and arguments: the result of a subroutine where the condition holds, else the value."""
+    MEMORY = "memory"
+    """A slot of memory, full of zeros; the token of its content."""
+    READ = "read"
+    """With a token and an index: an element of the slot."""
+    WRITE = "write"
+    """With a token, an index, a value and reads that come before: the token after an element was written."""
+    FOREIGN = "foreign"
+    """A call of a function of C for each lane, with the function as its detail; its results are its parts."""
+    PART = "part"
+    """The result of a call at a position."""
     CONSTANT = "constant"
     INPUT = "input"
     STATE = "state"
@@ -68,3 +80,21 @@ ARITHMETIC: dict[str, np.ufunc] = {
     "shr": np.right_shift,
 }  # fmt: skip
 """Operations whose result has the type of their operands, and NumPy's function of each."""
+
+
+def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
+    """The result of an operation on constants; None if it is left to the machine."""
+    with np.errstate(all="ignore"):
+        if operation in COMPARISONS:
+            return COMPARISONS[operation](*numbers)
+        if operation in ARITHMETIC:
+            return ARITHMETIC[operation](*numbers)
+        if operation == "div" and dtype.kind == "f":
+            return np.divide(*numbers)
+        if operation == "convert" and not (dtype.kind in "iu" and numbers[0].dtype.kind == "f"):
+            return np.asarray(numbers[0]).astype(dtype)
+        if operation == "bitcast":
+            return np.asarray(numbers[0]).view(dtype)
+        if operation == "lookup":
+            return detail[numbers[0]]
+    return None

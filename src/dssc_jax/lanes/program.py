@@ -15,9 +15,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
+from dssc_jax.lanes.foreign import ForeignFunction
+from dssc_jax.lanes.operations import COMPARISONS, Operation, constant_result
 
 BOOL = np.dtype(bool)
+TOKEN = np.dtype(np.int8)
+"""Type of what stands for the content of a slot."""
 
 # Nodes refer to each other: one that printed its parts would print its whole program, many times over.
 
@@ -30,8 +33,8 @@ class Value:
         operation: What it is.
         dtype: Its type.
         operands: The values that it is computed from.
-        detail: The constant, the table, the number of the input, the subroutine, or the loop or branch with the
-            position in it.
+        detail: The constant, the table, the number of the input, the subroutine, the slot, the function of C, the
+            position of a part, or the loop or branch with the position in it.
         varying: Whether it may differ between lanes.
         block: Where it is computed; None for a constant.
     """
@@ -118,6 +121,19 @@ class Record:
 @dataclass(eq=False, repr=False, slots=True)
 class Recording:
     """An array that a loop writes, by one record, and nobody reads within the program.
+
+    Args:
+        length: Number of its elements.
+        dtype: Their type.
+    """
+
+    length: int
+    dtype: np.dtype
+
+
+@dataclass(eq=False, repr=False, slots=True)
+class Slot:
+    """Memory of a lane that a loop reads and writes.
 
     Args:
         length: Number of its elements.
@@ -236,6 +252,28 @@ class Builder:
             return product
         varying = operation != "any" and any(operand.varying for operand in operands)
         return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
+
+    def memory(self, slot: Slot) -> Value:
+        """The token of a slot that is full of zeros."""
+        outermost = self.here
+        while outermost.parent is not None:
+            outermost = outermost.parent
+        return self._placed("memory", TOKEN, (), slot, True, outermost)
+
+    def read(self, slot: Slot, token: Value, index: Value) -> Value:
+        """An element of a slot."""
+        return self._placed("read", slot.dtype, (token, index), slot, True, self.here)
+
+    def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
+        """The token after an element of a slot was written, and after some reads."""
+        return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
+
+    def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
+        """The results of a function of C, which is called for each lane; they count as different in every lane."""
+        home = self._home(operands)
+        types = [place.dtype for place in function.results]
+        call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
+        return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
 
     def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
         """Enter a loop; :meth:`end_loop` leaves it."""
@@ -366,22 +404,4 @@ def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Va
         for left, right in (operands, operands[::-1]):
             if left.operation == "constant" and left.detail == 1:
                 return right
-    return None
-
-
-def constant_result(operation: str, numbers: Sequence[Any], dtype: np.dtype, detail: Any) -> Any:
-    """The result of an operation on constants; None if it is left to the machine."""
-    with np.errstate(all="ignore"):
-        if operation in COMPARISONS:
-            return COMPARISONS[operation](*numbers)
-        if operation in ARITHMETIC:
-            return ARITHMETIC[operation](*numbers)
-        if operation == "div" and dtype.kind == "f":
-            return np.divide(*numbers)
-        if operation == "convert" and not (dtype.kind in "iu" and numbers[0].dtype.kind == "f"):
-            return np.asarray(numbers[0]).astype(dtype)
-        if operation == "bitcast":
-            return np.asarray(numbers[0]).view(dtype)
-        if operation == "lookup":
-            return detail[numbers[0]]
     return None

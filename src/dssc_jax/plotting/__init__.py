@@ -24,6 +24,7 @@ from dssc_jax.plotting.sweeps import probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
 from dssc_jax.plotting.trajectories import signals, trajectory
 from dssc_jax.plotting.winds import worst_wind
+from dssc_jax.plotting.worst_loops import worst_loop
 from dssc_jax.results.result import Result
 
 __all__ = [
@@ -56,6 +57,7 @@ __all__ = [
     "trajectory",
     "tuning",
     "typical",
+    "worst_loop",
     "worst_wind",
     "write",
 ]

@@ -67,11 +67,21 @@ def ways(subject: Subject) -> list[h.Node]:
         if code in outcome_codes(result.study):
             bounds = method.interval(ended == code).tolist()
             n = int(np.count_nonzero(ended == code))
-            rows.append((words, f"{n:,}", probability_text(n / draws, bounds), interval(bounds), ""))
+            rows.append((words, f"{n:,}", probability_text(n / draws, bounds), interval(bounds), "", "", ""))
     for requirement in point["requirements"]:
-        rows.append((f"violates {requirement['text']}", *fails(requirement), f"{requirement['alone']:,}"))
-    rows.append((h.strong["fails in any way"], *fails(point), ""))
-    head = ("how a draw ended", "draws", "probability", f"{LEVEL} interval", "this alone")
+        time = requirement["violated_at"]
+        timing = f"{requirement['first']:,}", "" if time is None else f"{time:.4g}"
+        rows.append((f"violates {requirement['text']}", *fails(requirement), f"{requirement['alone']:,}", *timing))
+    rows.append((h.strong["fails in any way"], *fails(point), "", "", ""))
+    head = (
+        "how a draw ended",
+        "draws",
+        "probability",
+        f"{LEVEL} interval",
+        "this alone",
+        "this first",
+        "median time of the violation [s]",
+    )
     note = (
         "A draw counts for every requirement that it violates, and one that ended early for all of them "
         f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. Where "

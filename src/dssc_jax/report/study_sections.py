@@ -44,6 +44,8 @@ def question(subject: Subject) -> Section:
 
 def sentence(requirement: Requirement) -> h.Node:
     """A requirement in words."""
+    if requirement.formula:
+        return [f"{requirement.label}: ", h.code[requirement.formula]]
     side = "at most" if requirement.maximum is not None else "at least"
     channel = f" ({requirement.measure.channel_name})" if requirement.measure.channel_name else ""
     bound = with_unit(requirement.bound, requirement.measure.unit)

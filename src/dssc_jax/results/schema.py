@@ -63,6 +63,9 @@ def variables(study: Study) -> dict[str, Variable]:
     for requirement in study.requirements:
         attributes = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
         described[requirement.name] = Variable(grid, real, attributes)
+    for requirement in study.requirements:
+        meaning = f"time from which on a violation of {requirement.text} was certain (NaN: it is met)"
+        described[requirement.violation_name] = Variable(grid, real, {"units": "s", "long_name": meaning})
     attributes = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
     described["failed_at"] = Variable(grid, real, attributes)
     if study.loop.settled:

@@ -84,6 +84,7 @@ def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float)
     statements = Statements(method, confidence)
     draws = dataset.sizes["draw"]
     names = ["outcome", *(r.name for r in study.requirements), *(measure.name for measure in study.measures)]
+    names += ["failed_at", *(r.violation_name for r in study.requirements)]
     lanes = {name: dataset[name].transpose(*study.axes, "draw").values.reshape(-1, draws) for name in names}
     count = len(lanes["outcome"])
     grid = np.meshgrid(*study.axes.values(), indexing="ij")
@@ -133,7 +134,7 @@ def summary_of_batch(
             **statements.failures(outcome != Outcome.OK),
             "certified": certified,
             "ended_early": np.count_nonzero(early, axis=-1).tolist(),
-            "requirements": side_by_side(requirements(study, violations, early, statements), count),
+            "requirements": side_by_side(requirements(study, violations, lanes, statements), count),
             "overlaps": shown_pairs,
             "outcomes": rows(outcomes),
             "metrics": rows(metrics),
@@ -159,21 +160,51 @@ def lines(summary: Summary) -> Iterator[str]:
 
 
 def requirements(
-    study: Study, violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements
+    study: Study, violations: Mapping[str, np.ndarray], lanes: Mapping[str, np.ndarray], statements: Statements
 ) -> list[list[SummaryRow]]:
     """Each requirement at every point, regardless of the others.
 
-    ``alone`` counts the completed draws that violate only this requirement.
+    ``alone`` counts the completed draws that violate only this requirement, ``first`` the draws that violate it before
+    all others, and ``violated_at`` is the median over the draws that violate it of the time at which that was certain.
     """
+    early = ended_early(lanes["outcome"])
+    first = first_violated(study, lanes)
     violations_of_draw = np.sum(list(violations.values()), axis=0)
     table = []
-    for requirement in study.requirements:
+    for number, requirement in enumerate(study.requirements):
         broken = violations[requirement.label]
         alone = np.count_nonzero(broken & (violations_of_draw == 1) & ~early, axis=-1).tolist()
         head = {"name": requirement.label, "text": requirement.text}
-        columns = statements.shares(broken) | {"alone": alone}
+        columns = statements.shares(broken) | {
+            "alone": alone,
+            "first": np.count_nonzero(first == number, axis=-1).tolist(),
+            "violated_at": nullable(median_of_some(lanes[requirement.violation_name])),
+        }
         table.append([head | row for row in rows(columns)])
     return table
+
+
+def first_violated(study: Study, lanes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Index of the requirement that each draw violates first; -1 if it meets all, or ended early before that.
+
+    At the same sample the first one in the study's order counts.
+    """
+    first = np.full(lanes["outcome"].shape, -1)
+    earliest = np.where(np.isnan(lanes["failed_at"]), np.inf, lanes["failed_at"])
+    for number, requirement in enumerate(study.requirements):
+        times = lanes[requirement.violation_name]
+        is_earlier = times < earliest
+        first = np.where(is_earlier, number, first)
+        earliest = np.where(is_earlier, times, earliest)
+    return first
+
+
+def median_of_some(values: np.ndarray) -> np.ndarray:
+    """The median of each row over the entries that are not NaN; NaN where there are none."""
+    counts = np.count_nonzero(~np.isnan(values), axis=-1)
+    at = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=-1)
+    at = np.minimum(at, values.shape[-1] - 1)
+    return np.take_along_axis(np.sort(values, axis=-1), at, -1).mean(-1)
 
 
 def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements: Statements) -> list[list[SummaryRow]]:

@@ -20,6 +20,7 @@ from threading import Lock
 from typing import Any
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.libraries import allow_native
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.results.blocks import Chunks
@@ -27,6 +28,7 @@ from dssc_jax.results.manifest import Manifest, listed, machinery_differences
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study
 from dssc_jax.study.importing import allow_imports
+from dssc_jax.study.native import NativeFile, native_files
 
 GO_ON = "finished blocks are kept, `resume` continues from them"
 LOCAL_SCHEME = "local:"
@@ -48,12 +50,14 @@ class Job:
         folder: The results folder, absolute.
         block: Shape of its blocks.
         local: Folder from which the study's ``module:object`` names may be imported.
+        native: The native code that the study's run may load, by absolute files and digests.
     """
 
     table: str
     folder: str
     block: tuple[int, ...]
     local: str | None
+    native: tuple[NativeFile, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,8 @@ def prepared(job: Job) -> tuple[Engine, Chunks]:
     """A worker's engine and its access to the folder, created once per job."""
     if job.local:
         allow_imports(job.local)
+    for native in job.native:
+        allow_native(native.file, native.sha256)
     study = Study.from_table(json.loads(job.table))
     layout = Layout(Layout.of(study).shape, job.block)
     return Engine(study, layout.lanes), Chunks(Path(job.folder), study, layout, "r+")
@@ -163,7 +169,8 @@ class Cluster:
         """
         began = time.perf_counter()
         study = target.study
-        job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, self.local)
+        native = tuple(part._replace(file=part.place or part.file) for part in native_files(study.table))
+        job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, self.local, native)
         workers = len(self._present)
         shares = []
         for share in self._done(job, block_ranges(target.pending, workers)):

@@ -135,7 +135,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             "verdict": verdict(study, code, ended.slacks),
             "failed_at": float(ended.failed_at),
             **({"settled_at": float(ended.settled_at)} if study.loop.settled else {}),
-            **{name: float(value) for name, value in {**ended.metrics, **ended.slacks}.items()},
+            **{name: float(value) for name, value in {**ended.metrics, **ended.slacks, **ended.violated_at}.items()},
         },
     )
 

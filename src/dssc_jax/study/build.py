@@ -173,18 +173,18 @@ def parsed_parts(table: TomlTable) -> Parts:
         **{slot: part.params for slot, part in wholes.items()},
         **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
     )
-    numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
-    numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
-    check_axes(config, numbers)
-    check_swept_parts(table, config, loop, known, numbers)
     metrics = kinds_of(config)
     fields, seen = info_fields(loop, template)
     names = available_metrics(fields, seen, metrics)
     reports = [quantities_of(model.info) for model in loop.controller]
     signals = sampled_signals(fields, seen, units, reports, loop.quantities, measures)
-    measured_metrics, requirements = measured(config, names, metrics, channels, units, signals)
-    check_settled(loop, measured_metrics)
-    return Parts(config, loop, template, units, numbers, measured_metrics, requirements)
+    computed, requirements = measured(config, names, metrics, channels, units, signals, parameters.constant)
+    numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
+    numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
+    check_axes(config, numbers)
+    check_swept_parts(table, config, loop, known, numbers)
+    check_settled(loop, computed)
+    return Parts(config, loop, template, units, numbers, computed, requirements)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:

@@ -1,4 +1,4 @@
-"""Code that a study refers to as ``module:object``: its modules and files, found without importing them."""
+"""Code that a study refers to, as ``module:object`` or as native code: its files, found without running it."""
 
 import hashlib
 import importlib.util
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dssc_jax.core import files
+from dssc_jax.study.native import native_files
 
 NAMING = ("kind", "metric", "names")
 """Keys of a study's tables that may refer to a module's object."""
@@ -47,8 +48,10 @@ def code_file(name: str) -> Path | None:
 
 
 def recorded(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
-    """File and digest of each module that a study refers to, by ``module:object``; for JSON."""
-    return {name: digested(code_file(name)) for name in code_names(table)}
+    """File and digest of each module that a study refers to, by ``module:object``, and of native code; for JSON."""
+    modules = {name: digested(code_file(name)) for name in code_names(table)}
+    native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
+    return modules | native
 
 
 def digested(file: Path | None) -> dict[str, str | None]:
@@ -70,14 +73,21 @@ def folders_of(modules: object) -> tuple[Path, ...]:
 
 
 def describe_code(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
-    """Describe each piece of code that a study refers to and its file; empty if there is none.
+    """Describe all code that a study refers to, native code too; arguments as for :func:`describe_modules`."""
+    parts = [describe_modules(table, modules), *(native.text for native in native_files(table))]
+    return "; ".join(filter(None, parts))
+
+
+def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] | None = None) -> str:
+    """Describe each ``module:object`` that a study refers to and its file; empty if there is none.
 
     Args:
         table: The study's table.
         modules: The result of :func:`recorded` when the study was run; None: nothing was recorded.
     """
     lines = []
-    for name, present in recorded(table).items():
+    for name in code_names(table):
+        present = digested(code_file(name))
         earlier = (modules or {}).get(name)
         known = earlier if isinstance(earlier, Mapping) else {}
         if present["file"] is None:

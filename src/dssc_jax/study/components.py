@@ -200,7 +200,9 @@ def require_measure(kind: str, plant: Plant) -> None:
 
 
 def member_of(entry: Entry, table: TomlTable) -> Any:
-    """The member of an entry that the table's option selects."""
+    """The member of an entry that the table's option selects, or the model of the file that the table names."""
+    if entry.loaded is not None:
+        return entry.loaded(table)
     if entry.option is None:
         return entry.members[None]
     default = entry.default if entry.default_of is None else entry.default_of(table)
@@ -244,7 +246,7 @@ def parse_component(value: object, registry: Registry, path: str = "", default: 
         entry = lookup(kind, registry)
         table = merged(entry.base, table)
         model = member_of(entry, table)
-        choices = ("kind", entry.option) if entry.option else ("kind",)
+        choices = ("kind", *entry.keys, *([entry.option] if entry.option else []))
         params, numbers = parse_params(
             {name: item for name, item in table.items() if name not in choices},
             getattr(model, "params", model),

@@ -24,12 +24,14 @@ from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
 from dssc_jax.study.measuring import KNOWN, kinds_of, measured
+from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.study import Study
 from dssc_jax.study.tables import PARAMETERS
 
 REMEDY = "`trust_code` (in Python: dj.load(folder, trust_code=True))"
+NATIVE_REMEDY = "`allow_native` (in Python: dj.allow_native(FILE))"
 NO_EXTRA_FIELDS = ConfigDict(extra="forbid")
 
 
@@ -124,7 +126,7 @@ class Described(Study):
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
-        rule = f"runs code that was not loaded: {describe_code(table, code)}; {REMEDY} loads it"
+        rule = f"runs code that was not loaded: {describe_code(table, code)}; {remedy_for(table)} loads it"
         absent: Any = Unloaded(refusal := ConfigError(source, rule))
         channels = description.channels
         angles = description.angles
@@ -141,7 +143,9 @@ class Described(Study):
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
             signals = sampled_signals(description.fields, description.seen, units, [{}] * len(units), {})
-            measures, requirements = measured(config, names, known, channels or ("",), units, signals)
+            measures, requirements = measured(
+                config, names, known, channels or ("",), units, signals, parameters.constant
+            )
         except ConfigError as error:
             raise error.within(source) from None
         shape = tuple(len(values) for values in config.sweep.values())
@@ -171,6 +175,12 @@ class Described(Study):
             ConfigError: always.
         """
         raise self.refusal
+
+
+def remedy_for(table: Mapping[str, object]) -> str:
+    """What loads the code that a study refers to."""
+    native = [NATIVE_REMEDY] if native_files(table) else []
+    return " and ".join([REMEDY] * bool(code_names(table)) + native)
 
 
 def numbers_of(description: Description, parameters: ParameterTable) -> dict[str, Number]:
@@ -233,10 +243,12 @@ def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Stu
         ConfigError: It is not valid, or it refers to code and was written before descriptions were stored.
     """
     table = manifest["study"]
-    if trust_code or not code_names(table):
+    absent = [native for native in native_files(table) if not native.loaded]
+    if not absent and (trust_code or not code_names(table)):
         return Study.from_table(table, source)
     code = manifest.get("code")
     content = manifest.get("described")
     if not isinstance(code, dict) or content is None:
-        raise ConfigError(source, f"names code, {describe_code(table)}, and does not describe it; {REMEDY} loads it")
+        rule = f"names code, {describe_code(table)}, and does not describe it; {remedy_for(table)} loads it"
+        raise ConfigError(source, rule)
     return Described.of(table, source, code, content)

@@ -62,6 +62,7 @@ FUNCTIONS = {
     "log": Operation("log", intervals.logarithm),
     "sin": Operation("sin", intervals.sine),
     "cos": Operation("cos", intervals.cosine),
+    "abs": Operation("abs", intervals.absolute),
     "min": Operation("minimum", intervals.minimum, several=True),
     "max": Operation("maximum", intervals.maximum, several=True),
 }

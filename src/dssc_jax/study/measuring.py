@@ -1,16 +1,19 @@
 """Parsing of a study's metrics and requirements."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, first_sample, suffixed
+from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
+from dssc_jax.closed_loop.spans import first_sample, samples_before_end
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.study.formula_requirements import CHANNEL_SIGNALS, Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import imported
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
@@ -25,7 +28,7 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
     """
     metrics = dict(KNOWN)
     named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
-    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement)]
+    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric]
     for place, name in named:
         if ":" not in name:
             continue
@@ -49,6 +52,7 @@ def measured(
     channels: tuple[str, ...],
     units: tuple[ChannelUnits, ...],
     signals: Mapping[str, SampledSignal],
+    parameters: Constants,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
 
@@ -59,6 +63,7 @@ def measured(
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Their units and meanings.
         signals: Every signal of the loop by name.
+        parameters: Value of an expression of parameters that a place needs before tracing.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
@@ -90,11 +95,22 @@ def measured(
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
+    formula_terms = formula_signals(channels, units, signals)
     requirements = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
+        if table.formula is not None:
+            requirement = formula_requirement(table, place, config, formula_terms, parameters)
+            if requirement.measure.name in {*measures, *names}:
+                raise ConfigError(f"{place}.name", f"'{requirement.measure.name}' is taken; choose another name")
+            measures[requirement.measure.name] = requirement.measure
+            requirements.append(requirement)
+            continue
         metric = required_metric(table)
         if metric not in names:
+            if metric.endswith("_margin"):
+                rule = f"'{metric}' belongs to the linearised loop, and a requirement is judged on simulated flights"
+                raise ConfigError(f"{place}.metric", f"{rule}; `dssc-jax loop` computes it for every draw")
             if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
@@ -121,7 +137,8 @@ def measured(
 
 def required_metric(table: RequirementTable) -> str:
     """The name of a requirement's metric: of a signal, kind and signal."""
-    return short(table.metric) if table.signal is None else suffixed(table.metric, table.signal)
+    metric = short(table.metric or "")
+    return metric if table.signal is None else suffixed(metric, table.signal)
 
 
 def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
@@ -134,21 +151,12 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
         if table.signal is not None and table.signal not in signals:
             rule = f"'{table.signal}' is no signal of this loop; {nearest(table.signal, signals)}"
             raise ConfigError(f"requirement.{index}.signal", rule)
-        if table.signal is not None and table.metric not in SIGNAL_METRICS:
-            rule = f"'{table.metric}' is no metric of a signal; {nearest(table.metric, SIGNAL_METRICS)}"
+        metric = table.metric or ""
+        if table.signal is not None and metric not in SIGNAL_METRICS:
+            rule = f"'{metric}' is no metric of a signal; {nearest(metric, SIGNAL_METRICS)}"
             raise ConfigError(f"requirement.{index}.metric", rule)
-    required = [required_metric(table) for table in config.requirement]
+    required = [required_metric(table) for table in config.requirement if table.formula is None]
     return metrics_of_signals([*required, *(config.metrics.names or ())], signals)
-
-
-SIGNALS = {
-    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
-    "e": ("y", "the output error e", lambda s: s.e),
-    "sigma": ("y/s", "sigma", lambda s: s.sigma),
-    "u": ("u", "the robust command u", lambda s: s.u),
-    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
-}
-"""Unit, meaning and value of each signal that an envelope can bound."""
 
 
 def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> list[Requirement]:
@@ -165,11 +173,11 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
             raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
         number = channels.index(channel)
         kind = f"envelope_{table.signal}"
-        unit, meaning, signal = SIGNALS[table.signal]
+        unit, meaning, signal = CHANNEL_SIGNALS[table.signal]
         metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
         earlier = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
         name = suffixed(kind, channel) + (f"_{earlier + 1}" if earlier else "")
-        window = replace(config.metrics.window, after=0.0)
+        window = replace(config.metrics.window, after=0.0, until=math.inf)
         measure = Measure(name, kind, window, number, metric, units[number], channel, config.metrics.window)
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
@@ -181,9 +189,14 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
     Raises:
         ConfigError: none does.
     """
-    if first_sample(window, config.loop.sample_time) >= config.loop.steps:
-        end = (config.loop.steps - 1) * config.loop.sample_time
+    clock = config.loop
+    first = first_sample(window, clock.sample_time)
+    if first >= clock.steps:
+        end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
+    if samples_before_end(window, clock.sample_time, clock.steps) <= first:
+        rule = f"no sample lies in the window from after = {window.after:g} s to until = {window.until:g} s"
+        raise ConfigError(place.removesuffix("after") + "until", f"{rule}; T_s is {clock.sample_time:g} s")
 
 
 def default_kinds(has_several_channels: bool) -> tuple[str, ...]:

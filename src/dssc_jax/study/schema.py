@@ -4,16 +4,15 @@ import math
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Optional
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, create_model, model_validator
 
 from dssc_jax.closed_loop.step_response import crossing
 from dssc_jax.closed_loop.window import Window, window_defaults, window_entries
-from dssc_jax.core.errors import nearest
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import parse_unit
 from dssc_jax.study.laws import is_number
+from dssc_jax.study.parsed_values import parse_axis, parse_free, parse_limit, parse_range
 
 STRICT = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -81,8 +80,8 @@ def window_fields(absent: bool) -> dict[str, Any]:
     described = {}
     for entry in window_entries().values():
         bounds: dict[str, Any] = dict(entry.bounds)
-        if absent:
-            meaning = f"{entry.meaning}; absent: that of `[metrics]`"
+        if absent or entry.absent:
+            meaning = f"{entry.meaning}; absent: {'that of `[metrics]`' if absent else entry.absent}"
             described[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
         else:
             default = defaults[entry.key]
@@ -91,13 +90,24 @@ def window_fields(absent: bool) -> dict[str, Any]:
 
 
 class BoundedMetric(BaseModel):
-    """The metric of a requirement."""
+    """What a requirement is about."""
 
     model_config = STRICT
-    metric: str = Field(description="the bounded metric")
+    metric: str | None = Field(default=None, description="the bounded metric")
     signal: str | None = Field(
         default=None,
         description="the signal of `rms` and its like, as a trajectory names it; absent: the metric has its own",
+    )
+    formula: str | None = Field(default=None, description="a formula of signal temporal logic that must be true")
+    name: str | None = Field(
+        default=None,
+        pattern=r"^[A-Za-z][A-Za-z0-9_]{0,59}$",
+        description="name of a formula in results; absent: `formula_1` for the first requirement, and so on",
+    )
+    smoothing: Finite | None = Field(
+        default=None,
+        ge=0.0,
+        description="width of the smooth minimum in a formula's derivatives, in its unit; 0: the minimum itself",
     )
 
 
@@ -117,14 +127,22 @@ class MetricsTable(UsualWindow):
 
 
 class RequirementTable(RequiredWindow):
-    """``[[requirement]]``: a bound on a metric. Field names are those of the file."""
+    """``[[requirement]]``: a bound on a metric, or a formula. Field names are those of the file."""
 
     max: Finite | None = Field(default=None, description="upper bound")
     min: Finite | None = Field(default=None, description="lower bound")
 
     @model_validator(mode="after")
     def _one_bound(self) -> "RequirementTable":
-        if (self.max is None) == (self.min is None):
+        if (self.metric is None) == (self.formula is None):
+            raise ValueError("needs a metric or a formula, and not both")
+        of_formula = {"formula", "name", "smoothing"}
+        has_formula = self.formula is not None
+        foreign = self.model_fields_set - of_formula if has_formula else self.model_fields_set & of_formula
+        if foreign:
+            told = "a formula holds its own times and bounds" if has_formula else "only a formula has these entries"
+            raise ValueError(f"{told}; take out {', '.join(sorted(foreign))}")
+        if self.metric is not None and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         return self
 
@@ -207,69 +225,7 @@ class PlotTable(BaseModel):
     slope: bool = Field(default=False, description="whether to fit a slope in double-logarithmic axes")
 
 
-MOST_VALUES = 10**6
 MOST_LANES = 10**9
-AXES = ("linspace", "logspace", "values")
-
-
-def parse_axis(value: object) -> tuple[float, ...]:
-    """Values of a sweep axis: a list, ``{ values = [...] }``, ``{ linspace = [lo, hi, n] }`` or ``logspace``.
-
-    Raises:
-        ValueError: the rule that is broken, and the value found.
-    """
-    if isinstance(value, list | tuple):
-        value = {"values": list(value)}
-    if not isinstance(value, dict) or len(value) != 1:
-        raise ValueError(f"must be a list or one of {{ linspace | logspace = [lo, hi, count] }}, got {value!r}")
-    ((kind, arguments),) = value.items()
-    if kind not in AXES:
-        raise ValueError(f"'{kind}' is not a spacing; {nearest(kind, AXES)}")
-    if not isinstance(arguments, list) or not arguments or not all(is_number(item) for item in arguments):
-        raise ValueError(f"{kind} takes a list of finite numbers, got {arguments!r}")
-    if kind == "values":
-        return tuple(float(item) for item in arguments)
-    if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
-        raise ValueError(f"{kind} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
-    low, high, count = arguments
-    if count > MOST_VALUES:
-        raise ValueError(f"{kind} takes at most {MOST_VALUES} values, got {count}")
-    if count > 1 and not low < high:
-        raise ValueError(f"{kind} needs lo < hi, got {arguments}")
-    if kind == "logspace":
-        if low <= 0:
-            raise ValueError(f"logspace needs 0 < lo, got {arguments}")
-        return tuple(float(item) for item in np.geomspace(low, high, count))
-    return tuple(float(item) for item in np.linspace(low, high, count))
-
-
-def parse_range(value: object) -> tuple[float, float]:
-    """The interval ``[low, high]`` of a positive number.
-
-    Raises:
-        ValueError: the rule that is broken, and the value found.
-    """
-    if not isinstance(value, list | tuple) or len(value) != 2 or not all(is_number(end) for end in value):
-        raise ValueError(f"must be [low, high], got {value!r}")
-    if not 0.0 < value[0] < value[1]:
-        raise ValueError(f"holds no number: [low, high] needs 0 < low < high, got {value!r}")
-    return float(value[0]), float(value[1])
-
-
-def parse_free(value: object) -> tuple[float, float] | float:
-    """A free parameter's interval, or the positive number at which it is fixed."""
-    if isinstance(value, list | tuple):
-        return parse_range(value)
-    if not is_number(value) or not value > 0:
-        raise ValueError(f"must be a number > 0, or [low, high] to vary it, got {value!r}")
-    return float(value)
-
-
-def parse_limit(value: Any) -> float | str:
-    """A bound > 0, or the word ``start``."""
-    if value != "start" and (not is_number(value) or not value > 0):
-        raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
-    return value if value == "start" else float(value)
 
 
 class TuneTable(BaseModel):

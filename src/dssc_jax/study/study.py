@@ -21,8 +21,10 @@ from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.build import build
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
+from dssc_jax.study.formulas import tokens_of
 from dssc_jax.study.laws import Law, Uncertain
 from dssc_jax.study.library import find
+from dssc_jax.study.native import with_digests, with_other_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, named_in
@@ -32,6 +34,15 @@ from dssc_jax.study.tables import PARAMETERS, changed, read_toml
 
 Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
+
+
+def with_files(table: Mapping[str, object], folder: Path) -> TomlTable:
+    """A study's table with the content of recorded signals and the digests of native code, in place of files alone.
+
+    Raises:
+        ConfigError: A file cannot be read.
+    """
+    return with_digests(with_records(table, folder), folder)
 
 
 def hash_of(table: Mapping[str, object]) -> str:
@@ -75,7 +86,8 @@ class Study:
     def load(cls, path: str | Path) -> "Study":
         """Read and validate a study; models that it refers to as ``module:object`` are imported.
 
-        Recorded signals (``file`` and ``column``) are read from files relative to the study's folder.
+        Recorded signals (``file`` and ``column``) are read from files relative to the study's folder. Native code must
+        have been loaded before (:func:`dssc_jax.allow_native`).
 
         Args:
             path: A TOML file, or the name of a packaged study, as on the command line.
@@ -84,7 +96,7 @@ class Study:
             ConfigError: File, dotted path, rule and value of the first error.
         """
         file = find(str(path))
-        return cls.from_table(with_records(read_toml(file), file.parent), str(path))
+        return cls.from_table(with_files(read_toml(file), file.parent), str(path))
 
     @classmethod
     def from_table(cls, table: Mapping[str, object], source: str = "study") -> "Study":
@@ -108,7 +120,7 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        table = with_records(changed(self.table, changes, self.source), Path(self.source).parent)
+        table = with_files(changed(self.table, with_other_files(changes), self.source), Path(self.source).parent)
         return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":
@@ -171,7 +183,8 @@ class Study:
     def unused_parameters(self) -> tuple[str, ...]:
         """Dotted names of the parameters that nothing in the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
-        named = {f"{PARAMETERS}.{name}" for name in named_in(content)}
+        words = {token.text for table in self.config.requirement for token in tokens_of(table.formula or "")}
+        named = {f"{PARAMETERS}.{name}" for name in {*named_in(content), *words}}
         return tuple(name for name in self.parameter_names if name not in named)
 
     def require_free(self, name: str) -> None:

@@ -244,7 +244,8 @@ def falsify(
     its probability P(chi^2_d <= k^2) for d numbers; with ``within_mass`` that probability is given instead of k.
 
     A quarter of the budget is spread over the set, and half of it climbs from the worst points along projected
-    gradients. The rest is differential evolution among the worst of all points. A draw that ends early counts as worst.
+    gradients, unless a controller is native code. The rest is differential evolution among the worst of all points. A
+    draw that ends early counts as worst.
 
     Args:
         study: The study, or its file; its own sweep is ignored. Unbounded laws are cut off at their 1e-6 quantiles.

@@ -11,7 +11,7 @@ from dssc_jax.analyses.falsification.search_sets import SearchSet
 from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Arrays
-from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, worst_slopes
+from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code, worst_slopes
 from dssc_jax.study import Study
 
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
@@ -135,7 +135,12 @@ class Hunt:
         return points[[*chosen, *remaining][:count]]
 
     def climb(self) -> None:
-        """Run projected gradient descents of the slack simultaneously, each with its own step length."""
+        """Run projected gradient descents of the slack simultaneously, each with its own step length.
+
+        Native code has no derivatives; then evolution gets this share of the budget.
+        """
+        if native_code(self.programs.study):
+            return
         cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
         points = self.starts(climbers(self.budget, self.size))
         if len(points) * cost > room:

@@ -180,15 +180,70 @@ def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarra
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
-def resting_starts(study: Study, values: Arrays, indices: np.ndarray, places: tuple[LoopPart, ...]) -> np.ndarray:
-    """The state at t = 0 of every draw of the undisturbed loop, shape (n, states)."""
+class Resting(NamedTuple):
+    """Equilibria of the undisturbed loop, and the matrices there.
 
-    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        loop, params = linearised_loop(study, values, places, resting=True)
-        return start_state(loop, params, draw_key(study.config.seed, index))
+    Args:
+        states: Shape (n, states).
+        matrices: Of the loop without substitutes for corners.
+        settled: Which states are at rest, shape (n,).
+        felt: States on which the loop's signals depend, shape (states,); others need not be at rest.
+    """
 
-    with arithmetic():
-        return np.asarray(jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices))
+    states: np.ndarray
+    matrices: StateMatrices
+    settled: np.ndarray
+    felt: np.ndarray
+
+
+class RestingLoop:
+    """The undisturbed loop of a study as compiled programs, for any values of its uncertain numbers.
+
+    Args:
+        study: The study, without a sweep.
+        places: Its parts.
+    """
+
+    def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
+        self.study = at_origin(study)
+        self.places = places
+        self.linearise = linearisation(self.study, places, resting=True)
+        self.start = jax.jit(jax.vmap(self._start), compiler_options=plain_options())
+
+    def _start(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        loop, params = linearised_loop(self.study, values, self.places, resting=True)
+        return start_state(loop, params, draw_key(self.study.config.seed, index))
+
+    def smooth(self, count: int) -> np.ndarray:
+        """Findings of a loop whose parts are all smooth, shape (count, parts)."""
+        return np.full((count, len(self.places)), Finding.SMOOTH.value)
+
+    def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
+        """Find the equilibria by Newton's method from the states at t = 0.
+
+        Args:
+            values: Of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+        """
+        with arithmetic():
+            states = np.asarray(self.start(values, indices))
+        smooth = self.smooth(len(indices))
+        trial = 0
+        while True:
+            matrices = self.linearise(values, indices, states, 1, smooth)
+            move = matrices.after - states
+            finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+            felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
+            settled = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE
+            moving = finite & ~settled
+            if not moving.any() or trial == NEWTON_STEPS:
+                return Resting(states, matrices, settled, felt)
+            trial += 1
+            felt_moves = move[np.ix_(moving, felt)]
+            slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[np.ix_(moving, felt, felt)]
+            steps = [np.linalg.lstsq(slope, residual)[0] for slope, residual in zip(slopes, felt_moves, strict=True)]
+            states = states.copy()
+            states[np.ix_(moving, felt)] += np.stack(steps)
 
 
 def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
@@ -199,28 +254,20 @@ def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
     Raises:
         ConfigError: no draw has an equilibrium, or the loop is not smooth there.
     """
-    study = at_origin(study)
-    indices = np.arange(study.config.draws)
-    values = drawn(study, slice(0, study.config.draws))
-    linearise = linearisation(study, places, resting=True)
-    states = resting_starts(study, values, indices, places)
-    smooth = np.full((study.config.draws, len(places)), Finding.SMOOTH.value)
-    trial = 0
-    while True:
-        matrices = linearise(values, indices, states, 1, smooth)
-        move = matrices.after - states
-        finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-        felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
-        settled = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE
-        moving = finite & ~settled
-        if not moving.any() or trial == NEWTON_STEPS:
-            break
-        trial += 1
-        felt_moves = move[np.ix_(moving, felt)]
-        slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[np.ix_(moving, felt, felt)]
-        steps = [np.linalg.lstsq(slope, residual)[0] for slope, residual in zip(slopes, felt_moves, strict=True)]
-        states = states.copy()
-        states[np.ix_(moving, felt)] += np.stack(steps)
+    return resting_operation(RestingLoop(study, places), study.config.draws)[0]
+
+
+def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
+    """Every draw's matrices at its equilibrium, and the findings on the parts there, shape (draws, parts).
+
+    Raises:
+        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
+    """
+    study = resting.study
+    places = resting.places
+    indices = np.arange(draws)
+    values = drawn(study, slice(0, draws))
+    states, matrices, settled, felt = resting.settle(values, indices)
     if not settled.any():
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
@@ -231,13 +278,13 @@ def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
     plain = settled & ~cornered
 
     def after(pushed: np.ndarray) -> np.ndarray:
-        return linearise(values, indices, pushed, 1, smooth).after
+        return resting.linearise(values, indices, pushed, 1, resting.smooth(draws)).after
 
     if plain.any():
         require_derivative(study, after, states, matrices, plain, felt)
     if cornered.any():
-        matrices = linearise(values, indices, states, 1, findings)
-    return Operating(matrices, settled, taken)
+        matrices = resting.linearise(values, indices, states, 1, findings)
+    return Operating(matrices, settled, taken), findings
 
 
 def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Arrays, Engine, evaluate, is_noisy
-from dssc_jax.engine.evaluation import GradientEvaluator, worst_slopes
+from dssc_jax.engine.evaluation import GradientEvaluator, native_code, worst_slopes
 from dssc_jax.engine.sampling import inside, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE
@@ -310,8 +310,9 @@ def rare(
     slacks = Slacks(study, progress)
     seeds = (study.config.seed,)
     dimension = len(study.laws)
-    refusal = ""
-    if importance is not None:
+    native = native_code(study)
+    refusal = f"it needs derivatives, and none pass through native code ({native})" if native else ""
+    if importance is not None and not native:
         found = importance_sampling(slacks, slacks.with_slopes, dimension, seeds, importance)
         if not isinstance(found, str):
             return RareEvent.of(study, importance, found, slacks.noisy)

@@ -11,7 +11,7 @@ from dssc_jax.analyses.tuning.objective import Goal, Merit
 from dssc_jax.analyses.tuning.plan import WIDTH, Plan
 from dssc_jax.analyses.tuning.search_variables import SLACK
 from dssc_jax.engine.batching import BLOCK, Arrays
-from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator
+from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code
 
 
 class Point(NamedTuple):
@@ -88,13 +88,19 @@ class Problem:
         """Draw indices of the counterexamples: all use the noise of draw 0, with which they were found."""
         return np.zeros(len(next(iter(self.added.values()), [])), dtype=int)
 
+    @property
+    def differentiable(self) -> bool:
+        """Whether derivatives pass through the loop: none do through native code."""
+        return not native_code(self.plain.swept)
+
     def begin(self) -> tuple[Point, Point]:
         """Evaluate the start on the training and the validation draws; limits may refer to its values."""
         origin = self.plan.mirror.origin
         draws = np.concatenate([self.train, self.validation])
         results = self.results(origin[None], draws, self.plain)
         self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
-        train = self.evaluate(origin, self.train) if self.plan.optimises_proof else self.at(origin, self.train)
+        plain = self.plan.optimises_proof or not self.differentiable
+        train = self.evaluate(origin, self.train) if plain else self.at(origin, self.train)
         return train, self.evaluate(origin)
 
     def goal_on(self, draws: np.ndarray) -> Goal:

@@ -117,9 +117,11 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
             rule = f"the start is infeasible: {point.merit.ended} {name} draws end early, and nothing measures them"
             raise ConfigError(problem.plan.study.source, rule)
     gradients = None
-    if problem.plan.table.optimiser != EVOLUTION and not problem.plan.optimises_proof:
+    by_descent = problem.plan.table.optimiser != EVOLUTION and not problem.plan.optimises_proof
+    if by_descent and problem.differentiable:
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
-    return search(problem, first, gradients is None or useful(gradients), progress), gradients
+    differentiable = problem.differentiable and (gradients is None or useful(gradients))
+    return search(problem, first, differentiable, progress), gradients
 
 
 def search(

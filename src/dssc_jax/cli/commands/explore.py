@@ -24,11 +24,11 @@ def run(options: Explore) -> int:
     folder = Path(options.subject)
     if folder.is_dir():
         require_none("a result", {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws})
-        result = stored_result(folder, options.trust_code, options.allow_local)
+        result = stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
         title = f"{result.study.name}: explore"
         server = page_server(lambda: ResultPage(result, background=True), title, options.port)
     else:
-        study = load_study(options.subject, parse_changes(options.settings), options.allow_local)
+        study = load_study(options.subject, parse_changes(options.settings), options.allow_local, options.allow_native)
         live = LiveStudy(study, options.sliders, options.draws)
         say(f"{study.name}: compiling")
         live.compile()

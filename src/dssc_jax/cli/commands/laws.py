@@ -49,7 +49,7 @@ def subject_of(options: Laws) -> Result | Study:
     if not folder.is_dir():
         return study_of(options).without_sweep()
     require_unset("a result", set=options.settings, draws=options.draws, seed=options.seed)
-    return stored_result(folder, options.trust_code, options.allow_local)
+    return stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
 
 
 def parse_within(texts: list[str] | None) -> dict[str, float]:

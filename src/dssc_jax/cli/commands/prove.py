@@ -43,7 +43,9 @@ def run(options: Prove) -> int:
         if isinstance(content, dict) and "certificates" in content:
             return verify_sweep(content, path.parent, options.as_json)
         return verify_certificate(content, path, options.as_json)
-    study = load_study(options.study, parse_changes(options.settings), options.allow_local).without_sweep()
+    study = load_study(
+        options.study, parse_changes(options.settings), options.allow_local, options.allow_native
+    ).without_sweep()
     if options.over is not None:
         return prove_over(study, options.over, options)
     try:

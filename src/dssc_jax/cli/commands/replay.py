@@ -13,7 +13,7 @@ from dssc_jax.study import Described
 def run(options: Replay) -> int:
     """Simulate the draw, write its files and print how it ended and whether it agrees."""
     point = parse_point(options.at)
-    result = stored_result(options.result, options.trust_code, options.allow_local)
+    result = stored_result(options.result, options.trust_code, options.allow_local, options.allow_native)
     require_writable(options)
     trajectories.point_of(result, options.draw, point)
     announce_compiling(result.study, quiet=options.as_json or isinstance(result.study, Described))

@@ -25,7 +25,7 @@ def run(options: Report) -> int:
         assert options.index is not None
         return print_index(options.index, options.as_json)
     began = time.perf_counter()
-    loaded = stored_analysis(options.result, options.trust_code, options.allow_local)
+    loaded = stored_analysis(options.result, options.trust_code, options.allow_local, options.allow_native)
     if options.interactive:
         require_panel()
         from dssc_jax.exploration.interactive_report import INTERACTIVE, interactive_html  # needs an optional package

@@ -12,7 +12,7 @@ from dssc_jax.runs.verify import verify
 
 def run(options: Verify) -> int:
     """Compute the lanes again and print how far they deviate."""
-    result = stored_result(options.result, options.trust_code, options.allow_local)
+    result = stored_result(options.result, options.trust_code, options.allow_local, options.allow_native)
     verification = verify(result, options.draws, options.seed)
     if options.as_json:
         print(json.dumps(jsonable({"result": str(options.result), **verification.to_dict()}), allow_nan=False))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.declarations.types import Json, Local, Set
+from dssc_jax.cli.declarations.types import Json, Local, Native, Set
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 
 Latex = Annotated[bool, typer.Option("--latex", help="Print the tables as LaTeX (booktabs).")]
@@ -86,3 +86,4 @@ class Prove:
     settings: Set = None
     as_json: Json = False
     allow_local: Local = False
+    allow_native: Native = False

@@ -52,6 +52,33 @@ class Code(StudyOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Library:
+    """Build your controller in C, and show what it exports.
+
+    The controller has the functions and types of the headers that `dssc-jax code` writes, and ends with a description;
+    --template writes one to fill in. The library then stands in a study as [controller] kind = "library". The source of
+    `dssc-jax code` is one, too.
+
+    To show what a library exports its code is loaded. Two flights are tried alone and in turn, so that a controller
+    that keeps numbers outside of its structure is refused. An existing shared object (.so) is shown without building.
+    """
+
+    sources: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE.c ...", help="Its source files, or one shared object.")
+    ] = None
+    template: Annotated[
+        Path | None, typer.Option("--template", metavar="FILE.c", help="Write an example to fill in.")
+    ] = None
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.so", help="The library [the first source's name, .so].")
+    ] = None
+    include: Annotated[
+        list[Path] | None, typer.Option("--include", metavar="DIR", help="A folder of headers; may be repeated.")
+    ] = None
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class CompareLog(OutputOptions, DrawsOptions):
     """Is this logged flight one of the flights that were analysed?
 

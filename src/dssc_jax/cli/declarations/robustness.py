@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 
 import typer
 
-from dssc_jax.analyses.defaults import CANDIDATES, HALVINGS
+from dssc_jax.analyses.defaults import CANDIDATES, CELLS, HALVINGS, SIGMA
 from dssc_jax.cli.declarations.types import DrawsOptions, OutputOptions, Prove, WalkOptions
 
 
@@ -81,6 +81,32 @@ class Loop(OutputOptions, DrawsOptions):
         str | None,
         typer.Option("--at", metavar="T1,T2,..", help="Linearise along the flight, at these times [the equilibrium]."),
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorstLoop(OutputOptions, DrawsOptions):
+    """Worst margins of the linearised loop over the box of the laws: bounds that hold, and numbers that reach them.
+
+    Gain, phase, delay and disk margins, M_s and M_t: the worst drawn, the worst found, and what is guaranteed for all
+    numbers between the ends of their laws, at all frequencies. Also the robust stability factor: how far the box may
+    grow before a loop is unstable (1/mu). The numbers of each worst case are printed, and written as studies
+    (witnesses/LOOP-MARGIN.toml, for `loop` and `run`). The study's [sweep] is ignored.
+    """
+
+    also: ClassVar = ("mu", "mussv", "wcgain", "wcdiskmargin", "robstab", "robgain", "diskmargin")
+
+    broken_at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--broken-at", metavar="NAME", help="Break point, as `loop` names it; repeatable [each channel's input]."
+        ),
+    ] = None
+    sigma: Annotated[
+        float, typer.Option("--sigma", metavar="K", help="Laws without ends are cut at K standard deviations.")
+    ] = SIGMA
+    cells: Annotated[
+        int, typer.Option("--cells", metavar="N", min=1, help="Parts of the box and of the frequencies, at most.")
+    ] = CELLS
 
 
 @dataclass(frozen=True, kw_only=True)

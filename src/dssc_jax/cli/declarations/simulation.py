@@ -9,6 +9,7 @@ from dssc_jax.cli.declarations.types import (
     DrawsOptions,
     Json,
     Local,
+    Native,
     NoCheck,
     OutputOptions,
     ResultArgument,
@@ -135,3 +136,4 @@ class Explore:
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True
     trust_code: TrustCode = False
     allow_local: Local = False
+    allow_native: Native = False

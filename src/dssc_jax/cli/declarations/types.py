@@ -26,6 +26,9 @@ TrustCode = Annotated[
 Local = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
 ]
+Native = Annotated[
+    bool, typer.Option("--allow-native", help="Load and run the shared objects that the study's controllers name.")
+]
 Prove = Annotated[
     bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")
 ]
@@ -46,6 +49,7 @@ class StudyOptions:
     study: StudyArgument
     settings: Set = None
     allow_local: Local = False
+    allow_native: Native = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +84,7 @@ class StoredOptions:
     as_json: Json = False
     trust_code: TrustCode = False
     allow_local: Local = False
+    allow_native: Native = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,3 +24,5 @@ static bool is_finite(@{real} x)
 }
 
 @{functions}
+
+@{description}

@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.operations import COMPARISONS
 from dssc_jax.lanes.passes.signs import is_unsigned
-from dssc_jax.lanes.program import BOOL, Subroutine, Value
+from dssc_jax.lanes.program import BOOL, Slot, Subroutine, Value
 
 FAST, STRICT = "contract nsz ", ""
 FLOATS = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "rem": "frem"}
@@ -55,6 +55,8 @@ class Instructions:
     subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
     count: int = 0
     label: str = "entry"
+    allocated: list[str] = field(default_factory=list)
+    slots: dict[int, str] = field(default_factory=dict)
 
     # Names and types
 
@@ -147,6 +149,8 @@ class Instructions:
             return self.lookup(value, wide)
         if operation == "rarely":
             return self.rarely(value, wide)
+        if operation in ("memory", "read", "write"):
+            return self.access(value)
         if operation == "select":
             condition, *cases = value.operands
             chosen = self.is_vector(condition)
@@ -176,6 +180,26 @@ class Instructions:
         if dtype != BOOL:
             return stored
         return self.compare("ne", stored_type(BOOL), wide, [stored, self.zero(BOOL, wide) if wide else "0"])
+
+    def access(self, value: Value) -> str:
+        """Reserve a slot, or read or write the lanes' elements of one; a token has no content."""
+        slot: Slot = value.detail
+        kind = self.kind(slot.dtype, True)
+        if value.operation == "memory":
+            place = self.slots[id(slot)] = f"%{self.fresh('slot')}"
+            self.allocated.append(f"  {place} = alloca [{slot.length} x {kind}], align 64")
+            function = "llvm.memset.p0.i64"
+            self.declared.add(f"declare void @{function}(ptr, i8, i64, i1)")
+            size = slot.length * self.width * slot.dtype.itemsize
+            self.lines.append(f"  call void @{function}(ptr align 64 {place}, i8 0, i64 {size}, i1 false)")
+            return self.zero(value.dtype, self.width > 1)
+        index = self.read(value.operands[1], False)
+        place = self.emit(f"getelementptr {kind}, ptr {self.slots[id(slot)]}, i32 {index}", "p")
+        aligned = f"align {slot.dtype.itemsize}"
+        if value.operation == "read":
+            return self.emit(f"load {kind}, ptr {place}, {aligned}")
+        self.lines.append(f"  store {kind} {self.read(value.operands[2], True)}, ptr {place}, {aligned}")
+        return self.zero(value.dtype, self.width > 1)
 
     def rarely(self, value: Value, wide: bool) -> str:
         """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""

@@ -59,6 +59,11 @@ def code_settings() -> list[str]:
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 
+def add_symbol(symbol: str, address: int) -> None:
+    """Let machine code of this process call a function by its symbol."""
+    llvm.add_symbol(symbol, address)
+
+
 def target_machine() -> Any:
     """A description of this processor for LLVM; an engine takes it over."""
     llvm.initialize_native_target()

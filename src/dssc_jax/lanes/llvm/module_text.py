@@ -6,8 +6,13 @@ else is assumed: a NaN is an outcome. Strict arithmetic does neither.
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from dssc_jax.lanes.foreign import ALIGNMENT, ForeignFunction, MemoryPlace
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
+from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
+from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, planned
 from dssc_jax.lanes.passes.scheduling import ordered
@@ -17,6 +22,7 @@ WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
 ATTRIBUTES = (
     f'attributes #0 = {{ nounwind {WIDE} "stackrealign" }}',  # spilled vectors within lines of the cache
     f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
+    'attributes #2 = { nounwind noinline "stackrealign" }',  # of calls of C
     '!0 = !{!"branch_weights", i32 1, i32 1000000}',  # of what happens rarely
 )
 
@@ -35,7 +41,8 @@ class Emitter(Instructions):
         super().__init__(width, STRICT if strict else FAST)
         self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
-        self.allocated: list[str] = []
+        self.parts: dict[int, list[str]] = {}
+        self.called: dict[str, ForeignFunction] = {}
         self.computed: set[int] = set()
 
     def text(self) -> str:
@@ -71,6 +78,8 @@ class Emitter(Instructions):
             inside = SubroutineEmitter(subroutine.program, width, self.strict, 0)
             inside.tables, inside.declared = self.tables, self.declared
             lines += inside.definition(name)
+        for function in self.called.values():
+            lines += foreign_calls.definition(function, self.width)
         return lines
 
     # Blocks
@@ -189,6 +198,46 @@ class Emitter(Instructions):
             kind = self.kind(result.dtype, result.varying)
             chooser = f"{self.kind(BOOL, varying)} {condition}"
             self.name(result, self.emit(f"select {chooser}, {kind} {sides[0][i]}, {kind} {sides[1][i]}"))
+
+    def value(self, value: Value) -> str:
+        """The instructions of one value; its register."""
+        match value.operation:
+            case Operation.FOREIGN:
+                return self.foreign(value.detail, value)
+            case Operation.PART:
+                return self.parts[id(value.operands[0])][value.detail]
+        return super().value(value)
+
+    def foreign(self, function: ForeignFunction, value: Value) -> str:
+        """A call of a function of C for each lane; the register of its first result."""
+        self.called[function.symbol] = function
+        self.declared |= {f"declare void @{function.symbol}(ptr)", "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"}
+        given = self.buffer(function.operands)
+        found = self.buffer(function.results)
+        operands = foreign_calls.columns(function.operands, self.width)
+        for operand, (_, offset) in zip(value.operands, operands, strict=True):
+            self.put(given, offset, operand)
+        self.lines.append(f"  call void @{foreign_calls.over_lanes(function, self.width)}(ptr {given}, ptr {found})")
+        results = foreign_calls.columns(function.results, self.width)
+        self.parts[id(value)] = [self.taken(found, offset, place.dtype) for place, offset in results]
+        return self.parts[id(value)][0]
+
+    def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
+        """Memory for the vectors of some numbers, reserved once."""
+        name = f"%{self.fresh('buffer')}"
+        size = foreign_calls.buffer_bytes(places, self.width)
+        self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
+        return name
+
+    def put(self, buffer: str, offset: int, value: Value) -> None:
+        """Store a value for each lane in a buffer."""
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
+        self.write(place, "0", value, True)
+
+    def taken(self, buffer: str, offset: int, dtype: np.dtype) -> str:
+        """A value of each lane from a buffer."""
+        place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
+        return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
     def inverted(self, condition: str, wide: bool) -> str:
         """Where a condition does not hold."""

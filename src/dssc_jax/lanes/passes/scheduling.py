@@ -13,7 +13,7 @@ from itertools import chain
 
 from dssc_jax.lanes.program import Branch, CodeLoop, Node, Value, inner_blocks, read_by
 
-CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20}
+CYCLES = {"add": 3, "sub": 3, "mul": 3, "div": 15, "sqrt": 20, "rem": 40, "lookup": 20, "foreign": 100}
 OTHER_CYCLES = 2
 AT_A_TIME = 3  # operations that begin in a cycle
 

@@ -3,13 +3,15 @@
 import numpy as np
 
 from dssc_jax.lanes.operations import ARITHMETIC, COMPARISONS, Operation
-from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Program, Record, Value, read_by
+from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Program, Record, Slot, Value, read_by
 
 SAME_TYPE = frozenset(ARITHMETIC) | {Operation.DIV, Operation.REM}
 """Operations whose operands and result have one type."""
 OPERAND_COUNTS = {
     **dict.fromkeys(("neg", "abs", "sqrt", "floor", "ceil", "round", "trunc", "not", "convert", "bitcast", "any"), 1),
     "lookup": 1,
+    "memory": 0,
+    "part": 1,
     "select": 3,
 }
 """Operands of operations that have not two."""
@@ -56,7 +58,7 @@ def verify_value(value: Value, defined: set[int]) -> None:
     require(isinstance(operation, Operation), value, "is no operation")
     for operand in operands:
         require_defined(operand, defined, operation)
-    if operation not in (Operation.INPUT, Operation.RARELY):
+    if operation not in (Operation.INPUT, Operation.RARELY, Operation.WRITE, Operation.FOREIGN):
         count = OPERAND_COUNTS.get(operation, 2)
         require(len(operands) == count, value, f"takes {count} operands, got {len(operands)}")
     types = [operand.dtype for operand in operands]
@@ -72,12 +74,31 @@ def verify_value(value: Value, defined: set[int]) -> None:
         require(types[0] == value.dtype == BOOL, value, "must be of truth values")
     elif operation == Operation.RARELY:
         require(types[:2] == [BOOL, value.dtype], value, "must have a condition and a value of its type")
+    elif operation in (Operation.MEMORY, Operation.READ, Operation.WRITE):
+        verify_access(value)
+    elif operation == Operation.FOREIGN:
+        require(types == [place.dtype for place in value.detail.operands], value, f"must have its types, got {types}")
+    elif operation == Operation.PART:
+        places = operands[0].detail.results
+        require(operands[0].operation == Operation.FOREIGN, value, "must be of a call")
+        require(places[value.detail].dtype == value.dtype, value, "must have the type of the result")
     elif operation == Operation.LOOKUP:
         require(types[0].kind in "iu", value, "must have an index")
         require(isinstance(value.detail, np.ndarray) and value.detail.ndim == 1, value, "must have a table")
     if operation not in (Operation.INPUT, Operation.ANY):
         varying = any(operand.varying for operand in operands)
         require(value.varying or not varying, value, "is uniform, and an operand varies between lanes")
+
+
+def verify_access(value: Value) -> None:
+    """Check types and the index of an operation on a slot."""
+    require(isinstance(value.detail, Slot), value, "must have a slot")
+    require(value.dtype == (value.detail.dtype if value.operation == Operation.READ else TOKEN), value, "type is wrong")
+    if value.operation != Operation.MEMORY:
+        token, index, *others = value.operands
+        require(token.dtype == TOKEN, value, "must begin with a token")
+        require(index.dtype == np.dtype(np.int32) and not index.varying, value, "must have a uniform index")
+        require(not others or others[0].dtype == value.detail.dtype, value, "must write the slot's type")
 
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:

@@ -13,6 +13,7 @@ from jax.extend.core import JaxprEqn
 
 from dssc_jax.lanes.program import Builder, Value
 from dssc_jax.lanes.tracing.arrays import Tensor, as_tensor, elementwise, from_tensor
+from dssc_jax.lanes.tracing.memory import Memory
 from dssc_jax.lanes.tracing.specification import (
     NUMBER_TYPES,
     SCALARS,
@@ -173,6 +174,8 @@ def replaced(
 def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """A window of an array."""
     operand, *starts = operands
+    if isinstance(operand, Memory):
+        return np.array([operand.read(build, wide_index(build, starts[0]))], object)
     wide = [wide_index(build, start) for start in starts]
     return window(build, as_tensor(operand, build) if not isinstance(operand, np.ndarray) else operand, wide,
                   params["slice_sizes"])  # fmt: skip
@@ -181,6 +184,8 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, e
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """An array with a window replaced."""
     operand, update, *starts = operands
+    if isinstance(operand, Memory):
+        return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
     target, new = as_tensor(operand, build), as_tensor(update, build)
     limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
     inside = [clipped(build, wide_index(build, start), limit) for start, limit in zip(starts, limits, strict=True)]

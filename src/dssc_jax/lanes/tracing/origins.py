@@ -59,6 +59,8 @@ class OriginTranslator(Translator):
         build: The builder.
     """
 
+    has_memory = False
+
     def __init__(self, build: Builder) -> None:
         super().__init__(build)
         self.origins: dict[int, Origin] = {}

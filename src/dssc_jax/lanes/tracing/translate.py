@@ -15,10 +15,13 @@ from dssc_jax.lanes.functions.elementary import ELEMENTARY, RareRule
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.program import BOOL, Builder, Program, Recording, Subroutine, Value
 from dssc_jax.lanes.tracing import indexing, random_bits
-from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, as_tensor, elementwise
+from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, elementwise
+from dssc_jax.lanes.tracing.foreign_calls import FOREIGN_RULES
+from dssc_jax.lanes.tracing.memory import Memory, kept_in_memory
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.tracing.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
+from dssc_jax.lanes.tracing.states import assembled, components, flat, is_varying, refuse_recordings
 from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -66,7 +69,12 @@ def output(value: Any) -> Value | Recording:
 
 
 class Translator:
-    """Translates equations, in order, into operations of a builder."""
+    """Translates equations, in order, into operations of a builder.
+
+    ``has_memory`` says whether a loop may carry an array in memory; if not, its elements are scalars.
+    """
+
+    has_memory = True
 
     def __init__(self, build: Builder) -> None:
         self.build = build
@@ -125,6 +133,7 @@ class Translator:
             (ELEMENTARY, self.elementary),
             (ARRAY_RULES, self.array),
             (indexing.INDEXING_RULES, self.array),
+            (FOREIGN_RULES, self.array),
         )
 
     def program(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
@@ -158,7 +167,8 @@ class Translator:
 
     def array(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an operation that moves or combines elements."""
-        refuse_recordings(operands)
+        if chosen not in MEMORY_RULES:
+            refuse_recordings(operands)
         results = chosen.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
@@ -181,60 +191,6 @@ class Translator:
             name = "_".join((function.__name__, *(str(8 * dtype.itemsize) for dtype in types)))
             self._subroutines[key] = Subroutine(name, Program(list(types), inside.build.here, outputs))
         return self._subroutines[key]
-
-
-def components(value: Any, build: Builder) -> list[Value]:
-    """The scalars of a value, in order."""
-    if isinstance(value, Value):
-        return [value]
-    if isinstance(value, Key):
-        return [value.high, value.low]
-    if isinstance(value, Recording):
-        raise Unsupported("a recorded array within a loop")
-    scalars = list(as_tensor(value, build).ravel())
-    if any(isinstance(scalar, Key) for scalar in scalars):
-        raise Unsupported("an array of random keys as the state of a loop")
-    return scalars
-
-
-def refuse_recordings(operands: Sequence[Any]) -> None:
-    """Require operands that a lane can read.
-
-    Raises:
-        Unsupported: One is an array that a loop has recorded.
-    """
-    if any(isinstance(operand, Recording) for operand in operands):
-        raise Unsupported("an array that a loop records, as an operand")
-
-
-def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
-    """Values of the same kinds from their scalars, the inverse of :func:`components`."""
-    remaining, values = list(scalars), []
-    for like in likes:
-        if isinstance(like, Value):
-            values.append(remaining.pop(0))
-        elif isinstance(like, Key):
-            values.append(Key(remaining.pop(0), remaining.pop(0)))
-        else:
-            tensor = np.empty(like.shape, object)
-            tensor.ravel()[:] = remaining[: tensor.size]
-            del remaining[: tensor.size]
-            values.append(tensor)
-    return values
-
-
-def flat(values: Sequence[Any], build: Builder) -> list[Value]:
-    """All scalars of some values."""
-    return [scalar for value in values for scalar in components(value, build)]
-
-
-def is_varying(value: Any) -> bool:
-    """Whether a part of a value differs between lanes."""
-    if isinstance(value, Value):
-        return value.varying
-    if isinstance(value, Key):
-        return value.high.varying or value.low.varying
-    return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))
 
 
 def called_program(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -266,8 +222,12 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
     head, body = params["cond_jaxpr"], params["body_jaxpr"]
     first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
     head_constants, constants, begin = operands[:first], operands[first:second], operands[second:]
-    flags = [is_varying(value) for value in operands]
+    if translator.has_memory:
+        begin = kept_in_memory(build, begin, body.jaxpr, second - first)
+    flags = [is_varying(value) for value in (*operands[:second], *begin)]
     varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
+    if lanes_differ and any(isinstance(value, Memory) for value in begin):
+        raise Unsupported("an array in memory in a loop that lanes leave at different times")
     enter = translator.run(head, [*head_constants, *begin])[0]
     scalars = flat(begin, build)
     differs = [bool(flag) for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
@@ -295,6 +255,8 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
     first, carried = parts_of_scan(equation)
     second = first + carried
     constants, begin, rows = operands[:first], operands[first:second], operands[second:]
+    if translator.has_memory:
+        begin = kept_in_memory(build, begin, body.jaxpr, first)
     kept = equation.outvars[carried:]
     if kept and (length == 0 or params["reverse"]):
         raise Unsupported("a loop that records nothing, or backwards")
@@ -303,7 +265,9 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
     recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
     if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
         raise Unsupported("a loop that records arrays")
-    flags = translator.varying_results.of_scan(body.jaxpr, [is_varying(value) for value in operands], first, second)
+    flags = translator.varying_results.of_scan(
+        body.jaxpr, [is_varying(value) for value in (*constants, *begin, *rows)], first, second
+    )
     scalars, index = flat(begin, build), np.dtype(np.int32)
     differs = [bool(flag) for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
@@ -322,6 +286,7 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
 def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """One of several programs; a lane's own choice."""
     index, *remaining = operands
+    refuse_recordings(remaining)
     build, branches = translator.build, equation.params["branches"]
     condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
 
@@ -370,6 +335,9 @@ OVER_LANES = {"pmax": rule(largest_over_lanes, WHOLE, axes=this_axis, axis_index
 
 REMATERIALISED = rule(called_program, None, jaxpr=anything, prevent_cse=anything, differentiated=anything,
                       policy=anything)  # fmt: skip
+MEMORY_RULES = [indexing.INDEXING_RULES[name] for name in ("dynamic_slice", "dynamic_update_slice")]
+"""Rules of what may be done with an array in memory."""
+
 INLINED = {
     "jit": rule(
         called_program, None, jaxpr=anything, name=anything, in_shardings=anything, out_shardings=anything,

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Literal, Var
 
+from dssc_jax.lanes.foreign import FOREIGN_CALL
+
 
 def is_key(aval: Any) -> bool:
     """Whether values of this type are random keys."""
@@ -81,6 +83,8 @@ class VaryingResults:
         count = len(equation.outvars)
         if name.startswith("pmax"):
             return [0] * count
+        if name == FOREIGN_CALL:
+            return [1] * count
         if name == "while":
             first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
             return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]

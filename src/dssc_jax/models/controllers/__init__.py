@@ -3,6 +3,7 @@
 from dssc_jax.core.registry import Registry
 from dssc_jax.models.controllers.discrete import DISCRETE_STATE_SPACE, DISCRETE_TRANSFER_FUNCTION
 from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.library import KIND, LIBRARY
 from dssc_jax.models.controllers.lqg import LQG
 from dssc_jax.models.controllers.pi import PI
 from dssc_jax.models.controllers.pid import PID
@@ -23,4 +24,5 @@ CONTROLLERS: Registry = {
     "lqg": LQG,
     "discrete_transfer_function": DISCRETE_TRANSFER_FUNCTION,
     "discrete_state_space": DISCRETE_STATE_SPACE,
+    KIND: LIBRARY,
 }

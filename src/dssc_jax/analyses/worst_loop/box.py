@@ -1,0 +1,96 @@
+"""The box of a study's uncertain numbers, in coordinates u between -1 and 1."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.batching import Arrays
+from dssc_jax.study import Study
+
+MOST_GROWTH = 4.0
+GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
+"""Factors by which the box may grow, of which the largest admissible one is taken."""
+
+
+class Side(NamedTuple):
+    """The range of one uncertain number.
+
+    Args:
+        name: Its dotted name in the study.
+        low: Lower end.
+        high: Upper end.
+        logarithmic: Whether the coordinate is linear in the logarithm.
+        cut: Whether the law exceeds these ends.
+    """
+
+    name: str
+    low: float
+    high: float
+    logarithmic: bool
+    cut: bool
+
+    def at(self, u: np.ndarray) -> np.ndarray:
+        """Values at coordinates."""
+        if self.logarithmic:
+            return np.sqrt(self.low * self.high) * (self.high / self.low) ** (0.5 * u)
+        return 0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * u
+
+
+class Box(NamedTuple):
+    """The uncertain numbers of a study between their ends; a correlation of the laws is not used."""
+
+    sides: tuple[Side, ...]
+
+    def values(self, points: np.ndarray) -> Arrays:
+        """Values of the uncertain numbers by name.
+
+        Args:
+            points: Coordinates, shape (n, sides).
+        """
+        return {side.name: side.at(column) for side, column in zip(self.sides, points.T, strict=True)}
+
+    def numbers(self, point: np.ndarray) -> dict[str, float]:
+        """The uncertain numbers at one point, as overrides of the study."""
+        return {name: float(column[0]) for name, column in self.values(point[None]).items()}
+
+
+def box_of(study: Study, sigma: float) -> Box:
+    """The box of a study's laws; laws that exceed ``sigma`` standard normal deviations are cut there if unbounded.
+
+    Raises:
+        ConfigError: the study has no uncertain number, or a limit is not admissible.
+    """
+    if not sigma > 0.0 or not np.isfinite(sigma):
+        raise ConfigError("sigma", f"must be positive and finite, got {sigma:g}")
+    if not study.laws:
+        raise ConfigError(study.source, "has no uncertain number; `loop_margins` has the margins of one loop")
+    sides = []
+    for name, law in study.laws.items():
+        low, high = law.support
+        cut = not np.isfinite(high - low)
+        tail = norm.cdf(-sigma)
+        if not np.isfinite(low) or (law.logarithmic and not low > 0.0):
+            low = float(law.quantile(np.asarray(tail)))
+            cut = True
+        if not np.isfinite(high):
+            high = float(law.quantile(np.asarray(1.0 - tail)))
+        sides.append(Side(name, low, high, law.logarithmic, cut))
+    return Box(tuple(sides))
+
+
+def admissible_growth(study: Study, box: Box) -> float:
+    """The largest factor of :data:`GROWTHS` by which the box may grow before the study refuses a number."""
+    for growth in GROWTHS[:-1]:
+        ends = (np.full(len(box.sides), growth), np.full(len(box.sides), -growth))
+        try:
+            for end in ends:
+                numbers = box.numbers(end)
+                study.override(numbers)
+                for name, value in numbers.items():
+                    study.override({name: value})
+        except ConfigError:
+            continue
+        return growth
+    return 1.0

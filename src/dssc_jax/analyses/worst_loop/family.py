@@ -1,0 +1,128 @@
+"""The linearised loop at any point of the box."""
+
+import numpy as np
+
+from dssc_jax.analyses.linearisation.smooth_parts import Finding
+from dssc_jax.analyses.loop_margins.operating_points import RestingLoop, StateMatrices
+from dssc_jax.analyses.worst_loop.box import Box
+from dssc_jax.core.errors import ConfigError
+
+BATCH_POINTS = 64  # points that are linearised at once
+KEYS = 8  # draws whose random keys are compared
+SAME = 1e-9  # relative difference of matrices that counts as none
+PROBES = 4  # points from which each number is moved
+DIGITS = 12  # of a coordinate, by which points are told apart
+
+
+class Family:
+    """The linearised loop over the box; points that were linearised are kept.
+
+    Args:
+        resting: The undisturbed loop.
+        box: The box of the uncertain numbers.
+        findings: On the parts, the same for all draws, shape (parts,).
+    """
+
+    def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray) -> None:
+        self.resting = resting
+        self.box = box
+        self.findings = findings
+        self.places: dict[bytes, int] = {}
+        self.rows: list[StateMatrices] = []
+
+    def at(self, points: np.ndarray) -> StateMatrices:
+        """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
+        points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
+        keys = [point.tobytes() for point in points]
+        waiting = {key: point for key, point in zip(keys, points, strict=True) if key not in self.places}
+        fresh = list(waiting.values())
+        for first in range(0, len(fresh), BATCH_POINTS):
+            batch = np.array(fresh[first : first + BATCH_POINTS])
+            padded = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
+            matrices = self.linearised(padded, np.zeros(BATCH_POINTS, int))
+            for row, point in enumerate(batch):
+                self.places[point.tobytes()] = len(self.rows)
+                self.rows.append(StateMatrices(*(part[row] for part in matrices)))
+        rows = [self.rows[self.places[key]] for key in keys]
+        return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+    def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
+        """Matrices at points, with the random keys of the draws ``indices``."""
+        values = self.box.values(points)
+        states, matrices, settled, _ = self.resting.settle(values, indices)
+        if np.any(self.findings == Finding.CORNER):
+            findings = np.broadcast_to(self.findings, (len(points), self.findings.size))
+            matrices = self.resting.linearise(values, indices, states, 1, findings)
+        gaps = np.where(settled, 0.0, np.nan)[:, None, None]
+        return StateMatrices(matrices.after, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
+
+    def require_no_other_uncertainty(self) -> None:
+        """Require that the loop follows from the uncertain numbers alone.
+
+        Raises:
+            ConfigError: it depends on a draw's random key too.
+        """
+        centre = np.zeros((BATCH_POINTS, len(self.box.sides)))
+        matrices = self.linearised(centre, np.arange(BATCH_POINTS) % KEYS)
+        for part in matrices[1:]:
+            if not np.allclose(part, part[:1], rtol=SAME, atol=SAME, equal_nan=True):
+                raise ConfigError(
+                    self.resting.study.source,
+                    "has a loop that differs between draws of the same numbers, as with a sensor's jitter; "
+                    "its worst case is not bounded; `loop_margins` has its margins over the draws",
+                )
+
+
+class BrokenFamily:
+    """The loop broken at one place, over those numbers of the box that it depends on.
+
+    Args:
+        family: The whole loop.
+        kept: Its states that matter here.
+        point: Index of the break point.
+    """
+
+    def __init__(self, family: Family, kept: np.ndarray, point: int) -> None:
+        self.family = family
+        self.kept = kept
+        self.point = point
+        self.sides = self._influential()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The numbers that it depends on."""
+        return tuple(self.family.box.sides[side].name for side in self.sides)
+
+    def full(self, points: np.ndarray) -> np.ndarray:
+        """Points of the whole box, with all other numbers in the middle; shape (n, sides of the box)."""
+        result = np.zeros((len(points), len(self.family.box.sides)))
+        result[:, self.sides] = points
+        return result
+
+    def numbers(self, point: np.ndarray) -> dict[str, float]:
+        """The numbers that it depends on at one point, by name."""
+        numbers = self.family.box.numbers(self.full(point[None])[0])
+        return {name: numbers[name] for name in self.names}
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """[[A, b], [c, 0]] at points of shape (n, sides), shape (n, states + 1, states + 1)."""
+        return self._matrices(self.full(points))
+
+    def _matrices(self, points: np.ndarray) -> np.ndarray:
+        _, a, b, c = self.family.at(points)
+        kept = self.kept
+        top = np.concatenate([a[:, kept][:, :, kept], b[:, kept, self.point, None]], axis=2)
+        bottom = np.concatenate([c[:, None, self.point, kept], np.zeros((len(a), 1, 1))], axis=2)
+        return np.concatenate([top, bottom], axis=1)
+
+    def _influential(self) -> list[int]:
+        """The sides of the box that change the loop."""
+        sides = len(self.family.box.sides)
+        bases = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
+        moved = np.repeat(bases[:, None], sides, axis=1)
+        moved[:, range(sides), range(sides)] += 0.5
+        before = self._matrices(bases)
+        after = self._matrices(moved.reshape(-1, sides)).reshape(PROBES, sides, *before.shape[1:])
+        limit = SAME * (1e-3 + np.abs(before).max(axis=0))
+        same = np.abs(after - before[:, None]) <= limit  # not where there is no equilibrium
+        return np.flatnonzero(np.any(~same, axis=(0, 2, 3))).tolist()

@@ -1,0 +1,272 @@
+"""Worst case of the linearised loop: its dataset, answer, figure and folder."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
+from dssc_jax.analyses.worst_loop.box import Box
+from dssc_jax.analyses.worst_loop.search import MARGINS
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.study import Study
+
+BEYOND = 0.02
+"""How much farther from the middle of the box a witness of instability lies than the nearest one found."""
+
+
+class LoopCase(NamedTuple):
+    """The worst case of one broken loop.
+
+    Args:
+        names: Numbers that it depends on.
+        drawn: Worst margins of the draws, shape (margins,).
+        found: Worst margins found in the box.
+        numbers: The numbers that have them, by name, for each margin.
+        guaranteed: Margins that hold on all of the box; NaN: none.
+        growth_found: Growth of the box that reaches an unstable loop; infinite: none was found.
+        unstable: The numbers of that loop, by name.
+        growth_guaranteed: Growth up to which the loop is stable.
+        growable: Largest growth that was looked at.
+        cells: Cells computed.
+    """
+
+    names: tuple[str, ...]
+    drawn: np.ndarray
+    found: np.ndarray
+    numbers: list[dict[str, float]]
+    guaranteed: np.ndarray
+    growth_found: float
+    unstable: dict[str, float]
+    growth_guaranteed: float
+    growable: float
+    cells: int
+
+
+@dataclass(frozen=True)
+class WorstMargin:
+    """The worst case of a margin."""
+
+    unit: Annotated[str, Quantity("", "its unit")]
+    drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
+    found: Annotated[float, Quantity(MARGIN_UNIT, "worst found in the box; None: infinite, or a loop is unstable")]
+    guaranteed: Annotated[float, Quantity(MARGIN_UNIT, "bound that holds on all of the box; None: none was found")]
+    numbers: Annotated[dict[str, float], Quantity("that of the number", "the numbers that have the value found")]
+
+
+@dataclass(frozen=True)
+class LoopWorst:
+    """The worst case of the loop broken at one place."""
+
+    stable: Annotated[bool | None, Quantity("", "whether it is stable on all of the box; None: undecided")]
+    growth_guaranteed: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
+    growth_found: Annotated[float, Quantity("1", "growth that reaches an unstable loop; None: none was found")]
+    growable: Annotated[float, Quantity("1", "largest growth that was looked at")]
+    unstable: Annotated[dict[str, float], Quantity("that of the number", "numbers of that loop; empty: none was found")]
+    depends_on: Annotated[tuple[str, ...], Quantity("", "the numbers that change this loop")]
+    cells: Annotated[int, Quantity("1", "parts of box and frequencies that were computed")]
+    margins: dict[str, WorstMargin]
+
+
+@dataclass(frozen=True)
+class BoxSide:
+    """The range of one uncertain number."""
+
+    low: Annotated[float, Quantity("that of the number", "lower end")]
+    high: Annotated[float, Quantity("that of the number", "upper end")]
+    cut: Annotated[bool, Quantity("", "whether the law has no end there")]
+
+
+@dataclass(frozen=True)
+class WorstLoopAnswer:
+    """Worst margins over the box of the laws, found and guaranteed, beside those of the draws."""
+
+    draws: Annotated[int, Quantity("1", "number of draws")]
+    sigma: Annotated[float, Quantity("1", "standard deviations at which laws without ends are cut")]
+    taken: Annotated[str, Quantity("", "what is taken for parts of the loop without a derivative")]
+    box: Annotated[dict[str, BoxSide], Quantity("", "by uncertain number")]
+    loops: Annotated[dict[str, LoopWorst], Quantity("", "by break point")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+@dataclass(eq=False)
+class WorstLoop(Analysis):
+    """Worst case of the linearised loop over the box of the laws.
+
+    The dataset has along ``loop`` (the break point) and ``margin``: ``drawn``, ``found`` and ``guaranteed``, and the
+    ``perturbation`` (along ``number``) that has the value found.
+
+    Args:
+        sigma: Standard deviations at which laws without ends are cut.
+        taken: What is taken for parts of the loop that have no derivative, in words.
+        seconds: Computing time.
+    """
+
+    kind = "worst-loop"
+    title = "Worst case of the linearised loop"
+    table = ("loop", "margin")
+
+    sigma: float
+    taken: tuple[str, ...]
+    seconds: float
+
+    def numbers(self, loop: str, margin: str) -> dict[str, float]:
+        """The numbers of the study that have the worst value found of a margin."""
+        return present(self.dataset["perturbation"].sel(loop=loop, margin=margin))
+
+    def witness(self, loop: str, margin: str) -> Study:
+        """The study with the numbers of :meth:`numbers` in place of their laws."""
+        return self.study.override(self.numbers(loop, margin))
+
+    def unstable(self, loop: str) -> dict[str, float]:
+        """Numbers of the nearest unstable loop found; empty: none was found."""
+        return present(self.dataset["unstable"].sel(loop=loop))
+
+    def unstable_witness(self, loop: str) -> Study | None:
+        """The study with numbers 2 % beyond those of :meth:`unstable`, from the middle of the box; None: none found."""
+        numbers = {}
+        for name, value in self.unstable(loop).items():
+            side = self.dataset.sel(number=name)
+            low = float(side["low"])
+            high = float(side["high"])
+            if bool(side["logarithmic"]):
+                numbers[name] = value * (value / np.sqrt(low * high)) ** BEYOND
+            else:
+                numbers[name] = value + BEYOND * (value - 0.5 * (low + high))
+        return self.study.override(numbers) if numbers else None
+
+    def witnesses(self) -> dict[str, Study]:
+        """The studies of all worst cases, by loop and margin; ``LOOP-stability`` is unstable."""
+        studies = {}
+        for loop in self.loops:
+            name = loop.replace(" ", "-")
+            for margin in MARGINS:
+                studies[f"{name}-{margin}"] = self.witness(loop, margin)
+            unstable = self.unstable_witness(loop)
+            if unstable is not None:
+                studies[f"{name}-stability"] = unstable
+        return studies
+
+    @property
+    def loops(self) -> list[str]:
+        """Names of the break points."""
+        return list(map(str, self.dataset["loop"].values))
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        loop = self.loops[0]
+        worst = self.answer.loops[loop]
+        disk = worst.margins["disk"]
+        if worst.stable is False:
+            return f"broken at {loop}: some loops of the box are unstable, from {worst.growth_found:.3g} of its size on"
+        if worst.stable is None:
+            return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
+        return (
+            f"broken at {loop}: stable on all of the box, with a disk margin of at least {disk.guaranteed:.3g} "
+            f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_guaranteed:.3g} "
+            "times its size"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.worst_loop(self)
+
+    def worst_of(self, loop: str) -> LoopWorst:
+        """The worst case of one broken loop."""
+        data = self.dataset.sel(loop=loop)
+        margins = {}
+        for name in MARGINS:
+            values = data.sel(margin=name)
+            margins[name] = WorstMargin(
+                MARGIN_KINDS[name].unit,
+                float(values["drawn"]),
+                float(values["found"]),
+                float(values["guaranteed"]),
+                self.numbers(loop, name),
+            )
+        found = float(data["growth_found"])
+        guaranteed = float(data["growth_guaranteed"])
+        stable = True if guaranteed >= 1.0 else (False if found <= 1.0 else None)
+        depends = data["depends"].values
+        names = tuple(map(str, self.dataset["number"].values[depends]))
+        growable = float(data["growable"])
+        unstable = self.unstable(loop)
+        return LoopWorst(stable, guaranteed, found, growable, unstable, names, int(data["cells"]), margins)
+
+    @property
+    def answer(self) -> WorstLoopAnswer:
+        """The numbers that summary.json holds."""
+        box = {}
+        for name in self.dataset["number"].values:
+            side = self.dataset.sel(number=name)
+            box[str(name)] = BoxSide(float(side["low"]), float(side["high"]), bool(side["cut"]))
+        return WorstLoopAnswer(
+            draws=self.study.config.draws,
+            sigma=self.sigma,
+            taken="; ".join(self.taken) or "none; every part has a derivative",
+            box=box,
+            loops={loop: self.worst_of(loop) for loop in self.loops},
+            seconds=self.seconds,
+        )
+
+
+def present(values: xr.DataArray) -> dict[str, float]:
+    """The numbers along ``number`` that are not missing, by name."""
+    known = values.dropna("number")
+    return {str(name): float(value) for name, value in zip(known["number"].values, known.values, strict=True)}
+
+
+def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
+    """The dataset of :class:`WorstLoop`."""
+    names = [side.name for side in box.sides]
+    of_margin = {"units": "that of the margin"}
+    of_number = {"units": "that of the number"}
+
+    def rows(numbers: Mapping[str, float]) -> list[float]:
+        return [numbers.get(name, np.nan) for name in names]
+
+    found = list(cases.values())
+    table = ("loop", "margin")
+    perturbations = np.array([[rows(numbers) for numbers in case.numbers] for case in found])
+    unstable = np.array([rows(case.unstable) for case in found])
+    depends = np.array([[name in case.names for name in names] for case in found])
+    columns = {
+        "perturbation": ((*table, "number"), perturbations, of_number | {"long_name": "numbers of the worst found"}),
+        "unstable": (("loop", "number"), unstable, of_number | {"long_name": "numbers of the nearest unstable loop"}),
+        "depends": (("loop", "number"), depends, {"long_name": "whether the number changes the loop"}),
+    }
+    for name, meaning in {
+        "drawn": "worst margin of all draws",
+        "found": "worst margin found in the box",
+        "guaranteed": "margin that holds on all of the box",
+    }.items():
+        values = np.stack([getattr(case, name) for case in found])
+        columns[name] = (table, values, of_margin | {"long_name": meaning})
+    for name, meaning in {
+        "growth_found": "growth of the box that reaches an unstable loop",
+        "growth_guaranteed": "growth of the box up to which the loop is stable",
+        "growable": "largest growth that was looked at",
+        "cells": "cells computed",
+    }.items():
+        values = np.array([getattr(case, name) for case in found])
+        columns[name] = ("loop", values, {"units": "1", "long_name": meaning})
+    for name, meaning in {
+        "low": "lower end",
+        "high": "upper end",
+        "cut": "whether the law has no end there",
+        "logarithmic": "whether the box grows in the logarithm",
+    }.items():
+        values = np.array([getattr(side, name) for side in box.sides])
+        columns[name] = ("number", values, of_number | {"long_name": meaning})
+    coords = {
+        "loop": ("loop", np.array(list(cases)), {"long_name": "where the loop is broken"}),
+        "margin": ("margin", np.array(MARGINS), {"long_name": "margin"}),
+        "number": ("number", np.array(names), {"long_name": "uncertain number"}),
+    }
+    return xr.Dataset(columns, coords=coords)

@@ -1,0 +1,222 @@
+"""Worst case of every loop of a study over the box of its laws: found perturbations beside guaranteed bounds."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.analyses.defaults import CELLS, MOST_CELLS, SIGMA
+from dssc_jax.analyses.linearisation.smooth_parts import declared_places, stated
+from dssc_jax.analyses.loop_margins.break_points import BreakPoint, break_points
+from dssc_jax.analyses.loop_margins.loop_margins import in_loop
+from dssc_jax.analyses.loop_margins.operating_points import Operating, RestingLoop, resting_operation
+from dssc_jax.analyses.loop_margins.response import common_grid
+from dssc_jax.analyses.worst_loop.box import admissible_growth, box_of
+from dssc_jax.analyses.worst_loop.cells import GAINS, Covered, cover
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family
+from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, worst_dataset
+from dssc_jax.analyses.worst_loop.search import (
+    MARGINS,
+    Instability,
+    Worst,
+    badness,
+    margins_at,
+    nearest_instability,
+    radii_of,
+    worst_margins,
+)
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.study import Study, takes_file
+
+GAP = 1.05  # ratio of a bound to the value found that is good enough
+SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
+"""Of the growth at which a loop was found unstable, those that are tried for the guaranteed growth."""
+ANY = np.full(len(GAINS), 1e300)
+"""Bounds that every stable loop meets."""
+
+
+@takes_file
+def worst_loop(
+    study: Study,
+    *,
+    broken_at: Sequence[str] = (),
+    sigma: float = SIGMA,
+    cells: int = CELLS,
+    progress: ProgressCallback | None = None,
+) -> WorstLoop:
+    """Find the worst margins of the linearised loop over the box of the laws, and bounds that hold on all of it.
+
+    The loop is linearised at its equilibrium, as for :func:`dssc_jax.loop_margins`. Every uncertain number may have any
+    value between the ends of its law, together with any values of the others. A search finds the worst values; the
+    bounds hold for all numbers of the box and at all frequencies. The robust stability factor is the growth of the box
+    about its middle up to which the loop stays stable, 1/mu.
+
+    Args:
+        study: The study, or its file; its own sweep is ignored.
+        broken_at: Names of break points; none: the command of each channel.
+        sigma: Laws without ends are cut at so many standard deviations of a normal law.
+        cells: Parts of the box and of the frequencies that are computed at most, for each loop and kind of bound.
+        progress: Called with the cells computed.
+
+    Raises:
+        ConfigError: the study has no uncertain number, its loop cannot be linearised or differs between draws of the
+            same numbers, or an option is not admissible.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/motor.toml").override({"unmodelled.mu": 0.01, "draws": 64})
+        >>> worst = dj.worst_loop(study).summary()["loops"]["input"]["margins"]["disk"]
+        >>> worst["guaranteed"] <= worst["found"] <= worst["drawn"]
+        True
+    """
+    began = time.perf_counter()
+    require_independent(study, "a sample of all draws")
+    if not 0 < cells <= MOST_CELLS:
+        raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
+    study = study.without_sweep()
+    names = break_points(study.loop)
+    wanted = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
+    for name in wanted:
+        if name not in names:
+            raise ConfigError("broken_at", f"has no break point '{name}'; {nearest(name, names)}")
+    box = box_of(study, sigma)
+    places = declared_places(study, moving=False)
+    resting = RestingLoop(study, places)
+    operating, findings = resting_operation(resting, study.config.draws)
+    settled = findings[operating.reached]
+    if np.any(settled != settled[0]):
+        raise ConfigError(study.source, "lies at a corner of a part in some draws, and not in others")
+    family = Family(resting, box, settled[0])
+    family.require_no_other_uncertainty()
+    spent = 0
+
+    def advance(computed: int) -> None:
+        if progress:
+            progress(spent + computed, None)
+
+    cases = {}
+    for name in wanted:
+        kept = in_loop(operating.matrices, operating.reached, names.index(name))
+        if not kept.size:
+            continue
+        broken = BrokenFamily(family, kept, names.index(name))
+        if not broken.sides:
+            raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
+        cases[name] = loop_case(study, broken, operating, cells, advance)
+        spent += cases[name].cells
+    if not cases:
+        raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
+    taken = (*stated(places), *operating.taken)
+    return WorstLoop(study, worst_dataset(box, cases), sigma, taken, time.perf_counter() - began)
+
+
+class Bounds(NamedTuple):
+    """What holds on all of the box, and how far the box may grow."""
+
+    covered: Covered
+    growth: float
+
+
+def loop_case(
+    study: Study, broken: BrokenFamily, operating: Operating, cells: int, advance: Callable[[int], None]
+) -> LoopCase:
+    """The worst case of one broken loop."""
+    sides = len(broken.sides)
+    sample_time = study.config.loop.sample_time
+    drawn = drawn_matrices(operating, broken)
+    common = common_grid(np.linalg.eigvals(drawn[:, :-1, :-1]))
+    drawn_margins = margins_at(drawn, common, sample_time)
+    worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
+    found = worst_margins(broken.at, sides, common, sample_time)
+    growable = admissible_growth(study, broken.family.box)
+    instability = nearest_instability(broken.at, sides, growable)
+    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, advance)
+    return LoopCase(
+        names=broken.names,
+        drawn=worst_drawn,
+        found=np.array([worst.value for worst in found]),
+        numbers=[broken.numbers(worst.point) for worst in found],
+        guaranteed=guaranteed_margins(bounds.covered.gains, sample_time),
+        growth_found=instability.growth,
+        unstable=broken.numbers(instability.point),
+        growth_guaranteed=bounds.growth,
+        growable=growable,
+        cells=bounds.covered.cells,
+    )
+
+
+def drawn_matrices(operating: Operating, broken: BrokenFamily) -> np.ndarray:
+    """[[A, b], [c, 0]] of the draws that have an equilibrium."""
+    _, a, b, c = (part[operating.reached] for part in operating.matrices)
+    kept = broken.kept
+    top = np.concatenate([a[:, kept][:, :, kept], b[:, kept, broken.point, None]], axis=2)
+    bottom = np.concatenate([c[:, None, broken.point, kept], np.zeros((len(a), 1, 1))], axis=2)
+    return np.concatenate([top, bottom], axis=1)
+
+
+def bounds_of(
+    broken: BrokenFamily,
+    found: list[Worst],
+    instability: Instability,
+    growable: float,
+    sample_time: float,
+    cells: int,
+    advance: Callable[[int], None],
+) -> Bounds:
+    """Bounds of the gains on the box, and the growth up to which the loop is shown to be stable."""
+    sides = len(broken.sides)
+    none = Covered(np.full(len(GAINS), np.inf), 0)
+    if radii_of(broken.at(np.zeros((1, sides))))[0] >= 1.0:
+        return Bounds(none, 0.0)
+    ones = np.ones(sides)
+    covered = none
+    growth = 0.0
+    if instability.growth > 1.0:
+        worst = dict(zip(MARGINS, (case.value for case in found), strict=True))
+        reached = (
+            worst["sensitivity_peak"],
+            worst["complementary_peak"],
+            1.0 / worst["disk"],
+            sample_time / worst["delay"] if np.isfinite(worst["delay"]) else 1e-3,
+        )
+        covered = cover(broken.at, (-ones, ones), GAP * np.array(reached), cells, advance)
+        growth = 1.0 if covered.stable else 0.0
+    spent = covered.cells
+    farthest = min(instability.growth, growable)
+    for share in (1.0, *SHARES) if instability.growth > growable else SHARES:
+        tried = share * farthest
+        if tried <= growth:
+            break
+        ends = (-tried * ones, tried * ones)
+        trial = cover(broken.at, ends, ANY, cells // 4, lambda computed, before=spent: advance(before + computed))
+        spent += trial.cells
+        if trial.stable:
+            growth = tried
+            break
+    return Bounds(covered._replace(cells=spent), growth)
+
+
+def guaranteed_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
+    """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN: none.
+
+    Peaks of S, T and (S - T)/2 each exclude a disk of gains and phases; the widest of the three counts.
+
+    Reference:
+        P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020).
+    """
+    if not np.all(np.isfinite(gains)):
+        return np.full(len(MARGINS), np.nan)
+    s, t, half, delay = gains
+    alpha = 1.0 / half
+    uppers = [1.0 + 1.0 / t]
+    if alpha < 2.0:
+        uppers.append((2.0 + alpha) / (2.0 - alpha))
+    if s > 1.0:
+        uppers.append(s / (s - 1.0))
+    upper = max(uppers) if alpha < 2.0 and s > 1.0 else np.inf
+    lower = max(0.0, min((2.0 - alpha) / (2.0 + alpha), s / (s + 1.0), 1.0 - 1.0 / t))
+    phase = max(2.0 * np.arctan(0.5 * alpha), 2.0 * np.arcsin(min(1.0, 0.5 / s)), 2.0 * np.arcsin(min(1.0, 0.5 / t)))
+    return np.array([upper, lower, phase, sample_time / delay, alpha, s, t])

@@ -1,0 +1,60 @@
+"""dssc-jax library: a controller in C as a shared object."""
+
+import json
+from pathlib import Path
+
+from dssc_jax.cli.analysing import attempt
+from dssc_jax.cli.declarations.flight import Library
+from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.native_build import build_library
+from dssc_jax.cli.output import say
+from dssc_jax.console.libraries import library_summary, show_library
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.libraries import allow_native, library_digest
+from dssc_jax.flight_code.template_files import template_text
+
+TEMPLATE = "library.c"
+
+
+def run(options: Library) -> int:
+    """Write the template, or build the library and show what it exports."""
+    if options.template is not None:
+        return write_template(options.template, options.sources or [])
+    if not options.sources:
+        raise ConfigError("FILE.c", "is missing; `template` writes an example")
+    file = built(options)
+    say(f"this command runs native code {file}, SHA-256 {library_digest(file)}")
+    library = allow_native(file)
+    if options.as_json:
+        print(json.dumps(library_summary(library), allow_nan=False))
+    else:
+        show_library(library, file)
+    return DONE
+
+
+def write_template(path: Path, sources: list[Path]) -> int:
+    """Write the example to fill in; no file is replaced."""
+    if sources:
+        raise ConfigError("--template", "writes a file and builds nothing; omit FILE.c")
+    attempt(path, lambda: files.create_text(path, template_text(TEMPLATE)))
+    say(f"wrote {path}; build it with dssc-jax library {path}")
+    return DONE
+
+
+def built(options: Library) -> Path:
+    """The library: built from its sources, or given.
+
+    Raises:
+        ConfigError: A shared object is among several files, or sources do not compile.
+    """
+    sources = options.sources or []
+    first = sources[0]
+    if any(source.suffix == ".so" for source in sources):
+        if len(sources) > 1 or options.out is not None:
+            raise ConfigError(str(first), "is a shared object, which is shown alone; give sources (.c) to build one")
+        return first
+    out = options.out or first.with_suffix(".so")
+    content = build_library(sources, options.include or [])
+    attempt(out, lambda: files.write_bytes(out, content))
+    return out

@@ -1,0 +1,83 @@
+"""What a library of controllers in C exports: controllers, their parameters and telemetry, and the study's lines."""
+
+from functools import partial
+from pathlib import Path
+from typing import TypedDict
+
+from dssc_jax.console.terminal import output, show_table
+from dssc_jax.core.native.description import NativeController
+from dssc_jax.core.native.libraries import NativeLibrary, default_values
+from dssc_jax.models.controllers.library import KIND
+
+
+class ParameterSummary(TypedDict):
+    """A parameter: its default, unit, meaning and admissible values."""
+
+    default: float
+    unit: str
+    meaning: str
+    admissible: str
+
+
+class ControllerSummary(TypedDict):
+    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters and telemetry."""
+
+    sample_time: float
+    precision: int
+    bytes: int
+    parameters: dict[str, ParameterSummary]
+    telemetry: dict[str, str]
+
+
+class LibrarySummary(TypedDict):
+    """A library: its file, its digest and its controllers by name."""
+
+    file: str
+    sha256: str
+    controllers: dict[str, ControllerSummary]
+
+
+def library_summary(library: NativeLibrary) -> LibrarySummary:
+    """What a library exports, for JSON."""
+    controllers = {controller.name: controller_summary(controller) for controller in library.controllers}
+    return {"file": library.file, "sha256": library.sha256, "controllers": controllers}
+
+
+def controller_summary(controller: NativeController) -> ControllerSummary:
+    """What a controller exports, for JSON."""
+    parameters: dict[str, ParameterSummary] = {}
+    for (name, default), number in zip(default_values(controller).items(), controller.parameters, strict=True):
+        quantity = number.quantity
+        parameters[name] = {
+            "default": default,
+            "unit": quantity.unit,
+            "meaning": quantity.meaning,
+            "admissible": quantity.interval,
+        }
+    return {
+        "sample_time": controller.sample_time,
+        "precision": 8 * controller.real,
+        "bytes": controller.size,
+        "parameters": parameters,
+        "telemetry": {number.name: number.quantity.unit for number in controller.telemetry},
+    }
+
+
+def show_library(library: NativeLibrary, file: Path) -> None:
+    """Print every controller of a library, and how a study names it."""
+    say = partial(output().print, soft_wrap=True, markup=False)
+    several = len(library.controllers) > 1
+    for name, summary in library_summary(library)["controllers"].items():
+        memory = f"{summary['bytes']} bytes a flight"
+        say(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
+        rows = []
+        for parameter, described in summary["parameters"].items():
+            default = f"{described['default']:g}"
+            rows.append((parameter, default, described["unit"], described["meaning"], described["admissible"]))
+        if rows:
+            show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
+        reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
+        say(f"telemetry: {reported or 'none'}")
+    say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
+    if several:
+        say(f"name = '{library.controllers[0].name}'")

@@ -1,0 +1,1 @@
+"""Controllers in C: shared objects that were built for the kind ``library``."""

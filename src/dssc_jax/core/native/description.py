@@ -1,0 +1,214 @@
+"""What a shared object says of its controllers, as ``dssc_jax_library.h`` lays it out."""
+
+import ctypes
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+
+SYMBOL = "dssc_jax_controllers"
+"""The one symbol that a library must export."""
+
+VERSION = 1
+MOST_CONTROLLERS = 64
+MOST_NUMBERS = 256
+MOST_BYTES = 1 << 16
+TINY = float(np.finfo(np.float32).tiny)
+"""A least value that is positive and not larger stands for "above 0"."""
+
+SIGNALS = 5
+COMMANDS = 2
+TAKEN = ("kind", "file", "name", "sha256", "flag")
+"""Names in a study's table that no parameter may have, and the name of the flag among the telemetry."""
+
+CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+
+
+class NumberRow(ctypes.Structure):
+    """``dssc_jax_number``."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("unit", ctypes.c_char_p),
+        ("meaning", ctypes.c_char_p),
+        ("offset", ctypes.c_size_t),
+        ("size", ctypes.c_size_t),
+        ("low", ctypes.c_double),
+        ("high", ctypes.c_double),
+    )
+
+
+class ControllerRow(ctypes.Structure):
+    """``dssc_jax_controller``."""
+
+    _fields_ = (
+        ("version", ctypes.c_uint),
+        ("name", ctypes.c_char_p),
+        ("sample_time", ctypes.c_double),
+        ("real", ctypes.c_size_t),
+        ("controller", ctypes.c_size_t),
+        ("exchange", ctypes.c_size_t),
+        ("signals", ctypes.c_size_t * SIGNALS),
+        ("commands", ctypes.c_size_t * COMMANDS),
+        ("flag", ctypes.c_size_t),
+        ("parameter_count", ctypes.c_size_t),
+        ("parameters", ctypes.POINTER(NumberRow)),
+        ("telemetry_count", ctypes.c_size_t),
+        ("telemetry", ctypes.POINTER(NumberRow)),
+        ("init", ctypes.c_void_p),
+        ("reset", ctypes.c_void_p),
+        ("step", ctypes.c_void_p),
+    )
+
+
+@dataclass(frozen=True)
+class NativeNumber:
+    """A parameter or a telemetry value: its name, its meaning, and its place in the exchange in bytes."""
+
+    name: str
+    quantity: Quantity
+    offset: int
+
+
+@dataclass(frozen=True)
+class NativeController:
+    """A controller of a shared object, in the terms of ``dssc_jax_controller``.
+
+    Args:
+        name: The prefix of its functions.
+        sample_time: The sample time of its code [s].
+        real: Bytes of a number, 4 or 8.
+        size: Bytes of the controller, with which the exchange begins.
+        exchange: Bytes of the exchange.
+        signals: Places of y, y', y_m, y_m', y_m''.
+        commands: Places of u and u_n.
+        flag: Place of the step's flag.
+        parameters: Its parameters.
+        telemetry: Its telemetry.
+        init: Address of a function of the exchange.
+        reset: As ``init``.
+        step: As ``init``.
+    """
+
+    name: str
+    sample_time: float
+    real: int
+    size: int
+    exchange: int
+    signals: tuple[int, ...]
+    commands: tuple[int, ...]
+    flag: int
+    parameters: tuple[NativeNumber, ...]
+    telemetry: tuple[NativeNumber, ...]
+    init: int
+    reset: int
+    step: int
+
+
+def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
+    """The controllers that a loaded library exports.
+
+    Raises:
+        ConfigError: It exports none, or its description is not valid.
+    """
+    try:
+        rows = (ctypes.POINTER(ControllerRow) * (MOST_CONTROLLERS + 1)).in_dll(library, SYMBOL)
+    except ValueError:
+        rule = f"exports no {SYMBOL}; build it with dssc-jax library from a source that ends in DSSC_JAX_LIBRARY_OF"
+        raise ConfigError("", rule) from None
+    controllers: list[NativeController] = []
+    for row in rows:
+        if not row:
+            break
+        controllers.append(described_controller(row.contents))
+    names = [controller.name for controller in controllers]
+    if not names or len(set(names)) < len(names) or len(names) > MOST_CONTROLLERS:
+        raise ConfigError("", f"must export between 1 and {MOST_CONTROLLERS} controllers of different names: {names}")
+    return tuple(controllers)
+
+
+def described_controller(row: ControllerRow) -> NativeController:
+    """One controller.
+
+    Raises:
+        ConfigError: Its description is not valid.
+    """
+    if row.version != VERSION:
+        raise ConfigError("", f"has version {row.version} of its description, this is {VERSION}; build it again")
+    name = text_of(row.name)
+    if not (name.isidentifier() and name.isascii()):
+        raise ConfigError("", f"has a controller with the name {name!r}, which is no identifier of C")
+    controller = NativeController(
+        name,
+        row.sample_time,
+        row.real,
+        row.controller,
+        row.exchange,
+        tuple(row.signals),
+        tuple(row.commands),
+        row.flag,
+        described_numbers(name, row.parameters, row.parameter_count),
+        described_numbers(name, row.telemetry, row.telemetry_count),
+        row.init or 0,
+        row.reset or 0,
+        row.step or 0,
+    )
+    require_sound(controller, row)
+    return controller
+
+
+def require_sound(controller: NativeController, row: ControllerRow) -> None:
+    """Require that sizes, places and addresses fit together.
+
+    Raises:
+        ConfigError: They do not.
+    """
+    rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
+    places = [*controller.signals, *controller.commands, controller.flag]
+    places += [number.offset for number in (*controller.parameters, *controller.telemetry)]
+    sound = {
+        "the sample time must be positive": controller.sample_time > 0.0,
+        "numbers must be float or double": controller.real in (4, 8),
+        f"at most {MOST_BYTES} bytes": 0 < controller.size <= controller.exchange <= MOST_BYTES,
+        "parameters and telemetry must be numbers of one type": all(part.size == controller.real for part in rows),
+        "places must be whole words within the exchange": all(
+            place % 4 == 0 and place <= controller.exchange - 4 for place in places
+        ),
+        "parameters lie in the controller": all(
+            number.offset <= controller.size - controller.real for number in controller.parameters
+        ),
+        "a function is missing": all((controller.init, controller.reset, controller.step)),
+    }
+    for rule, holds in sound.items():
+        if not holds:
+            raise ConfigError("", f"describes its controller {controller.name} wrongly: {rule}")
+
+
+def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
+    """The rows of a table of numbers.
+
+    Raises:
+        ConfigError: A name is not valid, taken, or used twice; or there are too many.
+    """
+    if count > MOST_NUMBERS:
+        raise ConfigError("", f"has more than {MOST_NUMBERS} numbers in a table of its controller {controller}")
+    numbers: dict[str, NativeNumber] = {}
+    for row in rows[:count] if count else ():
+        name = text_of(row.name)
+        if not (name.isidentifier() and name.isascii()) or name in numbers or name in TAKEN or name.startswith("_"):
+            raise ConfigError("", f"has a number {name!r} in its controller {controller}; choose another name")
+        low = None if row.low == -math.inf else row.low
+        high = None if row.high == math.inf else row.high
+        quantity = Quantity(text_of(row.unit), text_of(row.meaning), at_least=low, at_most=high)
+        if low is not None and 0.0 < low <= TINY:
+            quantity = replace(quantity, at_least=None, above=0.0)
+        numbers[name] = NativeNumber(name, quantity, row.offset)
+    return tuple(numbers.values())
+
+
+def text_of(content: bytes | None) -> str:
+    """A text of C; what is not UTF-8 is replaced."""
+    return (content or b"").decode("utf-8", "replace")

@@ -1,0 +1,160 @@
+"""Shared objects that this process may run, by the digest of their content.
+
+Nothing here loads one by itself: whoever calls :func:`allow_native` has decided to run its code. A study names a
+library by its digest, so that no other file can take its place.
+"""
+
+import ctypes
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.description import CALL, NativeController, described_controllers
+from dssc_jax.lanes import foreign
+
+LARGEST_LIBRARY = 2**26  # bytes
+TRIED_SAMPLES = 64
+
+
+@dataclass(frozen=True)
+class NativeLibrary:
+    """A loaded library.
+
+    Args:
+        file: The file that it was read from.
+        sha256: Digest of its content.
+        controllers: What it exports.
+    """
+
+    file: str
+    sha256: str
+    controllers: tuple[NativeController, ...]
+
+
+LOADED: dict[str, NativeLibrary] = {}
+"""Libraries of this process by their digest; what is loaded stays loaded, since compiled lanes call it."""
+
+
+def library_content(path: Path) -> bytes:
+    """The content of a shared object's file.
+
+    Raises:
+        ConfigError: It cannot be read, or is too large.
+    """
+    try:
+        content = files.read_bytes(path, LARGEST_LIBRARY + 1)
+    except OSError as error:
+        raise ConfigError("file", f"'{path}' cannot be read: {error.strerror or error}") from error
+    if len(content) > LARGEST_LIBRARY:
+        raise ConfigError("file", f"'{path}' is larger than a library can be ({LARGEST_LIBRARY} bytes)")
+    return content
+
+
+def library_digest(path: Path) -> str:
+    """SHA-256 digest of a shared object's file; raises ConfigError as :func:`library_content`."""
+    return hashlib.sha256(library_content(path)).hexdigest()
+
+
+def allow_native(path: str | Path, sha256: str = "") -> NativeLibrary:
+    """Load a shared object, whose code may do whatever this process may do.
+
+    A private copy of what was read is loaded, so that the code is that of the digest even if the file changes.
+
+    Args:
+        path: The file.
+        sha256: The digest that it must have; empty: any.
+
+    Raises:
+        ConfigError: It cannot be read or loaded, has another digest, describes no controller, or one of its
+            controllers keeps numbers outside of its structure.
+    """
+    path = Path(path)
+    content = library_content(path)
+    digest = hashlib.sha256(content).hexdigest()
+    if sha256 and digest != sha256:
+        rule = f"'{path}' has changed: its SHA-256 digest is {digest}, and {sha256} is asked for"
+        raise ConfigError("file", f"{rule}; build that one again, or state the new one")
+    if digest not in LOADED:
+        with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
+            copy = Path(folder) / f"{digest}.so"
+            files.write_bytes(copy, content, durable=False)
+            try:
+                library = ctypes.CDLL(str(copy))
+            except OSError as error:
+                reason = str(error).replace(str(copy), path.name)
+                raise ConfigError("file", f"'{path}' cannot be loaded: {reason}") from None
+        try:
+            controllers = described_controllers(library)
+            for controller in controllers:
+                require_reentrant(controller)
+        except ConfigError as error:
+            raise ConfigError("file", f"'{path}' {error.rule}") from None
+        LOADED[digest] = NativeLibrary(str(path.resolve()), digest, controllers)
+    return LOADED[digest]
+
+
+def symbol_of(library: NativeLibrary, controller: NativeController, function: str) -> str:
+    """A name for a function in compiled lanes, which binds them to the library's content."""
+    return f"dssc_jax_{library.sha256}_{controller.name}_{function}"
+
+
+def provided(library: NativeLibrary, controller: NativeController, function: str, address: int) -> str:
+    """Let lanes call a function of a library, and return its symbol."""
+    symbol = symbol_of(library, controller, function)
+    if symbol not in foreign.ADDRESSES:
+        foreign.provide(symbol, address)
+    return symbol
+
+
+def initial_memory(controller: NativeController) -> np.ndarray:
+    """The exchange after ``init``, bytes."""
+    memory = np.zeros(controller.exchange, np.uint8)
+    CALL(controller.init)(memory.ctypes.data)
+    return memory
+
+
+def default_values(controller: NativeController) -> dict[str, float]:
+    """The values of the parameters after ``init``, by name."""
+    memory = initial_memory(controller)
+    real = np.dtype(f"f{controller.real}")
+    found: dict[str, float] = {}
+    for number in controller.parameters:
+        found[number.name] = float(memory[number.offset : number.offset + controller.real].view(real)[0])
+    return found
+
+
+def require_reentrant(controller: NativeController) -> None:
+    """Require that two flights do not disturb each other: each gives the same bits alone and in turn with the other.
+
+    Raises:
+        ConfigError: They do; the controller keeps numbers outside of its structure.
+    """
+    alone = [flown(controller, [flight]) for flight in (0, 1)]
+    if flown(controller, [0, 1]) != alone[0] + alone[1] or flown(controller, [0]) != alone[0]:
+        rule = "keeps numbers outside of its structure (static or global variables), which would mix thousands of "
+        raise ConfigError("", f"has a controller {controller.name} that {rule}flights; move them into its state")
+
+
+def flown(controller: NativeController, flights: list[int]) -> list[bytes]:
+    """The commands of some flights that take turns, one after the other: for each flight the bits of all samples."""
+    reset = CALL(controller.reset)
+    step = CALL(controller.step)
+    memories = {flight: initial_memory(controller) for flight in flights}
+    for memory in memories.values():
+        reset(memory.ctypes.data)
+    commands = {flight: bytearray() for flight in flights}
+    real = np.dtype(f"f{controller.real}")
+    for k in range(TRIED_SAMPLES):
+        for flight, memory in memories.items():
+            signals = np.cos(np.arange(1.0, 1.0 + len(controller.signals)) * (0.1 * k + flight + 1.0)).astype(real)
+            for place, signal in zip(controller.signals, signals, strict=True):
+                memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
+            step(memory.ctypes.data)
+            for place in controller.commands:
+                commands[flight] += memory[place : place + real.itemsize].tobytes()
+    return [bytes(commands[flight]) for flight in flights]

@@ -1,0 +1,171 @@
+"""Functions of C within a lane: ``void function(void *memory)`` as a pure function of scalars.
+
+A call gets memory that is zero but for its operands, which stand at fixed places, and leaves its results at others.
+Nothing else goes in or out, so a function whose state is part of that memory is pure: the loop carries the state. As
+machine code a call is one call a lane; in plain XLA it is a callback of the host.
+"""
+
+import ctypes
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
+
+from dssc_jax.lanes.llvm import machine
+
+WORD = 4
+"""Bytes of a word; every number has one or two of them."""
+
+ALIGNMENT = 64
+"""Bytes to which memory is aligned."""
+
+FOREIGN_CALL = "foreign_call"
+"""Name of the primitive."""
+
+ADDRESSES: dict[str, int] = {}
+"""Addresses of the functions that this process may call, by symbol; LLVM knows them for the whole process, too."""
+
+
+class MemoryPlace(NamedTuple):
+    """A number in the memory of a call: its type, of 32 or 64 bits, and its distance from the start in bytes."""
+
+    dtype: np.dtype
+    offset: int
+
+
+class ForeignFunction(NamedTuple):
+    """A function of C with one argument, the address of its memory.
+
+    Args:
+        symbol: Its name, unique for its code: machine code is kept under a text that contains it.
+        size: Bytes of its memory.
+        operands: Where a call's operands stand.
+        results: Where its results stand.
+    """
+
+    symbol: str
+    size: int
+    operands: tuple[MemoryPlace, ...]
+    results: tuple[MemoryPlace, ...]
+
+
+Operand: TypeAlias = jax.Array | np.ndarray | np.generic | float
+
+
+def provide(symbol: str, address: int) -> None:
+    """Let lanes call a function of this process; its code must stay loaded."""
+    ADDRESSES[symbol] = address
+    machine.add_symbol(symbol, address)
+
+
+def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
+    """The results of a call for scalars, within a trace or not.
+
+    Raises:
+        TypeError: The number of operands is wrong, or JAX's precision lacks a type of the function.
+    """
+    if len(operands) != len(function.operands):
+        raise TypeError(f"{function.symbol} takes {len(function.operands)} operands, got {len(operands)}")
+    for place in (*function.operands, *function.results):
+        if jax.dtypes.canonicalize_dtype(place.dtype) != place.dtype:
+            raise TypeError(f"{function.symbol} computes in {place.dtype}, which needs 64 bits in JAX")
+    arrays = [jnp.asarray(x, place.dtype) for x, place in zip(operands, function.operands, strict=True)]
+    return PRIMITIVE.bind(*arrays, function=function)
+
+
+def call_batch(function: ForeignFunction, given: np.ndarray) -> np.ndarray:
+    """Call a function on the host for each row of operands.
+
+    Args:
+        function: The function.
+        given: Words of 32 bits of the operands, one after another, shape (..., words).
+
+    Returns:
+        Those of the results, shape (..., words).
+    """
+    called = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
+    rows = given.reshape(-1, given.shape[-1])
+    memory = np.zeros((len(rows), -(-function.size // ALIGNMENT) * ALIGNMENT // WORD), np.uint32)
+    memory[:, words_of(function.operands)] = rows
+    for lane in range(len(memory)):
+        called(memory[lane].ctypes.data)
+    found = memory[:, words_of(function.results)]
+    return found.reshape(*given.shape[:-1], found.shape[-1])
+
+
+def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
+    """Positions in memory, in words of 32 bits, of the numbers at some places."""
+    positions = [np.arange(place.offset, place.offset + place.dtype.itemsize, WORD) // WORD for place in places]
+    return np.concatenate(positions)
+
+
+# The primitive
+
+
+def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Array]:
+    """The call in plain XLA.
+
+    JAX hands arrays to a callback in a thread of its own, whose precision is 32 bits whatever the trace's, and would
+    truncate longer numbers. So all of them travel as words of 32 bits.
+    """
+    shape = operands[0].shape
+    given = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
+    count = len(words_of(function.results))
+    words = jax.ShapeDtypeStruct((*shape, count), np.uint32)
+    found = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words, given)
+    results = []
+    first = 0
+    for place in function.results:
+        size = place.dtype.itemsize // WORD
+        part = found[..., first] if size == 1 else found[..., first : first + size]
+        results.append(jax.lax.bitcast_convert_type(part, place.dtype))
+        first += size
+    return results
+
+
+def as_words(operand: jax.Array) -> jax.Array:
+    """The words of 32 bits of each number, along one more axis, the last."""
+    words = jax.lax.bitcast_convert_type(operand, jnp.uint32)
+    return words[..., None] if operand.dtype.itemsize == WORD else words
+
+
+def abstract(*operands: ShapedArray, function: ForeignFunction) -> list[ShapedArray]:
+    """Shapes and types of the results."""
+    return [ShapedArray(operands[0].shape, place.dtype) for place in function.results]
+
+
+def batched(
+    operands: Sequence[jax.Array], axes: Sequence[int | None], *, function: ForeignFunction
+) -> tuple[list[jax.Array], list[int]]:
+    """The call over one more axis, which comes first."""
+    pairs = list(zip(operands, axes, strict=True))
+    (size, *_) = [operand.shape[axis] for operand, axis in pairs if axis is not None]
+    columns = []
+    for operand, axis in pairs:
+        along = jnp.broadcast_to(operand, (size, *operand.shape)) if axis is None else jnp.moveaxis(operand, axis, 0)
+        columns.append(along)
+    results = PRIMITIVE.bind(*columns, function=function)
+    return results, [0] * len(results)
+
+
+def refuse_derivative(*_: object, function: ForeignFunction) -> None:
+    """Refuse a derivative: C has none.
+
+    Raises:
+        NotImplementedError: always.
+    """
+    raise NotImplementedError(f"a derivative of native code: {function.symbol} has none")
+
+
+PRIMITIVE = Primitive(FOREIGN_CALL)
+PRIMITIVE.multiple_results = True
+PRIMITIVE.def_impl(by_callback)
+PRIMITIVE.def_abstract_eval(abstract)
+batching.primitive_batchers[PRIMITIVE] = batched
+ad.primitive_jvps[PRIMITIVE] = refuse_derivative
+mlir.register_lowering(PRIMITIVE, mlir.lower_fun(by_callback, multiple_results=True))

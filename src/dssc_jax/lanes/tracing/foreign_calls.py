@@ -1,0 +1,19 @@
+"""Calls of functions of C in a lane's program."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from jax.extend.core import JaxprEqn
+
+from dssc_jax.lanes.foreign import FOREIGN_CALL
+from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, TranslationRule, anything, rule
+
+
+def foreign_call(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> list[Value]:
+    """The results of a call."""
+    return build.foreign(params["function"], operands)
+
+
+FOREIGN_RULES: dict[str, TranslationRule] = {FOREIGN_CALL: rule(foreign_call, NUMBER_TYPES, function=anything)}
+"""The rule of the one primitive that calls C."""

@@ -1,0 +1,186 @@
+"""Arrays that a loop carries and that are only read and written one element at a time, at an index of the time.
+
+They stay in the memory of a vector of lanes: an access costs one instruction, however long the array is. It is an
+operation on a *token*, which stands for the content at that point of the program; so every pass keeps their order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var
+
+from dssc_jax.lanes.program import Builder, Slot, Value
+from dssc_jax.lanes.tracing.varying import parts_of_scan
+from dssc_jax.lanes.unsupported import Unsupported
+
+SMALLEST = 8
+"""Elements of an array that stays in memory; a shorter one becomes that many scalars."""
+LARGEST = 8192
+INDEX_TYPE = np.dtype(np.int32)
+
+
+@dataclass(eq=False)
+class Memory:
+    """The content of a slot at a point of the program.
+
+    Args:
+        slot: The slot.
+        token: The value that stands for the content.
+        reads: The reads of this content so far, which a later write must follow.
+        is_overwritten: Whether there is a later content.
+    """
+
+    slot: Slot
+    token: Value
+    reads: list[Value] = field(default_factory=list)
+    is_overwritten: bool = False
+
+    @property
+    def shape(self) -> tuple[int]:
+        """That of the array."""
+        return (self.slot.length,)
+
+    def follows(self, token: Value) -> "Memory":
+        """The content after an operation."""
+        self.is_overwritten = True
+        return Memory(self.slot, token)
+
+    def require_current(self) -> None:
+        """Require that there is no later content.
+
+        Raises:
+            Unsupported: there is one.
+        """
+        if self.is_overwritten:
+            raise Unsupported("an array that is read after it was written")
+
+    def read(self, build: Builder, index: Value) -> Value:
+        """An element.
+
+        Raises:
+            Unsupported: The index differs between lanes, or there is a later content.
+        """
+        self.require_current()
+        value = build.read(self.slot, self.token, within(build, index, self.slot.length))
+        self.reads.append(value)
+        return value
+
+    def write(self, build: Builder, index: Value, value: Value) -> "Memory":
+        """The content with another element.
+
+        Raises:
+            Unsupported: The index differs between lanes, or there is a later content.
+        """
+        self.require_current()
+        position = within(build, index, self.slot.length)
+        return self.follows(build.write(self.slot, self.token, position, value, self.reads))
+
+    def entering(self) -> Value:
+        """The token with which a loop begins.
+
+        Raises:
+            Unsupported: Something has read the content before, which the loop may overwrite.
+        """
+        self.require_current()
+        if self.reads:
+            raise Unsupported("an array that is read before a loop writes it")
+        return self.token
+
+
+def within(build: Builder, index: Value, length: int) -> Value:
+    """An index, moved into the array.
+
+    Raises:
+        Unsupported: It differs between lanes.
+    """
+    if index.varying:
+        raise Unsupported("an array of the time loop at an index that differs between lanes")
+    above = build.add("max", index, build.constant(0, index.dtype))
+    inside = build.add("min", above, build.constant(length - 1, index.dtype))
+    return build.add("convert", inside, dtype=INDEX_TYPE)
+
+
+def kept_in_memory(build: Builder, begin: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
+    """The state before a loop, with a memory in place of each array of zeros that stays in it.
+
+    Args:
+        build: The builder.
+        begin: The state before the loop.
+        body: The loop's body; ``first`` of its operands precede the state.
+        first: Number of those operands.
+    """
+    kept = []
+    for position, value in enumerate(begin):
+        number = zeros_of(value)
+        if number is not None and stays_in_place(body, first + position, position):
+            slot = Slot(len(value), number)
+            value = Memory(slot, build.memory(slot))
+        kept.append(value)
+    return kept
+
+
+def zeros_of(value: Any) -> np.dtype | None:
+    """The type of a row of real zeros that is long enough for a memory; None for anything else."""
+    if not isinstance(value, np.ndarray) or value.ndim != 1 or not SMALLEST <= len(value) <= LARGEST:
+        return None
+    elements = value
+    if value.dtype == object:
+        constants = {id(element): element for element in value}.values()
+        if any(not isinstance(element, Value) or element.operation != "constant" for element in constants):
+            return None
+        elements = np.array([element.detail for element in constants])
+    return elements.dtype if elements.dtype.kind == "f" and not np.any(elements.view(f"u{elements.itemsize}")) else None
+
+
+def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
+    """Whether a body only reads and writes single elements of an operand, and hands it on as one result."""
+    return versions(body, body.invars[operand]) == [result]
+
+
+def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
+    """The results of a program that are an array with other elements; None if it does anything else with the array."""
+    known: set[Any] = {array}
+    for equation in jaxpr.eqns:
+        used = [i for i, atom in enumerate(equation.invars) if isinstance(atom, Var) and atom in known]
+        if not used:
+            continue
+        changed = versions_of(equation, used)
+        if changed is None:
+            return None
+        known |= {equation.outvars[i] for i in changed}
+    return [i for i, atom in enumerate(jaxpr.outvars) if isinstance(atom, Var) and atom in known]
+
+
+def versions_of(equation: JaxprEqn, used: list[int]) -> list[int] | None:
+    """As :func:`versions`, for one equation that has the array at some of its operands."""
+    name = equation.primitive.name
+    params = equation.params
+    if name == "dynamic_slice":
+        return [] if used == [0] and tuple(params["slice_sizes"]) == (1,) else None
+    if name == "dynamic_update_slice":
+        single = getattr(equation.invars[1].aval, "shape", None) == (1,)
+        return [0] if used == [0] and single else None
+    if len(used) > 1 or name == "cond":
+        return None
+    (operand,) = used
+    if name == "while":
+        outside = params["cond_nconsts"]
+        state = operand - outside - params["body_nconsts"]
+        tests = versions(params["cond_jaxpr"].jaxpr, params["cond_jaxpr"].jaxpr.invars[outside + state])
+        return carried(params["body_jaxpr"].jaxpr, operand - outside, state) if state >= 0 and tests == [] else None
+    if name == "scan":
+        constants, count = parts_of_scan(equation)
+        state = operand - constants
+        return carried(params["jaxpr"].jaxpr, operand, state) if 0 <= state < count else None
+    inner = params.get("jaxpr", params.get("call_jaxpr"))
+    if not isinstance(inner, ClosedJaxpr | Jaxpr):
+        return None
+    program = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+    return versions(program, program.invars[operand]) if len(program.invars) == len(equation.invars) else None
+
+
+def carried(body: Jaxpr, operand: int, state: int) -> list[int] | None:
+    """The result of a loop that keeps an array in one of its states."""
+    return [state] if stays_in_place(body, operand, state) else None

@@ -1,0 +1,72 @@
+"""What a loop carries, between values of a trace and the scalars of a program."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.program import Builder, Recording, Value
+from dssc_jax.lanes.tracing.arrays import as_tensor
+from dssc_jax.lanes.tracing.memory import Memory
+from dssc_jax.lanes.tracing.random_bits import Key
+from dssc_jax.lanes.unsupported import Unsupported
+
+
+def components(value: Any, build: Builder) -> list[Value]:
+    """The scalars of a value, in order."""
+    if isinstance(value, Value):
+        return [value]
+    if isinstance(value, Key):
+        return [value.high, value.low]
+    if isinstance(value, Memory):
+        return [value.entering()]
+    if isinstance(value, Recording):
+        raise Unsupported("a recorded array within a loop")
+    scalars = list(as_tensor(value, build).ravel())
+    if any(isinstance(scalar, Key) for scalar in scalars):
+        raise Unsupported("an array of random keys as the state of a loop")
+    return scalars
+
+
+def refuse_recordings(operands: Sequence[Any]) -> None:
+    """Require operands that a lane can read.
+
+    Raises:
+        Unsupported: One is an array that a loop has recorded, or carries in memory.
+    """
+    if any(isinstance(operand, Recording | Memory) for operand in operands):
+        raise Unsupported("an array that a loop records or carries, as an operand")
+
+
+def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
+    """Values of the same kinds from their scalars, the inverse of :func:`components`."""
+    remaining, values = list(scalars), []
+    for like in likes:
+        if isinstance(like, Value):
+            values.append(remaining.pop(0))
+        elif isinstance(like, Key):
+            values.append(Key(remaining.pop(0), remaining.pop(0)))
+        elif isinstance(like, Memory):
+            values.append(like.follows(remaining.pop(0)))
+        else:
+            tensor = np.empty(like.shape, object)
+            tensor.ravel()[:] = remaining[: tensor.size]
+            del remaining[: tensor.size]
+            values.append(tensor)
+    return values
+
+
+def flat(values: Sequence[Any], build: Builder) -> list[Value]:
+    """All scalars of some values."""
+    return [scalar for value in values for scalar in components(value, build)]
+
+
+def is_varying(value: Any) -> bool:
+    """Whether a part of a value differs between lanes."""
+    if isinstance(value, Value):
+        return value.varying
+    if isinstance(value, Key):
+        return value.high.varying or value.low.varying
+    if isinstance(value, Memory):
+        return True
+    return isinstance(value, np.ndarray) and value.dtype == object and any(map(is_varying, value.ravel()))

@@ -1,0 +1,189 @@
+"""A controller in C: ``init``, ``reset`` and ``step`` of a shared object, called for each draw and sample.
+
+Its parameters are gains that may have laws. Its memory beside them is the state, as words of the size of its numbers: a
+call gets the words and gives the next ones, so the controller is a pure function like any other. It computes in its own
+precision, whatever the loop's.
+"""
+
+from collections import namedtuple
+from functools import cache
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.native.description import NativeController
+from dssc_jax.core.native.libraries import LOADED, NativeLibrary, default_values, initial_memory, provided
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import not_smooth
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.lanes.foreign import ForeignFunction, MemoryPlace, call
+from dssc_jax.models.controllers.nominal import L0
+
+KIND = "library"
+"""The kind's name in a study's tables, by which the native code that they name is found."""
+
+MODULE = "dssc_jax_library"
+"""Module that the types of a library's parameters and telemetry seem to come from; nothing describes them by name."""
+
+FLAG = Quantity("1", "what the step returned: 0, or a number that tells why the command is not the usual one")
+WITHOUT_DERIVATIVE = (
+    "is native code, which has no derivative; what samples draws (run, margin, compare, falsify) needs none"
+)
+
+Words: TypeAlias = tuple[jax.Array, ...]
+"""The state: the controller's memory beside its parameters, in words of the size of its numbers."""
+
+
+class LibraryGains(NamedTuple):
+    """Gains of a library before its file is known; those that it exports are further fields."""
+
+    l0: Annotated[Scalar, L0] = 1.0
+
+
+class NativeCalls:
+    """The calls of one controller of a library.
+
+    Args:
+        library: The library.
+        controller: The controller.
+    """
+
+    def __init__(self, library: NativeLibrary, controller: NativeController) -> None:
+        self.library, self.controller = library, controller
+        real = np.dtype(f"f{controller.real}")
+        word = np.dtype(f"u{controller.real}")
+        parameters = tuple(MemoryPlace(real, number.offset) for number in controller.parameters)
+        taken = {place.offset for place in parameters}
+        starts = [start for start in range(0, controller.size, controller.real) if start not in taken]
+        words = tuple(MemoryPlace(word, start) for start in starts)
+        signals = tuple(MemoryPlace(real, offset) for offset in controller.signals)
+        commands = tuple(MemoryPlace(real, offset) for offset in controller.commands)
+        telemetry = tuple(MemoryPlace(real, number.offset) for number in controller.telemetry)
+        flag = MemoryPlace(np.dtype(np.uint32), controller.flag)
+        size = controller.exchange + controller.real
+        symbols = {name: provided(library, controller, name, getattr(controller, name)) for name in ("reset", "step")}
+        self.reset = ForeignFunction(symbols["reset"], size, parameters + words, words)
+        results = (*words, *commands, *telemetry, flag)
+        self.step = ForeignFunction(symbols["step"], size, parameters + words + signals, results)
+        memory = np.append(initial_memory(controller), np.zeros(controller.real, np.uint8))
+        self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
+
+    def values(self, gains: Params) -> list[Scalar]:
+        """The parameters in the order of the library."""
+        return [getattr(gains, number.name) for number in self.controller.parameters]
+
+    def called(self, function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
+        """The results of a call.
+
+        Raises:
+            ConfigError: The loop's precision lacks the type of the library's numbers.
+        """
+        bits = 8 * self.controller.real
+        if bits > 8 * jnp.result_type(float).itemsize:
+            raise ConfigError("loop.precision", f"must be {bits}, the precision of {self.label}")
+        return call(function, *operands)
+
+    @property
+    def label(self) -> str:
+        """The controller in words."""
+        return f"the controller {self.controller.name} in {self.library.file}"
+
+
+@cache
+def controller_of(library: NativeLibrary, name: str) -> Controller:
+    """The controller of a name in a library."""
+    (controller,) = (known for known in library.controllers if known.name == name)
+    calls = NativeCalls(library, controller)
+    info = info_type(controller)
+
+    def init(gains: Params, measurement: Measurement, reference: ReferencePoint) -> Words:
+        return tuple(calls.called(calls.reset, *calls.values(gains), *calls.begin))
+
+    def step(
+        gains: Params, state: Words, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+    ) -> tuple[Words, Command, Info]:
+        if isinstance(dt, float) and not np.isclose(dt, controller.sample_time, rtol=1e-9, atol=0.0):
+            rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
+            raise ConfigError("loop.sample_time", rule)
+        results = calls.called(calls.step, *calls.values(gains), *state, *measurement, *reference)
+        words = tuple(results[: len(state)])
+        robust, nominal, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
+        return words, Command(robust, nominal), info(*reported)
+
+    return Controller(
+        gains_type(controller, default_values(controller)),
+        init,
+        step,
+        smooth=not_smooth(WITHOUT_DERIVATIVE),
+        info=info,
+        native=library.file,
+    )
+
+
+def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
+    """The type of the gains: the library's parameters with its defaults, and l0 for the metrics."""
+    quantities = {number.name: number.quantity for number in controller.parameters}
+    return named_type("Gains", {"l0": L0} | quantities, {"l0": 1.0} | defaults)
+
+
+def info_type(controller: NativeController) -> Any:
+    """The type of what the controller reports: its telemetry, and the flag of its step."""
+    reported = {number.name: number.quantity for number in controller.telemetry}
+    return named_type("Info", {**reported, "flag": FLAG}, {})
+
+
+def named_type(name: str, quantities: dict[str, Quantity], defaults: dict[str, float]) -> Any:
+    """A NamedTuple type of numbers, all of which have defaults, or none."""
+    values = [defaults[field] for field in quantities] if defaults else None
+    created = namedtuple(name, list(quantities), defaults=values, module=MODULE)
+    created.__annotations__ = {field: Annotated[Scalar, quantity] for field, quantity in quantities.items()}
+    return created
+
+
+def loaded_controller(table: TomlTable) -> Controller:
+    """The controller that a study's table names by file, digest and name.
+
+    Raises:
+        ConfigError: Its library is not loaded, or has no such controller.
+    """
+    file, digest = table.get("file"), table.get("sha256", "")
+    if not isinstance(file, str):
+        raise ConfigError("file", f"must be the name of a shared object that dssc-jax library built, got {file!r}")
+    library = LOADED.get(digest) if isinstance(digest, str) else None
+    if library is None:
+        rule = f"'{file}' is native code that was not loaded (SHA-256 {digest or 'unknown'})"
+        raise ConfigError("file", f"{rule}; `allow_native` loads it (in Python: dj.allow_native(FILE))")
+    names = [controller.name for controller in library.controllers]
+    name = table.get("name", names[0])
+    if name not in names:
+        raise ConfigError("name", f"'{file}' has no controller {name!r}; {nearest(str(name), names)}")
+    if "name" not in table and len(names) > 1:
+        raise ConfigError("name", f"is required: '{file}' has the controllers {', '.join(names)}")
+    return controller_of(library, str(name))
+
+
+UNLOADED = Controller(
+    LibraryGains,
+    init=lambda gains, measurement, reference: (),
+    step=lambda gains, state, measurement, reference, dt: (state, Command(0.0, 0.0), ()),
+    smooth=not_smooth(WITHOUT_DERIVATIVE),
+    native="a file",
+)
+"""What stands for a library whose file is not known, in lists of kinds; no study gets it."""
+
+LIBRARY = Entry(
+    {None: UNLOADED},
+    "a controller in C of your own; the parameters that its file exports are further fields",
+    loaded=loaded_controller,
+    keys={
+        "file": "shared object, relative to the study's folder; `dssc-jax library` builds one",
+        "name": "which of its controllers, if it has several",
+        "sha256": "digest of the file, which must match; read from the file if absent",
+    },
+)

@@ -1,0 +1,56 @@
+"""Worst margins of the linearised loop: drawn, found and guaranteed."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dssc_jax.plotting.style import BLUE, GREEN, ORANGE, styled, title
+from dssc_jax.results.analysis import Analysis
+
+PANELS = {
+    "gain_upper": ("gain margin [1]", 1.0),
+    "phase": ("phase margin [deg]", 180.0 / np.pi),
+    "delay": ("delay margin [s]", 1.0),
+    "disk": ("disk margin [1]", 1.0),
+    "sensitivity_peak": ("M_s [1]", 1.0),
+    "complementary_peak": ("M_t [1]", 1.0),
+}
+"""Label and scale of each margin."""
+MARKS = {
+    "drawn": ("o", BLUE, "worst drawn"),
+    "found": ("D", ORANGE, "worst found in the box"),
+    "guaranteed": ("|", GREEN, "guaranteed on all of the box"),
+}
+
+
+@styled
+def worst_loop(worst: Analysis) -> Figure:
+    """Plot the worst drawn, the worst found and the guaranteed value of each margin, at every break point.
+
+    Args:
+        worst: The return value of :func:`dssc_jax.worst_loop`.
+    """
+    loops = list(map(str, worst.dataset["loop"].values))
+    figure = Figure(figsize=(11.0, 3.6 + 0.8 * len(loops)), layout="constrained")
+    panels = figure.subplots(2, 3, sharey=True)
+    for ax, margin in zip(np.ravel(panels), PANELS, strict=True):
+        margin_panel(ax, worst, margin, loops)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+    config = worst.study.config
+    title(figure, f"{config.description or config.name}: worst margins over the box of the laws")
+    return figure
+
+
+def margin_panel(ax: Axes, worst: Analysis, margin: str, loops: list[str]) -> None:
+    """Draw one margin of all break points, one line each; what is not finite is left out, and said so."""
+    label, scale = PANELS[margin]
+    data = worst.dataset.sel(margin=margin)
+    places = np.arange(len(loops))
+    for name, (marker, colour, text) in MARKS.items():
+        values = scale * data[name].values
+        values = np.where(np.isfinite(values), values, np.nan)
+        ax.plot(values, places, marker, color=colour, label=text, markersize=12, fillstyle="none", markeredgewidth=2.0)
+        if np.isnan(values).all():
+            ax.text(0.5, 0.1 * (1 + list(MARKS).index(name)), f"{text}: none", transform=ax.transAxes, ha="center")
+    ax.set(xlabel=label, yticks=places, yticklabels=loops, ylim=(-0.7, len(loops) - 0.3))

@@ -1,0 +1,119 @@
+"""Signals that a study can name, and the requirement that a formula of them is true."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TypeAlias
+
+from dssc_jax.closed_loop.formulas import formula_metric, memory_size
+from dssc_jax.closed_loop.metrics import Instant, Measure, Sample, suffixed
+from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import SampledSignal
+from dssc_jax.closed_loop.window import WHOLE_RUN
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Info, Scalar
+from dssc_jax.core.units import ChannelUnits
+from dssc_jax.study.formulas import FormulaParser, FormulaSignal
+from dssc_jax.study.schema import RequirementTable, StudyTable
+
+SMOOTHING = 0.01
+"""Width of the smooth minimum in derivatives, as a share of the smallest number in the formula (assumed)."""
+MOST_MEMORY = 8000  # samples of the delay lines of a formula
+
+Constants: TypeAlias = Callable[[str, str], float]
+"""(text of an expression, place in the study) -> its value, which must be known before tracing."""
+
+CHANNEL_SIGNALS = {
+    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
+    "y_dot": ("y/s", "the rate of the output", lambda s: s.e_dot + s.reference.y_dot),
+    "y_ref": ("y", "the desired output", lambda s: s.reference.y),
+    "e": ("y", "the output error e", lambda s: s.e),
+    "e_dot": ("y/s", "the rate of the output error", lambda s: s.e_dot),
+    "sigma": ("y/s", "sigma", lambda s: s.sigma),
+    "u": ("u", "the robust command u", lambda s: s.u),
+    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
+}
+"""Unit, meaning and value of each signal of a channel."""
+
+VEHICLE_SIGNALS = {
+    "tilt": ("rad", "tilt of body z", lambda plant: plant.tilt),
+    "phi": ("rad", "roll", lambda plant: plant.phi),
+    "theta": ("rad", "pitch", lambda plant: plant.theta),
+}
+"""Unit, meaning and value of each signal of a vehicle as a whole; the plant's monitor has a field of its name."""
+
+
+def of_channel(number: int, value: Callable[[Sample], Scalar], instant: Instant) -> Scalar:
+    """A signal of a channel."""
+    return value(instant.channels[number])
+
+
+def of_vehicle(value: Callable[[Info], Scalar], instant: Instant) -> Scalar:
+    """A signal of the vehicle."""
+    return value(instant.plant)
+
+
+def time_of(instant: Instant) -> Scalar:
+    """The time of a sample [s]."""
+    return instant.t
+
+
+def formula_signals(
+    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], others: Mapping[str, SampledSignal]
+) -> dict[str, FormulaSignal]:
+    """The signals that a formula can name.
+
+    Args:
+        channels: Names of the channels.
+        units: Their units and meanings.
+        others: Every signal of the loop, by the name of its column in a trajectory.
+    """
+    signals = {name: FormulaSignal(*signal) for name, signal in others.items()}
+    signals |= {"t": FormulaSignal("s", "time", time_of)}
+    for number, (channel, named) in enumerate(zip(channels, units, strict=True)):
+        for name, (unit, meaning, value) in CHANNEL_SIGNALS.items():
+            signal = FormulaSignal(named.of(unit), named.named(meaning), partial(of_channel, number, value))
+            signals[suffixed(name, channel)] = signal
+    for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
+        if name in others:
+            signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))
+    return signals
+
+
+def formula_requirement(
+    table: RequirementTable, place: str, config: StudyTable, signals: Mapping[str, FormulaSignal], parameters: Constants
+) -> Requirement:
+    """The requirement that the robustness of a formula is not negative.
+
+    Args:
+        table: The requirement, which has a formula.
+        place: Its place in the study.
+        config: The study's tables.
+        signals: The signals of the loop.
+        parameters: See :data:`Constants`.
+
+    Raises:
+        ConfigError: The formula is not valid.
+    """
+    place_of_text = f"{place}.formula"
+    text = " ".join(str(table.formula).split())
+    if config.loop.settled:
+        raise ConfigError(place_of_text, "is judged over whole flights; take out [loop.settled], which ends them early")
+
+    def parameter(name: str) -> float:
+        return parameters(f"={name}", place_of_text)
+
+    try:
+        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parsed()
+    except ValueError as error:
+        raise ConfigError(place_of_text, str(error)) from None
+    size = memory_size(parsed.formula)
+    if size > MOST_MEMORY:
+        rule = f"needs a memory of {size} samples, and {MOST_MEMORY} are the most"
+        remedy = "an operator within another one keeps the samples of its interval: shorten that, or lengthen T_s"
+        raise ConfigError(place_of_text, f"{rule}; {remedy}")
+    width = SMOOTHING * (parsed.size or 1.0) if table.smoothing is None else table.smoothing
+    number = int(place.rpartition(".")[2]) + 1
+    name = table.name or f"formula_{number}"
+    metric = formula_metric(parsed.formula, parsed.unit, f"robustness of {text}", width)
+    measure = Measure(name, name, WHOLE_RUN, None, metric, channel_name="")
+    return Requirement(measure, minimum=0.0, size=parsed.size, formula=text)

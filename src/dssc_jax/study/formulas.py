@@ -1,0 +1,388 @@
+"""The text of a formula: its grammar, its parts, and the checks of its times and names.
+
+    formula  = implied ["implies" formula]
+    implied  = joined {"or" joined}
+    joined   = held {"and" held}
+    held     = unary ["until" interval unary]
+    unary    = ("not" | "always" [interval] | "eventually" [interval]) unary | "(" formula ")" | comparison
+    interval = "[" seconds "," seconds "]"
+
+A comparison is one of < <= > >= between two expressions of signals, parameters and numbers, whose language is that of
+:mod:`dssc_jax.study.expressions`; ``-1 < e < 1`` is two of them.
+"""
+
+import ast
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.formula_tree import Always, Any, Comparison, Eventually, Every, Formula, Not, Until, horizon
+from dssc_jax.closed_loop.metrics import Instant
+from dssc_jax.core.errors import nearest
+from dssc_jax.core.signals import Scalar
+from dssc_jax.study.expressions import FUNCTIONS, PI, evaluate_numbers, names_of, parse_expression
+
+LONGEST_FORMULA = 1000
+DEEPEST_FORMULA = 30
+TOKEN = re.compile(r"\s*(?:(?P<word>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
+                   r"|(?P<sign><=|>=|->|==|!=|\*\*|[-+*/<>()\[\],]))", re.ASCII)  # fmt: skip
+COMPARISONS = ("<", "<=", ">", ">=")
+WORDS = ("always", "eventually", "until", "not", "and", "or", "implies")
+UNCLEAR = "SI"
+ROUNDING = 1e-9  # of a sample: a bound counts as one of its multiples
+
+
+class Token(NamedTuple):
+    """A word, number or sign of a formula, and where it begins."""
+
+    text: str
+    start: int
+
+
+class FormulaSignal(NamedTuple):
+    """A signal that a formula can name: its unit, its meaning and its value."""
+
+    unit: str
+    meaning: str
+    value: Callable[[Instant], Scalar]
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How far one expression lies above another, at a sample.
+
+    Args:
+        upper: Text of the expression that is to be the larger one.
+        lower: Text of the other.
+        signals: The signals in them, by name.
+        numbers: The values of the parameters in them.
+    """
+
+    upper: str
+    lower: str
+    signals: tuple[tuple[str, FormulaSignal], ...]
+    numbers: tuple[tuple[str, float], ...]
+
+    def __call__(self, instant: Instant) -> Scalar:
+        """The difference of both."""
+        known: dict[str, Scalar] = dict(self.numbers)
+        for name, signal in self.signals:
+            known[name] = signal.value(instant)
+        upper, lower = (
+            evaluate_numbers(parse_expression(text), known.__getitem__) for text in (self.upper, self.lower)
+        )
+        return jnp.subtract(upper, lower)
+
+
+def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
+    """Unit of an expression: None for a plain number, :data:`UNCLEAR` where the factors in it may have units."""
+    match node:
+        case ast.Name(id=name):
+            return units.get(name)
+        case ast.UnaryOp(operand=operand) | ast.Call(func=ast.Name(id="abs"), args=[operand]):
+            return unit_of(operand, units)
+    parts = {unit_of(part, units) for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)} - {None}
+    match node:
+        case ast.BinOp(op=ast.Add() | ast.Sub()) | ast.Call(func=ast.Name(id="min" | "max")) if len(parts) == 1:
+            return parts.pop()
+    return UNCLEAR if parts else None
+
+
+class ParsedFormula(NamedTuple):
+    """A formula with what its requirement says of it.
+
+    Args:
+        formula: The formula.
+        unit: Unit of its comparisons; SI where they have several, or an unclear one.
+        size: The smallest number other than 0 that something is compared with; None: there is none.
+    """
+
+    formula: Formula
+    unit: str
+    size: float | None
+
+
+@dataclass
+class FormulaParser:
+    """Reads a formula.
+
+    Args:
+        text: Its text.
+        signals: The signals of the loop by name.
+        parameter: Value of a named parameter; it raises ValueError for one that is none.
+        sample_time: T_s [s].
+        steps: Number of samples of a flight.
+    """
+
+    text: str
+    signals: Mapping[str, FormulaSignal]
+    parameter: Callable[[str], float]
+    sample_time: float
+    steps: int
+    tokens: list[Token] = field(default_factory=list)
+    position: int = 0
+    depth: int = 0
+    units: dict[str, None] = field(default_factory=dict)
+    sizes: list[float] = field(default_factory=list)
+
+    def parsed(self) -> ParsedFormula:
+        """The formula.
+
+        Raises:
+            ValueError: The text is none, or its samples are not those of a flight.
+        """
+        if len(self.text) > LONGEST_FORMULA:
+            raise ValueError(f"a formula has at most {LONGEST_FORMULA} characters, got {len(self.text)}")
+        self.tokens = tokens_of(self.text)
+        formula = self.formula()
+        if self.here:
+            raise ValueError(f"{self.place()}: expected the end, got '{self.here}'")
+        formula = Bounded(self.steps).bounded(formula, 0, True)
+        needed = horizon(formula)
+        if needed >= self.steps:
+            last = (self.steps - 1) * self.sample_time
+            raise ValueError(
+                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {last:g} s; "
+                "shorten its intervals, or lengthen loop.duration"
+            )
+        return ParsedFormula(
+            formula, next(iter(self.units)) if len(self.units) == 1 else UNCLEAR, min(self.sizes, default=None)
+        )
+
+    # Tokens
+
+    @property
+    def here(self) -> str:
+        """The next token; empty at the end."""
+        return self.tokens[self.position].text if self.position < len(self.tokens) else ""
+
+    def place(self) -> str:
+        """Where the next token is, in words."""
+        begin = self.tokens[self.position].start if self.position < len(self.tokens) else len(self.text)
+        return f"after {self.text[:begin].strip()[-30:]!r}" if self.text[:begin].strip() else "at the beginning"
+
+    def take(self, text: str) -> bool:
+        """Whether the next token is this one, which is then taken."""
+        found = self.here == text
+        self.position += found
+        return found
+
+    def expect(self, text: str) -> None:
+        """Take a token.
+
+        Raises:
+            ValueError: it is another one.
+        """
+        if not self.take(text):
+            raise ValueError(f"{self.place()}: expected '{text}', got {self.here!r}")
+
+    # Grammar
+
+    def formula(self) -> Formula:
+        """An implication."""
+        self.depth += 1
+        if self.depth > DEEPEST_FORMULA:
+            raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
+        first = self.several("or", Any, lambda: self.several("and", Every, self.held))
+        if self.take("implies") or self.take("->"):
+            first = Any((Not(first), self.formula()))
+        self.depth -= 1
+        return first
+
+    def several(self, word: str, kind: type[Every] | type[Any], part: Callable[[], Formula]) -> Formula:
+        """One or more parts with a word between them."""
+        parts = [part()]
+        while self.take(word):
+            parts.append(part())
+        return parts[0] if len(parts) == 1 else kind(tuple(parts))
+
+    def held(self) -> Formula:
+        """A part with or without ``until``."""
+        before = self.unary()
+        if not self.take("until"):
+            return before
+        begin, end = self.interval("until")
+        return Until(begin, end, before, self.unary())
+
+    def unary(self) -> Formula:
+        """What an operator or a parenthesis begins, or a comparison."""
+        self.depth += 1
+        if self.depth > DEEPEST_FORMULA:
+            raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
+        formula = self.operated()
+        self.depth -= 1
+        return formula
+
+    def operated(self) -> Formula:
+        """See :meth:`unary`."""
+        if self.take("not"):
+            return Not(self.unary())
+        if self.take("always"):
+            begin, end = self.interval("always")
+            return Always(begin, end, self.unary())
+        if self.take("eventually"):
+            begin, end = self.interval("eventually")
+            return Eventually(begin, end, self.unary())
+        if self.here == "(" and self.is_formula_within():
+            self.expect("(")
+            formula = self.formula()
+            self.expect(")")
+            return formula
+        return self.comparison()
+
+    def is_formula_within(self) -> bool:
+        """Whether the parenthesis here holds a formula, and not a part of an expression."""
+        open_now = 0
+        for token in self.tokens[self.position :]:
+            open_now += (token.text == "(") - (token.text == ")")
+            if not open_now:
+                return False
+            if token.text in COMPARISONS or token.text in WORDS:
+                return True
+        return False
+
+    def interval(self, operator: str) -> tuple[int, int]:
+        """The samples of an interval in seconds; without one, to the end of the flight (-1)."""
+        if not self.take("["):
+            return 0, -1
+        texts = [self.expression((",",)), ""]
+        self.expect(",")
+        texts[1] = self.expression(("]",))
+        self.expect("]")
+        begin, end = (self.seconds(text) for text in texts)
+        shown = f"{operator}[{texts[0]},{texts[1]}]"
+        if not 0.0 <= begin <= end < math.inf:
+            raise ValueError(f"{shown} needs 0 <= begin <= end in seconds")
+        first = math.ceil(begin / self.sample_time - ROUNDING)
+        last = math.floor(end / self.sample_time + ROUNDING)
+        if last < first:
+            raise ValueError(f"{shown} holds no sample: T_s is {self.sample_time:g} s")
+        return first, last
+
+    def seconds(self, text: str) -> float:
+        """A time of numbers and parameters."""
+        tree = parse_expression(text)
+        return float(evaluate_numbers(tree, self.parameter))
+
+    def comparison(self) -> Formula:
+        """One comparison, or several in a chain."""
+        sides = [self.expression(COMPARISONS)]
+        parts: list[Formula] = []
+        while self.here in COMPARISONS:
+            sign = self.tokens[self.position].text
+            self.position += 1
+            sides.append(self.expression(COMPARISONS))
+            lower, upper = sides[-2:] if sign in ("<", "<=") else sides[:-3:-1]
+            parts.append(self.compared(upper, lower))
+        if not parts:
+            rule = "compare with <, <=, > or >=; equality of real numbers has no robustness"
+            raise ValueError(f"{self.place()}: expected a comparison, got {self.here or 'the end'!r}; {rule}")
+        return parts[0] if len(parts) == 1 else Every(tuple(parts))
+
+    def expression(self, ends: tuple[str, ...]) -> str:
+        """The text of the expression here, up to one of some tokens, a word of formulas or a closing parenthesis."""
+        open_now, first = 0, self.position
+        while (
+            self.here and self.here not in WORDS and (open_now or self.here not in (*ends, ")", "->", "]", "==", "!="))
+        ):
+            open_now += (self.here == "(") - (self.here == ")")
+            self.position += 1
+        taken = self.tokens[first : self.position]
+        if not taken:
+            raise ValueError(f"{self.place()}: expected an expression, got {self.here or 'the end'!r}")
+        last = taken[-1]
+        return self.text[taken[0].start : last.start + len(last.text)]
+
+    def compared(self, upper: str, lower: str) -> Comparison:
+        """A comparison of two expressions."""
+        trees = [parse_expression(text) for text in (upper, lower)]
+        names = dict.fromkeys(name for tree in trees for name in names_of(tree))
+        signals = tuple((name, self.signals[name]) for name in names if name in self.signals)
+        numbers = tuple((name, self.parameter_of(name)) for name in names if name not in self.signals)
+        if not signals:
+            raise ValueError(f"'{lower} < {upper}' compares no signal; the signals are {', '.join(self.signals)}")
+        for tree in trees:
+            named = names_of(tree)
+            if not set(named) & self.signals.keys():
+                size = abs(float(evaluate_numbers(tree, dict(numbers).__getitem__)))
+                if not math.isfinite(size):
+                    raise ValueError(f"a side of '{lower} < {upper}' has no finite value")
+                self.sizes += [size] if size else []
+        units = {name: signal.unit for name, signal in signals}
+        of_sides = {unit_of(tree, units) for tree in trees} - {None}
+        self.units.setdefault(str(of_sides.pop()) if len(of_sides) == 1 else UNCLEAR)
+        return Comparison(Margin(upper, lower, signals, numbers))
+
+    def parameter_of(self, name: str) -> float:
+        """The value of a parameter.
+
+        Raises:
+            ValueError: It is neither a signal nor a parameter with a plain number.
+        """
+        try:
+            return self.parameter(name)
+        except ValueError as error:
+            if "is no parameter" not in str(error):
+                raise
+            known = nearest(name, self.signals)
+            raise ValueError(f"'{name}' is neither a signal nor a parameter; {known}") from None
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """Puts the end of the flight in place of intervals that are not given."""
+
+    steps: int
+
+    def bounded(self, formula: Formula, at: int, outermost: bool) -> Formula:
+        """The formula with intervals for all operators.
+
+        Raises:
+            ValueError: An operator without one is within another operator.
+        """
+        match formula:
+            case Comparison():
+                return formula
+            case Not():
+                return Not(self.bounded(formula.inner, at, outermost))
+            case Every() | Any():
+                return type(formula)(tuple(self.bounded(part, at, outermost) for part in formula.parts))
+            case Until():
+                parts = [self.bounded(part, at, False) for part in (formula.before, formula.goal)]
+                return Until(formula.begin, self.end(formula.end, outermost, *parts), *parts)
+        inner = self.bounded(formula.inner, at, False)
+        return type(formula)(formula.begin, self.end(formula.end, outermost, inner), inner)
+
+    def end(self, end: int, outermost: bool, *inner: Formula) -> int:
+        """The last sample of an interval."""
+        if end >= 0:
+            return end
+        if not outermost:
+            raise ValueError("an operator within another one needs an interval, such as always[0,2]")
+        return max(0, self.steps - 1 - max(map(horizon, inner)))
+
+
+def tokens_of(text: str) -> list[Token]:
+    """The tokens of a formula.
+
+    Raises:
+        ValueError: a character belongs to none.
+    """
+    tokens: list[Token] = []
+    position = 0
+    while text[position:].strip():
+        found = TOKEN.match(text, position)
+        if found is None:
+            raise ValueError(f"{text[position:].strip()[0]!r} is not admissible in a formula; {LANGUAGE}")
+        token = found.group(0).strip()
+        tokens.append(Token(token, found.end() - len(token)))
+        position = found.end()
+    return tokens
+
+
+ARITHMETIC_WORDS = ", ".join((PI, *FUNCTIONS))
+LANGUAGE = f"it may hold signals, parameters, numbers, comparisons, {', '.join(WORDS)}, + - * /, {ARITHMETIC_WORDS}"

@@ -1,0 +1,126 @@
+"""Native code that a study's tables name: files of shared objects, bound to the study by their digests."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.libraries import LOADED, allow_native, library_digest
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.controllers.library import KIND
+
+SLOTS = ("controller", "compare")
+"""The tables of a study whose parts may be native code."""
+
+
+class NativeFile(NamedTuple):
+    """A shared object as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
+
+    file: str
+    sha256: str
+
+    @property
+    def loaded(self) -> bool:
+        """Whether this process has loaded it."""
+        return self.sha256 in LOADED
+
+    @property
+    def text(self) -> str:
+        """File and digest in words."""
+        place = f" from {self.place}" if self.place else ""
+        return f"native code {self.file}{place}, SHA-256 {self.sha256 or 'unknown'}"
+
+    @property
+    def place(self) -> str | None:
+        """The file that this process has loaded; None if it has not."""
+        return LOADED[self.sha256].file if self.loaded else None
+
+
+def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
+    """The shared objects that a study's tables name, in order; the table need not be valid."""
+    found: list[NativeFile] = []
+    for part in library_tables(table):
+        digest = part.get("sha256", "")
+        found.append(NativeFile(str(part["file"]), digest if isinstance(digest, str) else ""))
+    return tuple(dict.fromkeys(found))
+
+
+def library_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
+    """The tables of controllers that name a shared object; a part without a kind has that of ``[controller]``."""
+    controller = table.get("controller")
+    kind = controller.get("kind") if isinstance(controller, Mapping) else None
+    for slot in SLOTS:
+        yield from tables_of_kind(table.get(slot), kind)
+
+
+def tables_of_kind(node: object, inherited: object) -> Iterator[Mapping[str, object]]:
+    """A table and those within it that name a shared object, where the surrounding table has a kind."""
+    if not isinstance(node, Mapping):
+        return
+    kind = node.get("kind", inherited)
+    if kind == KIND and isinstance(node.get("file"), str):
+        yield node
+    for part in node.values():
+        yield from tables_of_kind(part, kind)
+
+
+def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
+    """A study's table in which each shared object has its digest, read from its file if the table has none.
+
+    Args:
+        table: The study's table.
+        folder: The folder that names of files are relative to.
+
+    Raises:
+        ConfigError: A file cannot be read.
+    """
+    naming = list(library_tables(table))
+    if not naming:
+        return dict(table)
+    return {name: digested(value, naming, folder) if name in SLOTS else value for name, value in table.items()}
+
+
+def digested(node: object, naming: Sequence[Mapping[str, object]], folder: Path) -> object:
+    """A part of a study's table, in which the tables that name a shared object have its digest."""
+    if not isinstance(node, Mapping):
+        return node
+    inside = {name: digested(value, naming, folder) for name, value in node.items()}
+    if any(part is node for part in naming) and not node.get("sha256"):
+        inside["sha256"] = library_digest(folder / str(node["file"]))
+    return inside
+
+
+def with_other_files(changes: Mapping[str, object]) -> dict[str, object]:
+    """Changes of a study by dotted name, in which another shared object does not keep the digest of the old one."""
+    fresh: dict[str, object] = {}
+    for name in changes:
+        slot, _, field = name.partition(".")
+        if slot in SLOTS and field.rpartition(".")[2] == "file":
+            fresh[f"{name.removesuffix('file')}sha256"] = ""
+    return {**fresh, **changes}
+
+
+def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
+    """Load the shared objects that a study's tables name; see :func:`dssc_jax.core.native.libraries.allow_native`.
+
+    Args:
+        table: The study's table, with digests.
+        folders: Where to look for the files; the first that exists is taken, and must have the digest.
+        recorded: What a stored result tells of its code, with the file that the run used.
+
+    Raises:
+        ConfigError: A file is not found, has another digest, or cannot be loaded.
+    """
+    for native in native_files(table):
+        if native.loaded:
+            continue
+        places = [folder / native.file for folder in folders]
+        entry = recorded.get(native.file) if isinstance(recorded, Mapping) else None
+        earlier = entry.get("file") if isinstance(entry, Mapping) else None
+        places += [Path(earlier)] if isinstance(earlier, str) else []
+        for place in places:
+            if place.is_file():
+                allow_native(place, native.sha256)
+                break
+        else:
+            raise ConfigError("file", f"'{native.file}' is not found; looked for {', '.join(map(str, places))}")

@@ -1,0 +1,71 @@
+"""Parsing of a sweep's values, and of the intervals and limits of tuning."""
+
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.core.errors import nearest
+from dssc_jax.study.laws import is_number
+
+MOST_VALUES = 10**6
+AXES = ("linspace", "logspace", "values")
+
+
+def parse_axis(value: object) -> tuple[float, ...]:
+    """Values of a sweep axis: a list, ``{ values = [...] }``, ``{ linspace = [lo, hi, n] }`` or ``logspace``.
+
+    Raises:
+        ValueError: the rule that is broken, and the value found.
+    """
+    if isinstance(value, list | tuple):
+        value = {"values": list(value)}
+    if not isinstance(value, dict) or len(value) != 1:
+        raise ValueError(f"must be a list or one of {{ linspace | logspace = [lo, hi, count] }}, got {value!r}")
+    ((kind, arguments),) = value.items()
+    if kind not in AXES:
+        raise ValueError(f"'{kind}' is not a spacing; {nearest(kind, AXES)}")
+    if not isinstance(arguments, list) or not arguments or not all(is_number(item) for item in arguments):
+        raise ValueError(f"{kind} takes a list of finite numbers, got {arguments!r}")
+    if kind == "values":
+        return tuple(float(item) for item in arguments)
+    if len(arguments) != 3 or not isinstance(arguments[2], int) or arguments[2] < 1:
+        raise ValueError(f"{kind} takes [lo, hi, count] with a whole count >= 1, got {arguments}")
+    low, high, count = arguments
+    if count > MOST_VALUES:
+        raise ValueError(f"{kind} takes at most {MOST_VALUES} values, got {count}")
+    if count > 1 and not low < high:
+        raise ValueError(f"{kind} needs lo < hi, got {arguments}")
+    if kind == "logspace":
+        if low <= 0:
+            raise ValueError(f"logspace needs 0 < lo, got {arguments}")
+        return tuple(float(item) for item in np.geomspace(low, high, count))
+    return tuple(float(item) for item in np.linspace(low, high, count))
+
+
+def parse_range(value: object) -> tuple[float, float]:
+    """The interval ``[low, high]`` of a positive number.
+
+    Raises:
+        ValueError: the rule that is broken, and the value found.
+    """
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(is_number(end) for end in value):
+        raise ValueError(f"must be [low, high], got {value!r}")
+    if not 0.0 < value[0] < value[1]:
+        raise ValueError(f"holds no number: [low, high] needs 0 < low < high, got {value!r}")
+    return float(value[0]), float(value[1])
+
+
+def parse_free(value: object) -> tuple[float, float] | float:
+    """A free parameter's interval, or the positive number at which it is fixed."""
+    if isinstance(value, list | tuple):
+        return parse_range(value)
+    if not is_number(value) or not value > 0:
+        raise ValueError(f"must be a number > 0, or [low, high] to vary it, got {value!r}")
+    return float(value)
+
+
+def parse_limit(value: Any) -> float | str:
+    """A bound > 0, or the word ``start``."""
+    if value != "start" and (not is_number(value) or not value > 0):
+        raise ValueError(f"must be a number > 0, or 'start' for what the start has, got {value!r}")
+    return value if value == "start" else float(value)

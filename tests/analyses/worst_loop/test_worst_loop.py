@@ -1,0 +1,166 @@
+"""The worst case of the linearised loop, against closed forms and a dense grid of loops that NumPy builds."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import dssc_jax as dj
+from dssc_jax.analyses.worst_loop.cells import GAINS, cover
+from dssc_jax.analyses.worst_loop.search import nearest_instability
+
+SAMPLE_TIME = 0.05
+TABLE = {
+    "name": "box",
+    "draws": 100,
+    "loop": {"duration": 60.0, "sample_time": SAMPLE_TIME},
+    "plant": {
+        "kind": "state_space",
+        "a": [[0.0, 1.0], [0.0, {"uniform": [-1.4, -0.6]}]],
+        "b": [0.0, {"uniform": [0.7, 1.3]}],
+        "c": [1.0, 0.0],
+        "x0": [1.0, 0.0],
+    },
+    "controller": {"kind": "state_feedback", "k_1": 9.0, "k_2": 3.0},
+}
+
+
+@pytest.fixture(scope="module")
+def worst():
+    return dj.worst_loop(dj.Study.from_table(TABLE))
+
+
+def closed_loop(a, b):
+    """A - B K and B of the loop x'' = a x' + b u, u = -9 y - 3 y', held for a sample."""
+    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, a, b], [0.0, 0.0, 0.0]]) * SAMPLE_TIME)
+    column = held[:2, 2]
+    gains = np.array([9.0, 3.0])
+    return held[:2, :2] - np.outer(column, gains), column, -gains
+
+
+@pytest.fixture(scope="module")
+def grid():
+    """Peaks of S, T, (S - T)/2 and theta T over 21 x 21 plants."""
+    angles = np.geomspace(1e-3, np.pi, 2000)
+    peaks = np.zeros(4)
+    for a in np.linspace(-1.4, -0.6, 21):
+        for b in np.linspace(0.7, 1.3, 21):
+            matrix, column, row = closed_loop(a, b)
+            poles, modes = np.linalg.eig(matrix)
+            weights = (row @ modes) * np.linalg.solve(modes, column)
+            g = (weights / (np.exp(1j * angles)[:, None] - poles)).sum(axis=1)
+            peaks = np.maximum(peaks, [np.abs(x).max() for x in (1.0 + g, g, 0.5 + g, angles * g)])
+    return peaks
+
+
+def test_bounds_hold_and_are_near_the_worst_of_a_dense_grid(worst, grid):
+    margins = worst.answer.loops["input"].margins
+    assert worst.answer.loops["input"].stable
+    for name, peak in zip(("sensitivity_peak", "complementary_peak"), grid[:2], strict=True):
+        assert peak * (1.0 - 1e-4) <= margins[name].found <= margins[name].guaranteed
+        assert margins[name].guaranteed <= 1.051 * margins[name].found
+        assert margins[name].found == pytest.approx(peak, rel=1e-3)
+    assert margins["disk"].found == pytest.approx(1.0 / grid[2], rel=1e-3)
+    assert 0.951 / grid[2] <= margins["disk"].guaranteed <= 1.0 / grid[2] * (1.0 + 1e-4)
+    assert margins["delay"].guaranteed <= SAMPLE_TIME / grid[3] * (1.0 + 1e-4)
+    assert margins["delay"].guaranteed <= margins["delay"].found
+    assert margins["phase"].guaranteed <= margins["phase"].found
+    assert margins["gain_upper"].guaranteed <= margins["gain_upper"].found
+    assert margins["gain_lower"].guaranteed >= margins["gain_lower"].found
+
+
+def test_found_is_no_better_than_drawn_and_its_numbers_have_it(worst):
+    answer = worst.answer.loops["input"].margins["disk"]
+    assert answer.found <= answer.drawn
+    witness = worst.witness("input", "disk")
+    again = dj.loop_margins(witness.override({"draws": 1})).dataset["disk"].sel(loop="input")
+    assert float(again.values.min()) == pytest.approx(answer.found, rel=1e-6)
+
+
+def test_the_guaranteed_disk_is_python_controls(worst):
+    control = pytest.importorskip("control")
+    answer = worst.answer.loops["input"].margins["disk"]
+    numbers = answer.numbers
+    matrix, column, row = closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])
+    opened = matrix - np.outer(column, row)
+    loop = control.ss(opened, column[:, None], -row[None], 0.0, SAMPLE_TIME)
+    omega = np.geomspace(1e-2, np.pi / SAMPLE_TIME, 20000)
+    margin = control.disk_margins(loop, omega)[0]
+    assert answer.found == pytest.approx(float(margin), rel=1e-4)
+    assert answer.guaranteed <= float(margin) * (1.0 + 1e-9)
+
+
+def test_growth_of_the_box_reaches_an_instability_that_a_run_shows(worst):
+    answer = worst.answer.loops["input"]
+    assert 1.0 < answer.growth_guaranteed < answer.growth_found
+    assert answer.growth_guaranteed > 0.5 * answer.growth_found
+    numbers = answer.unstable
+    radius = np.abs(np.linalg.eigvals(closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])[0])).max()
+    assert radius == pytest.approx(1.0, abs=1e-4)
+    trajectory = np.abs(dj.simulate(worst.unstable_witness("input"))["y"].values)
+    assert trajectory[len(trajectory) // 2 :].max() > trajectory[: len(trajectory) // 2].max()
+    inside = {name: 0.95 * value + 0.05 * (-1.0 if ".a." in name else 1.0) for name, value in numbers.items()}
+    calm = np.abs(dj.simulate(worst.study.override(inside))["y"].values)
+    assert calm[len(calm) // 2 :].max() < calm[: len(calm) // 2].max()
+
+
+def first_order(points):
+    """x+ = (0.9 + 0.05 u) x + w, v = x: G = 1/(z - 0.9 - 0.05 u)."""
+    matrices = np.zeros((len(points), 2, 2))
+    matrices[:, 0, 0] = 0.9 + 0.05 * points[:, 0]
+    matrices[:, 0, 1] = 1.0
+    matrices[:, 1, 0] = 1.0
+    return matrices
+
+
+def test_a_first_order_loop_has_its_closed_form():
+    ends = (-np.ones(1), np.ones(1))
+    exact = np.array([1.0 + 1.0 / 0.05, 1.0 / 0.05, 0.5 + 1.0 / 0.05])  # at z = 1 and u = 1
+    wanted = np.array([*1.01 * exact, 1e300])
+    covered = cover(first_order, ends, wanted, 20_000, lambda computed: None)
+    assert covered.stable
+    assert np.all(covered.gains[:3] >= exact)
+    assert np.all(covered.gains[:3] <= 1.01 * exact)
+    assert nearest_instability(first_order, 1, 4.0).growth == pytest.approx(2.0, rel=1e-4)
+
+
+def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():
+    ends = (-2.5 * np.ones(1), 2.5 * np.ones(1))
+    covered = cover(first_order, ends, np.full(len(GAINS), 1e300), 3000, lambda computed: None)
+    assert not covered.stable
+
+
+def test_an_unstable_box_has_a_counterexample():
+    study = dj.Study.from_table(TABLE | {"draws": 20}).override({"plant.b.1": {"uniform": [0.7, 20.0]}})
+    worst = dj.worst_loop(study, cells=500)
+    loop = worst.answer.loops["input"]
+    assert loop.stable is False
+    assert loop.growth_guaranteed < loop.growth_found < 1.0
+    numbers = loop.unstable
+    poles = np.linalg.eigvals(closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])[0])
+    assert np.abs(poles).max() > 1.0 - 1e-6
+    assert "unstable" in worst.headline
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({"plant.b.1": 1.0, "plant.a.1.1": -1.0}, {}, "no uncertain number"),
+        ({}, {"broken_at": ("inputs",)}, "no break point 'inputs'"),
+        ({}, {"cells": 0}, "cells"),
+        ({}, {"sigma": 0.0}, "sigma"),
+        ({"sensor": {"kind": "noisy", "jitter": 0.01}}, {}, "differs between draws of the same numbers"),
+    ],
+)
+def test_refusals(change, options, message):
+    study = dj.Study.from_table(TABLE | {"draws": 4}).override(change)
+    with pytest.raises(dj.ConfigError, match=message):
+        dj.worst_loop(study, **options)
+
+
+def test_laws_without_ends_are_cut(worst):
+    study = dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": {"normal": [1.0, 0.05]}})
+    side = dj.worst_loop(study, sigma=2.0, cells=100).answer.box["plant.b.1"]
+    assert side.cut
+    assert side.low == pytest.approx(0.9)
+    assert side.high == pytest.approx(1.1)
+    assert not worst.answer.box["plant.b.1"].cut

@@ -1,0 +1,330 @@
+"""Controllers in C: the bits of what was generated, consent before anything runs, and refusals by name."""
+
+import ctypes
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.cli.main import guarded
+from dssc_jax.cli.native_build import build_library
+from dssc_jax.closed_loop.sample import held_between_samples, initial_state, step
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.libraries import LOADED
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.evaluation import GradientEvaluator
+from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.flight_code.controller import study_values
+from dssc_jax.flight_code.folder import FlightFolder
+from dssc_jax.flight_code.template_files import template_text
+from dssc_jax.lanes.lanes import CompiledLanes
+from tests.cli.conftest import last_json
+from tests.conftest import CASE_2, UNCERTAIN
+from tests.flight_code.compiling import require
+from tests.mutations import document
+
+SAMPLES = 200
+DRAWS = 48
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    require("cc")
+    return tmp_path_factory.mktemp("libraries")
+
+
+def built(place, name, text):
+    """A library of a text."""
+    (place / f"{name}.c").write_text(text)
+    (place / f"{name}.so").write_bytes(build_library([place / f"{name}.c"], [place]))
+    return place / f"{name}.so"
+
+
+@pytest.fixture(scope="module")
+def template(place):
+    """The library of the template."""
+    return built(place, "my", template_text("library.c"))
+
+
+def table(file, **controller):
+    """A loop with a controller in C."""
+    return {
+        **UNCERTAIN,
+        "name": "native",
+        "controller": {"kind": "library", "file": str(file), **controller},
+        "unmodelled": {"kind": "lag", "mu": {"loguniform": [0.005, 0.2]}},
+        "metrics": {"names": ["error_rms", "command_tv", "command_max"]},
+        "requirement": [{"metric": "error_rms", "after": 1.0, "max": 0.3}],
+        "sweep": {},
+    }
+
+
+def loaded(file, **controller):
+    """The study of a loaded library."""
+    library = dj.allow_native(file)
+    return dj.Study.from_table(table(file, sha256=library.sha256, **controller))
+
+
+@pytest.fixture
+def study(template):
+    return loaded(template, k_p={"uniform": [2.0, 4.0]})
+
+
+def commands(study, threads=2, constants=None):
+    """What every controller sees and gives, sample by sample, in strict arithmetic.
+
+    In float32, numbers that are inputs of the program are rounded at other places than numbers that are compiled in, so
+    those of a controller (``constants``) are inputs, as they are in C.
+    """
+    constants = constants or {}
+    loop = dataclasses.replace(study.loop, steps=SAMPLES)
+
+    def lane(values, index):
+        params = study.params(values)
+        key = draw_key(study.config.seed, index)
+        advance = held_between_samples(loop, params)
+
+        def sample(carry, _):
+            state, k = carry
+            after, recorded = step(loop, params, key, state, k, advance)
+            real = jnp.result_type(float)
+            rows = [(*x.reading, x.command.robust, x.command.nominal) for x in recorded.controlled]
+            return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)
+
+        return jax.lax.scan(sample, (initial_state(loop, params, key), jnp.zeros((), jnp.int32)), length=SAMPLES)[1]
+
+    with arithmetic(study.config.loop.precision):
+        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+        index = jax.ShapeDtypeStruct((), jnp.uint32)
+        lanes = CompiledLanes(lane, dict.fromkeys([*study.laws, *constants], number), index, strict=True)
+        indices = np.arange(DRAWS)
+        columns = draw(study, indices) | {name: np.full(DRAWS, value) for name, value in constants.items()}
+        return jax.tree.leaves(lanes.start((columns, indices), DRAWS, threads)())
+
+
+def differing_bits(left, right):
+    """Numbers that differ in any bit."""
+    return sum(
+        int(np.sum(a.view(f"u{a.itemsize}") != b.view(f"u{b.itemsize}"))) for a, b in zip(left, right, strict=True)
+    )
+
+
+@pytest.mark.parametrize("precision", [64, 32])
+def test_what_is_generated_gives_the_same_bits_when_it_is_loaded_again(place, precision):
+    original = dj.Study.from_table(
+        {
+            **CASE_2,
+            "draws": DRAWS,
+            "loop": {"duration": 1.0, "sample_time": 0.005, "precision": precision},
+            "plant": {"kind": "normal_form", "initial": [4.0, 0.0], "k_p": {"uniform": [0.8, 1.2]}},
+            "sensor": {"kind": "noisy", "position_std": 0.001},
+            "requirement": [],
+        }
+    )
+    folder = FlightFolder(original)
+    for name, text in folder.texts().items():
+        (place / name).write_text(text)
+    file = built(place, f"generated_{precision}", folder.texts()["case_2_x_controller.c"])
+    library = dj.allow_native(file)
+    (controller,) = library.controllers
+    assert controller.real == precision // 8
+    gains = {"kind": "library", "file": str(file), "sha256": library.sha256}
+    again = dj.Study.from_table({**original.table, "controller": gains})
+    assert again.numbers["controller.rho"].value == 1.5
+    assert again.numbers["controller.rho"].quantity.interval == "> 0"
+    ours = commands(original, constants=study_values(folder.code.controllers))
+    theirs = commands(again)
+    assert differing_bits(ours, theirs) == 0
+    assert float(np.std(ours[2])) > 1e-3
+    assert {"sigma_tilde", "flag"} <= set(again.loop.controller[0].info._fields)
+
+
+def test_threads_do_not_matter(study):
+    assert differing_bits(commands(study, threads=1), commands(study, threads=2)) == 0
+
+
+def test_the_loop_calls_what_the_file_holds(study, template):
+    """The commands of a trajectory are those of the file, called here by structures of our own."""
+    values = {"plant.k_p": 1.1, "controller.k_p": 2.5, "unmodelled.mu": 0.05}
+    dataset = dj.simulate(study.override({**values, "reference": {"kind": "zero"}}), 0)
+    numbers = ctypes.c_double
+
+    def structure(*names):
+        return type("Structure", (ctypes.Structure,), {"_fields_": [(name, numbers) for name in names]})
+
+    parameters = structure("k_p", "k_d", "limit")
+    fields = [("parameters", parameters), ("filtered", numbers), ("started", ctypes.c_bool)]
+    controller = type("Controller", (ctypes.Structure,), {"_fields_": fields})()
+    command, telemetry = structure("u", "u_n", "u_p")(), structure("error")()
+    library = ctypes.CDLL(str(template))
+    library.my_init(ctypes.byref(controller))
+    assert (controller.parameters.k_p, controller.parameters.k_d, controller.parameters.limit) == (4.0, 3.0, 10.0)
+    controller.parameters.k_p = 2.5
+    library.my_reset(ctypes.byref(controller))
+    for k in range(dataset.sizes["t"]):
+        measured = structure("y", "y_dot")(float(dataset["y"][k]), float(dataset["y_dot"][k]))
+        desired = structure("y", "y_dot", "y_ddot")(0.0, 0.0, 0.0)
+        library.my_step(ctypes.byref(controller), measured, desired, ctypes.byref(command), ctypes.byref(telemetry))
+        assert command.u == pytest.approx(float(dataset["u"][k]), rel=1e-9, abs=1e-12)
+
+
+def test_plain_xla_is_the_reference(study, tmp_path, monkeypatch):
+    ours = dj.run(study, tmp_path / "lanes")
+    monkeypatch.setenv("DSSC_JAX_KERNEL", "scan")
+    theirs = dj.run(study, tmp_path / "scan")
+    for name in ("error_rms", "command_tv", "outcome"):
+        np.testing.assert_allclose(ours.dataset[name], theirs.dataset[name], rtol=1e-12)
+    assert dj.verify(ours).verdict == "agrees"
+
+
+# Consent
+
+
+def test_nothing_is_loaded_without_consent(place, monkeypatch, capsys):
+    """The message names file and digest; a result is read without the code, and its study cannot be simulated."""
+    file = built(place, "gated", template_text("library.c").replace("k_p = 4;", "k_p = 4.25;"))
+    monkeypatch.chdir(place)
+    (place / "gated.toml").write_bytes(document(table("gated.so")))
+    with pytest.raises(ConfigError, match=r"'gated.so' is native code that was not loaded \(SHA-256 [0-9a-f]{64}\)"):
+        dj.Study.load("gated.toml")
+    assert guarded(["run", "gated.toml"]) == 2
+    assert "--allow-native loads it" in capsys.readouterr().err
+    assert guarded(["run", "gated.toml", "--allow-native", "--out", "gated", "--json"]) == 0
+    printed = capsys.readouterr()
+    (digest,) = (key for key, library in LOADED.items() if library.file == str(file))
+    assert f"this study runs native code gated.so, SHA-256 {digest}" in printed.err
+    code = json.loads((place / "gated" / "manifest.json").read_text())["code"]
+    assert code == {"gated.so": {"file": str(file), "sha256": digest}}
+
+    monkeypatch.delitem(LOADED, digest)
+    stored = dj.load("gated")
+    assert "controller.k_p" in stored.study.numbers
+    with pytest.raises(ConfigError, match="allow_native"):
+        dj.replay(stored, 1)
+    assert guarded(["replay", "gated", "--draw", "1"]) == 2
+    assert guarded(["replay", "gated", "--draw", "1", "--allow-native"]) == 0
+
+    monkeypatch.delitem(LOADED, digest)
+    built(place, "gated", template_text("library.c").replace("k_p = 4;", "k_p = 4.5;"))
+    assert guarded(["replay", "gated", "--draw", "1", "--allow-native"]) == 2
+    assert "has changed: its SHA-256 digest is" in capsys.readouterr().err
+
+
+def test_another_file_does_not_keep_the_digest(place, study):
+    other = built(place, "other", template_text("library.c").replace("k_p = 4;", "k_p = 5;"))
+    library = dj.allow_native(other)
+    changed = study.override({"controller.file": str(other)})
+    assert changed.table["controller"]["sha256"] == library.sha256 != study.table["controller"]["sha256"]
+    assert changed.hash != study.hash
+
+
+def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
+    """A table without a kind has that of the study's controller."""
+    monkeypatch.chdir(place)
+    content = {
+        **table("my.so"),
+        "compare": {"stiff": {"file": "my.so", "k_p": 6.0}, "pid": {"kind": "pid", "k_p": 1.0}},
+    }
+    (place / "compared.toml").write_bytes(document(content))
+    library = dj.allow_native(template)
+    tables = dj.Study.load("compared.toml").table
+    assert tables["compare"]["stiff"]["sha256"] == tables["controller"]["sha256"] == library.sha256
+    assert "sha256" not in tables["compare"]["pid"]
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "const real error = ",
+            "static real kept; kept += 1; const real error = kept + ",
+            "outside of its",
+        ),
+        ("DSSC_JAX_LIBRARY_OF(&my_description);", "", "exports no dssc_jax_controllers"),
+        ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
+        ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
+        ("    real k_d;", "    float k_d;", "must be numbers of one type"),
+    ],
+)
+def test_a_wrong_library_is_refused(place, old, new, message):
+    text = template_text("library.c")
+    assert old in text
+    name = f"wrong_{abs(hash(old))}"
+    with pytest.raises(ConfigError, match=message):
+        dj.allow_native(built(place, name, text.replace(old, new)))
+
+
+def test_what_is_no_library_is_refused(place):
+    (place / "text.so").write_text("no shared object")
+    with pytest.raises(ConfigError, match=r"'.*text.so' cannot be loaded"):
+        dj.allow_native(place / "text.so")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        dj.allow_native(place / "none.so")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"loop.sample_time": 0.02}, "loop.sample_time: must be 0.01 s, a constant of the controller my"),
+        ({"controller.k_q": 1.0}, "controller.k_q: unknown name; did you mean 'k_p'"),
+        ({"controller.k_p": -1.0}, "controller.k_p: proportional gain"),
+        ({"controller.name": "mine"}, "controller.name: '.*' has no controller 'mine'; valid names are my"),
+    ],
+)
+def test_a_wrong_study_is_refused(study, changes, message):
+    with pytest.raises(ConfigError, match=message):
+        study.override(changes)
+
+
+def test_a_library_of_doubles_needs_a_loop_of_doubles(study, tmp_path):
+    with pytest.raises(ConfigError, match="must be 64, the precision of the controller my"):
+        dj.run(study.override({"loop.precision": 32}), tmp_path / "narrow")
+
+
+def test_derivatives_are_refused_by_name(study):
+    steep = GradientEvaluator(study, {}, 8, names=["controller.k_p"])
+    with pytest.raises(ConfigError, match=r"is native code .* no derivative passes"):
+        steep(np.zeros(1, int), {name: np.ones(1) for name in study.laws})
+    with pytest.raises(ConfigError, match="is native code, which has no derivative"):
+        dj.loop_margins(study)
+    with pytest.raises(ConfigError, match="is C already"):
+        FlightFolder(study)
+
+
+def test_searches_do_without_derivatives(study):
+    found = dj.falsify(study, budget=64)
+    assert found.simulations >= 48
+    tune = {"objective": {"error_rms": 1.0}, "draws": 8, "validation": 8, "steps": 2}
+    ranges = {"controller.k_p": [1.0, 8.0], "controller.k_d": [1.0, 8.0]}
+    content = {**study.table, "tune": {**tune, "parameters": ranges}}
+    content["controller"] = {**content["controller"], "k_p": 2.0}
+    tuned = dj.tune(dj.Study.from_table(content))
+    assert tuned.facts.method == "differential_evolution"
+
+
+# The command
+
+
+def test_the_command_builds_and_shows(tmp_path, monkeypatch, capsys):
+    require("cc")
+    monkeypatch.chdir(tmp_path)
+    assert guarded(["library", "--template", "own.c"]) == 0
+    assert guarded(["library", "--template", "own.c"]) == 2
+    capsys.readouterr()
+    assert guarded(["library", "own.c", "--json"]) == 0
+    shown = last_json(capsys)["controllers"]["my"]
+    assert shown["parameters"]["k_p"]["default"] == 4.0
+    assert shown["telemetry"] == {"error": "y"}
+    assert guarded(["library", "own.so"]) == 0
+    assert "file = 'own.so'" in capsys.readouterr().out
+    (tmp_path / "own.c").write_text((tmp_path / "own.c").read_text().replace("fmin(", "fmin_of("))
+    assert guarded(["library", "own.c"]) == 2
+    assert "does not compile" in capsys.readouterr().err
+    assert guarded(["library"]) == 2
