@@ -9,7 +9,7 @@ import jax
 from dssc_jax.core.contracts import Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
-from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds
+from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
@@ -136,6 +136,7 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     Raises:
         NotCovered: one is not known.
     """
+    require_no_inputs(study.loop)
     model = study.loop.disturbance[0]
     try:
         if model is STEP and ends.high.disturbance[0].at > 0.0:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
+from dssc_jax.closed_loop.signal_metrics import sampled_signals
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -141,8 +142,9 @@ class Described(Study):
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
+            signals = sampled_signals(description.fields, description.seen, units, [{}] * len(units), {})
             measures, requirements = measured(
-                config, names, known, channels or ("",), units, description.seen, parameters.constant
+                config, names, known, channels or ("",), units, signals, parameters.constant
             )
         except ConfigError as error:
             raise error.within(source) from None
