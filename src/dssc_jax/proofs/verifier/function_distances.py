@@ -6,6 +6,8 @@ from what the second holds. The region is cut where the enclosure of a
 piece exceeds what is reached at points by more than a small share.
 """
 
+import math
+
 import numpy as np
 from flint import arb
 
@@ -35,13 +37,21 @@ def function_distances(
     room: float = DISTANCE_ROOM,
     sigma_from: float = 0.0,
     share: float = 0.0,
+    change: float | None = None,
 ) -> Balls:
     """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
 
-    ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers. ``room`` is the largest excess over the
-    distances at points, as a share of them; Table 1's functions have their own. With a ``share`` the second bound is
-    that of |phi_2 - k_2 sigma - share (phi_1 + n - (k_1 + k_n) sigma)|, with an excess of ``SHARED_ROOM``. Table 1's
-    functions take none.
+    Args:
+        problem: The certificate's problem.
+        sigma: Bound of |sigma|.
+        e: Bound of |e|.
+        centre: The slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
+        room: The largest excess over the distances at points, as a share of them; Table 1's functions have their own.
+        sigma_from: The lower end of |sigma|.
+        share: The second bound is that of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|; unless it is
+            0, with an excess of ``SHARED_ROOM``. Table 1's functions take none.
+        change: In the implicit form, a bound of |sigma - s|: the distance of phi_2 then contains
+            :func:`increment_error` over T_s.
     """
     rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
     if problem["functions"]["kind"] == "vgsta":
@@ -55,13 +65,13 @@ def function_distances(
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
-                for name, reached in distances_at(problem, (point, point), centre, share).items():
+                for name, reached in distances_at(problem, (point, point), centre, share, change).items():
                     at_points[name] = maximum(at_points[name], reached.lower())
         remaining -= len(pieces)
         halves = []
         for low, high in pieces:
             try:
-                reached = distances_at(problem, (low, high), centre, share)
+                reached = distances_at(problem, (low, high), centre, share, change)
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
@@ -78,13 +88,35 @@ def function_distances(
     return result
 
 
-def distances_at(problem: Problem, size: tuple[float, float], centre: Balls, share: float) -> Balls:
+def distances_at(
+    problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
+) -> Balls:
     """Balls of the distances for |sigma| in an interval."""
     gains = gains_at(problem, size)
     largest = arb(size[1])
     differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
     differences["phi_2"] = differences["phi_2"] - arb(share) * differences["both"]
-    return {name: abs(difference) * largest for name, difference in differences.items()}
+    result = {name: abs(difference) * largest for name, difference in differences.items()}
+    if change is not None:
+        result["phi_2"] = result["phi_2"] + increment_error(problem, size[0], change) / arb(problem["sample_time"])
+    return result
+
+
+def increment_error(problem: Problem, low: float, change: float) -> arb:
+    """Ball of a bound of |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low, |sigma - s| <= change.
+
+    For functions with k_o tau_av = alpha (|sigma|^(1/2) + beta), whose K_P falls with |sigma| and is convex in it.
+    """
+    if low < change:
+        return gains_at(problem, (0.0, 0.0))["k_p"] * arb(change) - phi_1(problem, change)
+    nearest = max(0.0, math.nextafter(low - change, -math.inf))
+    slope = gains_at(problem, (low, low))["k_p"]
+    return phi_1(problem, low) - phi_1(problem, nearest) - slope * arb(change)
+
+
+def phi_1(problem: Problem, sigma: float) -> arb:
+    """phi_1 of functions of sigma alone, at one point."""
+    return gains_at(problem, (sigma, sigma))["mean"] * arb(sigma)
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:

@@ -59,7 +59,7 @@ class VehicleBounds:
     """Bounds that imply themselves.
 
     Args:
-        slopes: k_1, k_2, k_n of each channel.
+        slopes: k_1, k_2, k_3 of each channel.
         damping: Damping of drag in the plane and along z [1/s].
         bounds: Bounds of the signals; with a moving reference, of what they deviate from the nominal flight's.
         rotors: Bounds of the rotors.

@@ -144,8 +144,8 @@ def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
-    """One sample with slopes k_1, k_2, k_n of the functions, and the share of omega_u in omega_q."""
-    k_1, k_2, k_n, share = slopes
+    """One sample with slopes k_1, k_2, k_3 of the functions, and the share of omega_u in omega_q."""
+    k_1, k_2, k_3, share = slopes
     t = problem.sample_time
     weights = problem.delay_weights
     m = linear.g.size
@@ -154,7 +154,7 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
     unit = np.eye(n)
     sigma = unit[1] + channel.l0 * unit[0]
     q = unit[n - 1] + t * k_2 * sigma
-    command = -(k_1 + k_n) * sigma - q
+    command = -(k_1 + k_3) * sigma - q
     if channel.nominal:
         a_n, gain, _ = channel.nominal
         command = command - ((a_n - channel.l0) * channel.l0 * unit[0] + (channel.l0 - a_n) * sigma) / gain

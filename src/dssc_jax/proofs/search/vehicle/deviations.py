@@ -26,7 +26,7 @@ class ChannelDeviations:
     """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
 
     Args:
-        slopes: k_1, k_2, k_n, and the share of omega_u in omega_q.
+        slopes: k_1, k_2, k_3, and the share of omega_u in omega_q.
         distance: Of phi_1, of phi_2 without its share, and of phi_1 + n.
         ratio: The same over |sigma|.
         steepest: Largest K_P and K_I, and 1 + tau_av/T_s.

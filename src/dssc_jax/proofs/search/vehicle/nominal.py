@@ -156,7 +156,7 @@ def answer_of(
     """The steady answer of a channel to what drives it at one frequency."""
     channel = problem.channels[name]
     step = sampled(problem, channel, linear, slopes)
-    k_1, k_2, k_n, _ = slopes
+    k_1, k_2, k_3, _ = slopes
     t = problem.sample_time
     w = rate_of(frequency)
     m, n = linear.g.size, step.a.shape[0]
@@ -165,7 +165,7 @@ def answer_of(
     pushed = {key: waves.get(frequency, 0.0) for key, waves in drive.inputs.items()}
     forces = -speed * np.eye(m)[0] + sum(phasor * linear.b[key] for key, phasor in pushed.items())
     by_sum = -t * k_2 * speed
-    command = (k_1 + k_n) * speed - by_sum
+    command = (k_1 + k_3) * speed - by_sum
     if channel.nominal:
         command = command + (channel.l0 * speed + bend) / channel.nominal[1]
     generator = np.zeros((m + 2, m + 2), complex)
