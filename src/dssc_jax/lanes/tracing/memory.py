@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var
 
-from dssc_jax.lanes.program import Builder, Slot, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Slot, Value
 from dssc_jax.lanes.tracing.varying import parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
