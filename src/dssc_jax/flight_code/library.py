@@ -1,4 +1,4 @@
-"""The description of generated controllers, with which ``dssc-jax library`` makes a library of their source."""
+"""The description of generated controllers, from which ``dssc-jax library`` builds a library."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ DOUBLE = np.dtype(float)
 
 
 def description_text(code: FlightCode) -> str:
-    """The end of the source, which is compiled for a library only."""
+    """The end of the source, which only the build of a library compiles."""
     return fill(
         "description.c",
         channels="\n".join(channel_text(code, controller) for controller in code.controllers),
@@ -61,7 +61,7 @@ def table_argument(name: str, rows: Sequence[str]) -> str:
 
 
 def limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
-    """The least and the greatest admissible value in C's notation; an excluded end by its neighbour."""
+    """The least and the greatest admissible value in C's notation; for an excluded end its neighbour."""
     low = -np.inf if quantity.at_least is None else quantity.at_least
     high = np.inf if quantity.at_most is None else quantity.at_most
     if quantity.above is not None:

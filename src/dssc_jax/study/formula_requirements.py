@@ -57,14 +57,14 @@ def time_of(instant: Instant) -> Scalar:
 
 
 def formula_signals(
-    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], seen: Sequence[str]
+    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], monitored: Sequence[str]
 ) -> dict[str, FormulaSignal]:
     """The signals that a formula can name.
 
     Args:
         channels: Names of the channels.
         units: Their units and meanings.
-        seen: Fields of the plant's monitor.
+        monitored: Fields of the plant's monitor.
     """
     signals = {"t": FormulaSignal("s", "time", time_of)}
     for number, (channel, named) in enumerate(zip(channels, units, strict=True)):
@@ -72,7 +72,7 @@ def formula_signals(
             signal = FormulaSignal(named.of(unit), named.named(meaning), partial(of_channel, number, value))
             signals[suffixed(name, channel)] = signal
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
-        if name in seen:
+        if name in monitored:
             signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))
     return signals
 
@@ -101,7 +101,7 @@ def formula_requirement(
         return parameters(f"={name}", place_of_text)
 
     try:
-        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parsed()
+        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parse()
     except ValueError as error:
         raise ConfigError(place_of_text, str(error)) from None
     size = memory_size(parsed.formula)

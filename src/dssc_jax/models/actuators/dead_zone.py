@@ -17,7 +17,7 @@ class DeadZoneParams(NamedTuple):
 
 
 def beyond_zone(params: DeadZoneParams, command: Scalar) -> Scalar:
-    """What the command exceeds the zone by."""
+    """The part of the command beyond the zone."""
     return command - saturate(command, params.half_width)
 
 
