@@ -114,6 +114,20 @@ class LinearModel(NamedTuple):
     bends: np.ndarray
 
 
+class Expansion(NamedTuple):
+    """N on n cells as N_0 + sum of u_i N_i, up to a remainder E.
+
+    Args:
+        middle: N_0, shape (n, m + 1, m + 1).
+        steps: N_i, the angle last, shape (n, sides + 1, m + 1, m + 1).
+        remainder: A bound of abs(E), shape (n, m + 1, m + 1).
+    """
+
+    middle: np.ndarray
+    steps: np.ndarray
+    remainder: np.ndarray
+
+
 def pattern(sides: int) -> np.ndarray:
     """Points of [-1, 1]^sides at which deviations are measured, shape (n, sides).
 
@@ -238,21 +252,10 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
     models = [model_of(low, high) for low, high in zip(cells.low, cells.high, strict=True)]
     centre, slopes, deviation, bends = (np.stack(parts) for parts in zip(*models, strict=True))
     finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
-    count, sides, m, _ = slopes.shape
+    _, sides, m, _ = slopes.shape
     states = m - 1
-    middle = 0.5 * (cells.start + cells.end)
-    width = 0.5 * (cells.end - cells.start)
-    z = np.exp(1j * middle)
-    n = np.zeros((count, m + 1, m + 1), complex)
-    identity = np.diag([*np.ones(states), 0.0, 0.0])
-    n += z[:, None, None] * identity
-    n[:, states, states] = 1.0
-    n[:, m, m] = 1.0
-    n -= bordered(centre)
+    n, steps, remainder = expansion(cells, centre, slopes, deviation)
     n[~finite] = np.eye(m + 1)
-    angular = (1j * z * width)[:, None, None, None] * identity
-    steps = np.concatenate([-bordered(slopes), angular], axis=1)  # N_i
-    remainder = bordered(deviation) + 0.5 * (width**2)[:, None, None] * identity  # E
     with np.errstate(all="ignore"):
         r = inverses(n)
         x = r[:, :, states]
@@ -286,8 +289,25 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
     weights[:, sides] *= CHEAPER
     unknown = ~np.all(np.isfinite(weights), axis=1)
     weights[unknown, :sides] = (cells.high - cells.low)[unknown]
-    weights[unknown, sides] = 2.0 * width[unknown]
+    weights[unknown, sides] = (cells.end - cells.start)[unknown]
     return CellBounds(np.where(bounded[:, None], np.stack(gains, axis=1), np.inf), np.argmax(weights, axis=1))
+
+
+def expansion(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.ndarray) -> Expansion:
+    """N on each cell, from the stacked fields of its :class:`LinearModel`."""
+    states = centre.shape[-1] - 1
+    middle = 0.5 * (cells.start + cells.end)
+    width = 0.5 * (cells.end - cells.start)
+    z = np.exp(1j * middle)
+    identity = np.diag([*np.ones(states), 0.0, 0.0])
+    n = z[:, None, None] * identity
+    n[:, states, states] = 1.0
+    n[:, states + 1, states + 1] = 1.0
+    n -= bordered(centre)
+    angular = (1j * z * width)[:, None, None, None] * identity
+    steps = np.concatenate([-bordered(slopes), angular], axis=1)
+    remainder = bordered(deviation) + 0.5 * (width**2)[:, None, None] * identity
+    return Expansion(n, steps, remainder)
 
 
 def inverses(matrices: np.ndarray) -> np.ndarray:
