@@ -113,7 +113,8 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         if isinstance(dt, float) and not np.isclose(dt, controller.sample_time, rtol=1e-9, atol=0.0):
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
-        results = calls.called(calls.step, *calls.values(gains), *state, *measurement, *reference)
+        signals = (measurement.y, measurement.y_dot, *reference)
+        results = calls.called(calls.step, *calls.values(gains), *state, *signals)
         words = tuple(results[: len(state)])
         robust, nominal, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
         return words, Command(robust, nominal), info(*reported)
