@@ -76,8 +76,8 @@ def complete_result(study: Study, out: Path) -> Result | None:
         return None
     try:
         manifest = read_manifest(out)
-        same = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
-        if not same or machinery_differences(manifest, {**computing(), **code_entries(study)}):
+        complete = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
+        if not complete or machinery_differences(manifest, {**computing(), **code_entries(study)}):
             return None
         return Result.of(study, read_dataset(out, study, manifest), manifest, out)
     except ConfigError:  # damaged: it is computed again

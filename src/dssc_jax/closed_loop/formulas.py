@@ -214,17 +214,17 @@ def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar)
     assert isinstance(formula, Timed)
     parts = parts_of(formula)
     instant = k - max(map(horizon, parts))
-    *before, value = stream.aligned(parts)
+    *operands, value = stream.aligned(parts)
     inside = (instant >= latched.at + formula.begin) & (instant <= latched.at + formula.end)
     held = latch.held
-    if before:
+    if operands:
         value = minimum(held, value)
         waits = (instant >= latched.at) & (instant < latched.at + formula.end)
-        held = jnp.where(waits, minimum(held, before[0]), held)
+        held = jnp.where(waits, minimum(held, operands[0]), held)
     combine = minimum if isinstance(formula, Always) else maximum
     value = jnp.where(inside, combine(latch.value, value), latch.value)
     certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
-    if before:
+    if operands:
         certain = certain | (held < 0.0)
     samples = jnp.asarray(k + 1, jnp.result_type(float))
     return Latch(value, held, jnp.where(certain & (latch.decided == 0.0), samples, latch.decided))

@@ -125,11 +125,11 @@ def watch(
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     noted = []
     watched = (requirement for requirement in requirements if requirement.is_watched)
-    for requirement, before in zip(watched, violations, strict=True):
+    for requirement, times in zip(watched, violations, strict=True):
         measure = requirement.measure
         value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
-        is_first = (before == 0.0) & (requirement.slack(value) < 0.0)
-        noted.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), before))
+        is_first = (times == 0.0) & (requirement.slack(value) < 0.0)
+        noted.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
     return tuple(noted)
 
 

@@ -91,9 +91,9 @@ def series(first: LinearSystem, second: LinearSystem) -> LinearSystem:
     rows = [(*row, *(0.0,) * len(second.a)) for row in first.a]
     for entry, row in zip(second.b, second.a, strict=True):
         rows.append((*scale_column(first.c, entry), *row))
-    (through,) = scale_column((first.d,), second.d)
+    (feedthrough,) = scale_column((first.d,), second.d)
     b = (*first.b, *scale_column(second.b, first.d))
-    return LinearSystem(tuple(rows), b, (*scale_column(first.c, second.d), *second.c), through)
+    return LinearSystem(tuple(rows), b, (*scale_column(first.c, second.d), *second.c), feedthrough)
 
 
 def spread(system: LinearSystem, places: Sequence[int], size: int) -> LinearSystem:

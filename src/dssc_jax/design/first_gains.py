@@ -201,8 +201,8 @@ def pid_radius(plant: LinearPlant, k_p: float, k_i: float, k_d: float, filtered:
     n = len(plant.a)
     h = plant.sample_time
     y = np.append(plant.c, np.zeros(3))
-    last = np.eye(n + 3)[n + 2]
-    derivative = (filtered * np.eye(n + 3)[n + 1] - k_d * (y - last)) / (filtered + h)
+    unit = np.eye(n + 3)[n + 2]
+    derivative = (filtered * np.eye(n + 3)[n + 1] - k_d * (y - unit)) / (filtered + h)
     u = -k_p * y + np.eye(n + 3)[n] + derivative
     matrix = np.zeros((n + 3, n + 3))
     matrix[:n, :n] = plant.a

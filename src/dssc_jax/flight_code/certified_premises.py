@@ -67,7 +67,7 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
     for i, name in enumerate(CHANNELS_OF_VEHICLE):
         controller = problem["channels"][name]
         bounds = verdict.bounds[name]
-        far, fast = controller["initial"]
+        distance, fast = controller["initial"]
         channels.append(
             ChannelPremises(
                 label=labels[i],
@@ -78,17 +78,17 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
                 sigma=bounds["sigma"],
                 sigma_slope=verdict.slopes[name],
                 slides=True,
-                start=None if i < PLANE else ((-far, far), (-fast, fast)),
+                start=None if i < PLANE else ((-distance, distance), (-fast, fast)),
                 disturbance=None,
                 units=study.units[i],
             )
         )
     wind_h, wind_z = problem["wind"]
-    far, fast = problem["channels"]["x"]["initial"]
+    distance, fast = problem["channels"]["x"]["initial"]
     return Premises(
         sample_time=problem["sample_time"],
         channels=tuple(channels),
-        plane_start=(far, fast),
+        plane_start=(distance, fast),
         tilt=verdict.tilt,
         rotors=(verdict.rotor_min, verdict.rotor_max),
         rotor_count=problem["rotors"],
@@ -157,7 +157,7 @@ def why_unseen(problem: JsonObject, order: int) -> str:
 
 def delay_weights(delay: float) -> tuple[float, ...]:
     """Weights of the commands of ages 0, 1, ... samples in what acts."""
-    whole = int(delay)
-    fraction = delay - whole
-    weights = (*(0.0 for _ in range(whole)), 1.0 - fraction)
+    samples = int(delay)
+    fraction = delay - samples
+    weights = (*(0.0 for _ in range(samples)), 1.0 - fraction)
     return (*weights, fraction) if fraction > 0.0 else weights

@@ -92,10 +92,10 @@ def initial_monitor(premises: Premises) -> MonitorState:
     for channel in premises.channels:
         seen = () if channel.disturbance is None else initial_seen(channel.disturbance)
         memories.append(ChannelMemory(0.0, 0.0, seen))
-    none = jnp.zeros((), jnp.uint32)
-    never = jnp.full((), NEVER, jnp.int32)
-    first = (never,) * len(premises.flags())
-    return MonitorState(none, jnp.zeros((), jnp.int32), first, 0.0, tuple(memories))
+    no_flag = jnp.zeros((), jnp.uint32)
+    no_sample = jnp.full((), NEVER, jnp.int32)
+    first = (no_sample,) * len(premises.flags())
+    return MonitorState(no_flag, jnp.zeros((), jnp.int32), first, 0.0, tuple(memories))
 
 
 def monitor(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, jax.Array]:
@@ -157,8 +157,8 @@ def leaves_start(premises: Premises, state: MonitorState, deviations: Sequence[D
     if premises.plane_start is not None:
         x, y = deviations[:2]
         l0 = premises.channels[0].l0
-        far, fast = premises.plane_start
-        outside.append(jnp.greater(plane_norm(x.e, y.e), far + (x.rounding + y.rounding) / l0))
+        distance, fast = premises.plane_start
+        outside.append(jnp.greater(plane_norm(x.e, y.e), distance + (x.rounding + y.rounding) / l0))
         outside.append(jnp.greater(plane_norm(x.e_dot, y.e_dot), fast + (x.rounding + y.rounding)))
     known = deviations[0].known
     for at in deviations[1:]:

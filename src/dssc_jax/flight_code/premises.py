@@ -144,8 +144,8 @@ class Premises:
 
 def above(value: float, real: np.dtype) -> float:
     """The smallest number of a type that is not below a value."""
-    near = real.type(value)
-    return float(near if float(near) >= value else np.nextafter(near, real.type(np.inf)))
+    nearest = real.type(value)
+    return float(nearest if float(nearest) >= value else np.nextafter(nearest, real.type(np.inf)))
 
 
 def outwards(interval: Interval, real: np.dtype) -> Interval:

@@ -43,7 +43,7 @@ def recording_lane(
 ) -> Callable[[dict[str, Scalar], jax.Array], Rows]:
     """The program of a lane: (numbers by name, draw index) -> for each channel a column of each member of a row."""
 
-    others = takes_signals(study)
+    signals = takes_signals(study)
 
     def lane(values: dict[str, Scalar], index: jax.Array) -> Rows:
         loop = study.loop
@@ -60,7 +60,7 @@ def recording_lane(
             ):
                 command = command_parts(controlled.command)
                 results = jax.tree.leaves((channel.control, controlled.info))
-                reading = controlled.reading if others else controlled.reading._replace(signals=())
+                reading = controlled.reading if signals else controlled.reading._replace(signals=())
                 rows.append((*jax.tree.leaves(reading), *reference, *command, *results))
             real = jnp.result_type(float)
             return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)

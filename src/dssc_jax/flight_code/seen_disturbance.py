@@ -80,9 +80,9 @@ def averaging_time(premises: DisturbancePremises, dt: float) -> float:
 
 def initial_seen(premises: DisturbancePremises) -> SeenDisturbance:
     """At rest, with commands that were 0."""
-    nothing = Enclosed(0.0, 0.0)
-    delayed = (nothing,) * (len(premises.delay_weights) - 1)
-    return SeenDisturbance(0.0, 0.0, 0.0, delayed, (nothing,) * premises.lag_order, nothing, nothing, 0.0)
+    zero = Enclosed(0.0, 0.0)
+    delayed = (zero,) * (len(premises.delay_weights) - 1)
+    return SeenDisturbance(0.0, 0.0, 0.0, delayed, (zero,) * premises.lag_order, zero, zero, 0.0)
 
 
 def see(
@@ -181,10 +181,10 @@ def between(held: Enclosed, *parts: tuple[Enclosed, Interval]) -> Enclosed:
     low = held.low
     high = held.high
     for x, (smallest, largest) in parts:
-        below = x.low - held.low
-        above = x.high - held.high
-        low = low + jnp.minimum(smallest * below, largest * below)
-        high = high + jnp.maximum(smallest * above, largest * above)
+        lower = x.low - held.low
+        upper = x.high - held.high
+        low = low + jnp.minimum(smallest * lower, largest * lower)
+        high = high + jnp.maximum(smallest * upper, largest * upper)
     return Enclosed(low, high)
 
 

@@ -92,8 +92,8 @@ def departures_of_flights(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> N
     ordered = np.sort(draws[np.isfinite(draws)])
     share = 1.0 - np.arange(len(ordered)) / len(draws)
     ax.step(ordered, share, where="pre", color=BLUE, label="share of draws at or above")
-    own = flights[np.isfinite(flights)]
-    ax.plot(own, np.full(len(own), 0.02), "|", color=RED, markersize=14, label="flights")
+    finite = flights[np.isfinite(flights)]
+    ax.plot(finite, np.full(len(finite), 0.02), "|", color=RED, markersize=14, label="flights")
     ax.set(xlabel="largest departure from the draws' median, in their spreads", ylabel="share", ylim=(0.0, 1.02))
     ax.set_xscale("log")
     ax.legend(frameon=False, loc="best")

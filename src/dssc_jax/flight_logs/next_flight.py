@@ -157,9 +157,9 @@ class NextFlight(Analysis):
             values = self.dataset[name].values
             of_draws = self.dataset[f"{name}_of_draw"].values
             limit = self.limit(name)
-            beyond = None if limit is None else float(np.mean(~(of_draws <= limit)))
+            share = None if limit is None else float(np.mean(~(of_draws <= limit)))
             unit = str(self.dataset[name].attrs["units"])
-            metrics[name] = MetricLimit(unit, limit, float(values.max()), float(np.nanmedian(of_draws)), beyond)
+            metrics[name] = MetricLimit(unit, limit, float(values.max()), float(np.nanmedian(of_draws)), share)
         spread = self.dataset["spread"].values
         signals = self.dataset["signal"].values
         return NextFlightAnswer(
@@ -181,11 +181,11 @@ class NextFlight(Analysis):
         of_draws = self.dataset["departure_of_draw"].values
         draws = len(of_draws)
         line = np.sort(of_draws)[draws - line_rank(draws)]
-        beyond = int(np.count_nonzero(self.dataset["departure"].values > line))
-        p_value = beyond_p_value(beyond, len(self.logs), draws)
-        low, high = clopper_pearson(beyond, len(self.logs), CONFIDENCE).tolist()
+        count = int(np.count_nonzero(self.dataset["departure"].values > line))
+        p_value = beyond_p_value(count, len(self.logs), draws)
+        low, high = clopper_pearson(count, len(self.logs), CONFIDENCE).tolist()
         return StudyTest(
-            beyond=beyond,
+            beyond=count,
             p_value=p_value,
             refuted=p_value <= 1.0 - CONFIDENCE,
             share_interval=(low, high),
@@ -255,11 +255,11 @@ def next_flight(
         if not inside.any():
             continue
         unit = study.units[signal.channel].output
-        own = (flights[:, row] - desired[:, signal.channel])[:, inside]
+        errors = (flights[:, row] - desired[:, signal.channel])[:, inside]
         drawn = (compared[:, row] - references[signal.channel, 0, ::stride])[:, inside]
         for name, of, meaning in (("error_max", largest, "largest"), ("error_rms", rms, "root mean square of the")):
             place = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
-            data |= number_columns(place, unit, f"{meaning} measured error", of(own), of(drawn))
+            data |= number_columns(place, unit, f"{meaning} measured error", of(errors), of(drawn))
     coords = {
         "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
         "t": ("t", times, {"long_name": "time", "units": "s"}),

@@ -27,8 +27,8 @@ def standing_colours() -> ListedColormap:
 
 def standing_words(covered: str) -> list[str]:
     """The meaning of each standing, where a proof is for ``covered``."""
-    proved, *others = [text for _, text in STANDINGS]
-    return [f"{proved} for {covered}", *others]
+    proved, *texts = [text for _, text in STANDINGS]
+    return [f"{proved} for {covered}", *texts]
 
 
 def standing_keys(covered: str) -> list[Patch]:

@@ -31,10 +31,10 @@ class Bound(NamedTuple):
 
     def of(self, content: JsonObject) -> float:
         """The bound in a summary."""
-        *parents, last = self.entries
+        *parents, leaf = self.entries
         for parent in parents:
             content = content[parent]
-        return float(content[last])
+        return float(content[leaf])
 
 
 BOUNDS = (

@@ -113,8 +113,8 @@ class KullbackLeibler(DivergenceBall):
             return p
         if radius >= -math.log(p):
             return 1.0
-        _, above = bisect(lambda q: self.divergence(float(q), p) <= radius, p, 1.0, HALVINGS)
-        return float(above)
+        _, upper = bisect(lambda q: self.divergence(float(q), p) <= radius, p, 1.0, HALVINGS)
+        return float(upper)
 
 
 class ChiSquare(DivergenceBall):

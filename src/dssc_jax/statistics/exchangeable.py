@@ -119,8 +119,8 @@ class Yardstick(NamedTuple):
         size = np.abs(middle).max(axis=1, keepdims=True)
         floor = FLOOR * np.sqrt(np.mean(spread**2, axis=1, keepdims=True))
         spread = np.maximum(spread, np.maximum(floor, LEAST_SPREAD * size))
-        same = np.nanmax(distance, axis=(0, 2)) <= LEAST_SPREAD * size[:, 0]
-        spread[same] = np.nan
+        constant = np.nanmax(distance, axis=(0, 2)) <= LEAST_SPREAD * size[:, 0]
+        spread[constant] = np.nan
         return cls(middle, spread)
 
     def largest_departure(self, curve: np.ndarray, known: np.ndarray) -> float:

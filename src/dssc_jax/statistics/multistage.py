@@ -78,8 +78,8 @@ def binomial(draws: int, probability: float) -> Counts:
     middle = draws * probability
     half = REACH * math.sqrt(middle * (1.0 - probability)) + 2.0 * REACH
     first = max(math.floor(middle - half), 0)
-    last = min(math.ceil(middle + half), draws)
-    return Counts(first, stats.binom.pmf(np.arange(first, last + 1), draws, probability))
+    largest = min(math.ceil(middle + half), draws)
+    return Counts(first, stats.binom.pmf(np.arange(first, largest + 1), draws, probability))
 
 
 def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
@@ -143,8 +143,8 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:
     """Whether a stop is at the upper boundary."""
-    last = looks[-1]
-    return failures >= last.upper and failures > last.lower
+    final = looks[-1]
+    return failures >= final.upper and failures > final.lower
 
 
 def mirrored(looks: Sequence[Look]) -> list[Look]:

@@ -66,14 +66,14 @@ def known_part(
     sizes = np.bincount(place, minlength=parts)
     removed, interval = removed_share(counts, len(failed), confidence)
     passes = failures <= limit * len(failed)
-    each = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
-    above = counts > limit * sizes
-    surely_above = each[:, 0] > limit
-    possibly_above = each[:, 1] > limit
+    intervals = clopper_pearson(counts, np.maximum(sizes, 1), 1.0 - (1.0 - confidence) / parts)
+    exceeds = counts > limit * sizes
+    surely_above = intervals[:, 0] > limit
+    possibly_above = intervals[:, 1] > limit
     if passes:
-        shares = above.mean(), surely_above.mean(), possibly_above.mean()
+        shares = exceeds.mean(), surely_above.mean(), possibly_above.mean()
     else:
-        shares = (~above).mean(), (~possibly_above).mean(), (~surely_above).mean()
+        shares = (~exceeds).mean(), (~possibly_above).mean(), (~surely_above).mean()
     changes, low, high = map(float, shares)
     return KnownPart(parts, removed, interval, changes, (low, high))
 

@@ -104,10 +104,10 @@ class WeightedDraws:
 
     def extreme(self, size: float, sign: float) -> np.ndarray:
         """The amounts that make the failure probability largest (sign 1) or smallest (sign -1) within a size."""
-        still = np.zeros(self.scores.shape[1])
+        unmoved = np.zeros(self.scores.shape[1])
         failing = self.scores[self.failed]
         if size == 0.0 or not len(failing):
-            return still
+            return unmoved
         low, high = self.change.limits(size)
         limits = [(low, high) if free else (0.0, 0.0) for free in self.free]
 
@@ -128,9 +128,9 @@ class WeightedDraws:
         """No change, and corners: towards the mean of the failing draws, and towards some of them."""
         towards = [failing.mean(axis=0), *failing[np.linspace(0, len(failing) - 1, STARTS - 1).astype(int)]]
         corners = [np.where(sign * direction > 0.0, high, low) for direction in towards]
-        still = np.zeros(failing.shape[1])
-        slope = sign * self.change.mean_slope(still, failing, np.full(len(failing), 1.0 / len(failing)))
-        return [still, np.where(slope > 0.0, high, low), *corners]
+        unmoved = np.zeros(failing.shape[1])
+        slope = sign * self.change.mean_slope(unmoved, failing, np.full(len(failing), 1.0 / len(failing)))
+        return [unmoved, np.where(slope > 0.0, high, low), *corners]
 
 
 @dataclass(frozen=True)

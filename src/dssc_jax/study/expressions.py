@@ -146,9 +146,9 @@ def check_call(name: str, count: int) -> None:
     """
     if name not in FUNCTIONS:
         raise ValueError(f"'{name}' is no function of expressions; {nearest(name, FUNCTIONS)}")
-    several = FUNCTIONS[name].several
-    if (count < 2) if several else (count != 1):
-        raise ValueError(f"{name} takes {'two or more arguments' if several else 'one argument'}, got {count}")
+    variadic = FUNCTIONS[name].several
+    if (count < 2) if variadic else (count != 1):
+        raise ValueError(f"{name} takes {'two or more arguments' if variadic else 'one argument'}, got {count}")
 
 
 def excerpt(text: str) -> str:

@@ -60,7 +60,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
         return jnp.stack([jnp.asarray(values[name]) for name in ("y", *measures)])
 
     with arithmetic():
-        rows, through = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
+        rows, feedthrough = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
     columns = [*dynamics.disturbance, *dynamics.inputs]
     return NominalPlant(
         np.asarray(dynamics.a, float),
@@ -68,7 +68,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
         np.asarray(columns, float).T,
         rows[0],
         rows[1:],
-        through[1:],
+        feedthrough[1:],
         (MATCHED, *(signal.name for signal in inputs)),
     )
 

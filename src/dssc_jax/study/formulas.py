@@ -143,9 +143,9 @@ class FormulaParser:
         formula = with_intervals(formula, self.steps, outermost=True)
         needed = horizon(formula)
         if needed >= self.steps:
-            last = (self.steps - 1) * self.sample_time
+            duration = (self.steps - 1) * self.sample_time
             raise ValueError(
-                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {last:g} s; "
+                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {duration:g} s; "
                 "shorten its intervals, or lengthen loop.duration"
             )
         unit = next(iter(self.units)) if len(self.units) == 1 else UNCLEAR
@@ -200,11 +200,11 @@ class FormulaParser:
 
     def until(self) -> Formula:
         """An operand, or two joined by ``until``."""
-        before = self.unary()
+        condition = self.unary()
         if not self.take("until"):
-            return before
+            return condition
         begin, end = self.interval("until")
-        return Until(begin, end, before, self.unary())
+        return Until(begin, end, condition, self.unary())
 
     def unary(self) -> Formula:
         """A comparison, a formula in parentheses, or an operator with its operand."""
@@ -256,10 +256,10 @@ class FormulaParser:
         if not 0.0 <= begin <= end < math.inf:
             raise ValueError(f"{shown} needs 0 <= begin <= end in seconds")
         first = math.ceil(begin / self.sample_time - ROUNDING)
-        last = math.floor(end / self.sample_time + ROUNDING)
-        if last < first:
+        final = math.floor(end / self.sample_time + ROUNDING)
+        if final < first:
             raise ValueError(f"{shown} holds no sample: T_s is {self.sample_time:g} s")
-        return first, last
+        return first, final
 
     def seconds(self, text: str) -> float:
         """The value of a time that is written with numbers and parameters [s]."""
@@ -294,8 +294,8 @@ class FormulaParser:
         taken = self.tokens[first : self.position]
         if not taken:
             raise ValueError(f"{self.place()}: expected an expression, got {self.token or 'the end'!r}")
-        last = taken[-1]
-        return self.text[taken[0].start : last.start + len(last.text)]
+        final = taken[-1]
+        return self.text[taken[0].start : final.start + len(final.text)]
 
     def compared(self, upper: str, lower: str) -> Comparison:
         """A comparison of two expressions."""
@@ -359,9 +359,9 @@ def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
         case And() | Or():
             return type(formula)(tuple(with_intervals(part, steps, outermost) for part in formula.parts))
         case Until():
-            before = with_intervals(formula.before, steps, outermost=False)
+            condition = with_intervals(formula.before, steps, outermost=False)
             goal = with_intervals(formula.goal, steps, outermost=False)
-            return Until(formula.begin, last_sample(formula.end, before, goal), before, goal)
+            return Until(formula.begin, last_sample(formula.end, condition, goal), condition, goal)
     inner = with_intervals(formula.inner, steps, outermost=False)
     return type(formula)(formula.begin, last_sample(formula.end, inner), inner)
 

@@ -39,11 +39,11 @@ def section(title: str, rows: Iterable[tuple[str, ...]]) -> str:
     shown = list(rows)
     if not shown:
         return ""
-    more = len(shown) - MOST_ROWS
+    hidden = len(shown) - MOST_ROWS
     shown = shown[:MOST_ROWS]
     widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in shown]
-    lines += [f"... and {more} more"] if more > 0 else []
+    lines += [f"... and {hidden} more"] if hidden > 0 else []
     return "\n".join([title, *(f"  {shortened(line)}" for line in lines)])
 
 

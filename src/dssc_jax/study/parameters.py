@@ -352,7 +352,7 @@ def in_order(raw: Mapping[str, object]) -> list[str]:
         path: list[str] = [first]
         while path:
             name = path[-1]
-            waiting = [other for other in dependencies(name, raw[name]) if other in raw and other not in order]
+            waiting = [parent for parent in dependencies(name, raw[name]) if parent in raw and parent not in order]
             if name in order or not waiting:
                 order += [name] if name not in order else []
                 path.pop()

@@ -89,5 +89,5 @@ def farthest(holds: Callable[[float], bool]) -> float:
             return LARGEST
         inside = outside
         outside = 2.0 * outside
-    near, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
-    return float(near)
+    inner, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
+    return float(inner)

@@ -260,7 +260,7 @@ def laws(
         math.log(guaranteed.widening or 1.0),
         lambda size: (bounds.widened(free, math.exp(size)) or (0.0, math.nan))[1],
     )
-    both = (shift_of_all, widening_of_all)
+    changes = (shift_of_all, widening_of_all)
     new = FreshDraws(study, len(draws.failed), fresh, progress)
     return LawErrors(
         study,
@@ -271,9 +271,9 @@ def laws(
         interval=(low, high),
         interval_method=result.method.name,
         guaranteed=guaranteed,
-        weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in both},
+        weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in changes},
         stated=amounts.errors(draws, (low, high), confidence),
-        fresh=fresh_limits(new, both, limit) if fresh and draws.failed.any() else None,
+        fresh=fresh_limits(new, changes, limit) if fresh and draws.failed.any() else None,
         seconds=time.perf_counter() - began,
     )
 

@@ -223,8 +223,8 @@ def chosen_params(params: Params, substitute: Params, taken: Scalar) -> Params:
     """The substitute's parameters where it is taken; numbers that both share stay as they are, such as a memory."""
 
     def chosen(a: Scalar, b: Scalar) -> Scalar:
-        same = a is b or (is_known(a) and is_known(b) and a == b)
-        return a if same else jnp.where(taken, b, a)
+        equal = a is b or (is_known(a) and is_known(b) and a == b)
+        return a if equal else jnp.where(taken, b, a)
 
     return jax.tree.map(chosen, params, substitute)
 

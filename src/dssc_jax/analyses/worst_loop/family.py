@@ -125,8 +125,8 @@ class BrokenFamily:
         bases = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
         moved = np.repeat(bases[:, None], sides, axis=1)
         moved[:, range(sides), range(sides)] += 0.5
-        before = self._matrices(bases)
-        after = self._matrices(moved.reshape(-1, sides)).reshape(PROBES, sides, *before.shape[1:])
-        limit = SAME * (1e-3 + np.abs(before).max(axis=0))
-        same = np.abs(after - before[:, None]) <= limit  # not where there is no equilibrium
-        return np.flatnonzero(np.any(~same, axis=(0, 2, 3))).tolist()
+        reference = self._matrices(bases)
+        after = self._matrices(moved.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
+        limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
+        unchanged = np.abs(after - reference[:, None]) <= limit  # not where there is no equilibrium
+        return np.flatnonzero(np.any(~unchanged, axis=(0, 2, 3))).tolist()

@@ -24,8 +24,8 @@ def run(options: Design) -> int:
     require_one_form(options.as_json, options.as_latex)
     if is_study(options.bounds):
         return print_first_gains(options)
-    given = {"--controller": options.controller, "--bandwidth": options.bandwidth, "--limit": options.limit}
-    for name, value in given.items():
+    options_set = {"--controller": options.controller, "--bandwidth": options.bandwidth, "--limit": options.limit}
+    for name, value in options_set.items():
         if value is not None:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")
     design = load_design(options.bounds, complete=False)

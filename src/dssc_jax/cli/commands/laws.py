@@ -27,8 +27,8 @@ def run(options: Laws) -> int:
     stored = isinstance(subject, Result)
     study = subject.study if isinstance(subject, Result) else subject
     asked = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
-    given = (options.study if stored else None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "laws", "laws", options.out, *asked, *given)
+    excluded = (options.study if stored else None, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "laws", "laws", options.out, *asked, *excluded)
     with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not stored) as advance:
         errors = laws(
             subject,

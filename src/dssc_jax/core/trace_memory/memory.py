@@ -10,13 +10,13 @@ from dssc_jax.lanes.program_cache import cache_directory, kept
 T = TypeVar("T")
 
 
-def remembered(label: str, compute: Callable[[], T], *things: Any) -> T:
-    """What follows from things alone: from the user's cache, or computed and kept there.
+def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
+    """What follows from subjects alone: from the user's cache, or computed and kept there.
 
     Args:
         label: Label of the cached quantity.
         compute: Computes it, as a tree that :func:`dssc_jax.core.trace_memory.facts.encoded` knows.
-        things: All that it follows from, beside this package's code, as :func:`name_of` describes it.
+        subjects: All that it follows from, beside this package's code, as :func:`name_of` describes it.
     """
-    name = None if cache_directory() is None else name_of(label, *things)
+    name = None if cache_directory() is None else name_of(label, *subjects)
     return compute() if name is None else decoded(kept(f"{label}-{name}", lambda: encoded(compute())))

@@ -1,6 +1,6 @@
-"""Names for what this package computes from given things: equal names, equal results.
+"""Names for what this package computes from given subjects: equal names, equal results.
 
-A name is a digest of the package's sources, of the versions below it, of JAX's settings and of the things: numbers,
+A name is a digest of the package's sources, of the versions below it, of JAX's settings and of the subjects: numbers,
 containers, parameters, models, and functions with all that they close over. What it cannot describe completely has no
 name, such as a model of the user's own: its code, and what that calls, may change without notice.
 
@@ -35,17 +35,17 @@ VERSIONED = ("jax", "jaxlib", "numpy", "scipy", "llvmlite")
 
 
 class Undescribed(Exception):
-    """A thing that a name cannot describe completely."""
+    """A subject that a name cannot describe completely."""
 
 
-def name_of(*things: Any) -> str | None:
-    """A name for what this package computes from things in this process; None if there is none."""
+def name_of(*subjects: Any) -> str | None:
+    """A name for what this package computes from subjects in this process; None if there is none."""
     sources = sources_digest()
     if sources is None:
         return None
     digest = hashlib.sha256()
     try:
-        for part in description_parts((sources, versions(), sorted(jax.config.values.items()), things), ()):
+        for part in description_parts((sources, versions(), sorted(jax.config.values.items()), subjects), ()):
             digest.update(f"{len(part)}:".encode() + part)
     except Undescribed:
         return None
@@ -59,10 +59,10 @@ def sources_digest() -> str | None:
     digest = hashlib.sha256()
     sources = package_sources()
     for file in sources:
-        about = file.stat()
-        if max(about.st_mtime, about.st_ctime) >= dssc_jax.IMPORTED:
+        status = file.stat()
+        if max(status.st_mtime, status.st_ctime) >= dssc_jax.IMPORTED:
             return None
-        digest.update(f"{file.relative_to(root)}:{about.st_size}:".encode() + files.read_bytes(file))
+        digest.update(f"{file.relative_to(root)}:{status.st_size}:".encode() + files.read_bytes(file))
     return digest.hexdigest() if sources else None
 
 
@@ -82,34 +82,34 @@ def versions() -> tuple[str, ...]:
     return platform.python_version(), *map(version, VERSIONED)
 
 
-def description_parts(thing: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
-    """Bytes that describe a thing, in parts.
+def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[bytes]:
+    """Bytes that describe a subject, in parts.
 
     Args:
-        thing: What to describe.
-        ancestors: id() of every object that contains the thing, from the outermost.
+        subject: What to describe.
+        ancestors: id() of every object that contains the subject, from the outermost.
 
     Raises:
         Undescribed: It has no complete description.
     """
-    if id(thing) in ancestors:  # a function that closes over itself: how many levels above
-        yield f"above {len(ancestors) - ancestors.index(id(thing))}".encode()
+    if id(subject) in ancestors:  # a function that closes over itself: how many levels above
+        yield f"above {len(ancestors) - ancestors.index(id(subject))}".encode()
         return
-    yield place(type(thing))
-    match thing:
+    yield place(type(subject))
+    match subject:
         case type():
-            yield place(thing)
+            yield place(subject)
         case Enum():
-            yield thing.name.encode()
+            yield subject.name.encode()
         case None | bool() | int() | float() | complex() | str() | bytes():
-            yield repr(thing).encode()
+            yield repr(subject).encode()
         case np.ndarray() | np.generic() | jax.Array():
-            yield from array_parts(thing)
+            yield from array_parts(subject)
         case _:
-            inside = consists_of(thing)
+            inside = consists_of(subject)
             yield str(len(inside)).encode()
             for part in inside:
-                yield from description_parts(part, (*ancestors, id(thing)))
+                yield from description_parts(part, (*ancestors, id(subject)))
 
 
 @cache
@@ -138,34 +138,34 @@ def array_parts(array: Any) -> Iterator[bytes]:
     yield np.ascontiguousarray(numbers).tobytes()
 
 
-def consists_of(thing: Any) -> list[Any]:
+def consists_of(subject: Any) -> list[Any]:
     """What a container, a function or an object of a known type consists of.
 
     Raises:
         Undescribed: Its parts are not known.
     """
-    match thing:
+    match subject:
         case tuple() | list():
-            return list(thing)
+            return list(subject)
         case Mapping():
-            return [part for item in thing.items() for part in item]
+            return [part for item in subject.items() for part in item]
         case functools.partial():
-            return [thing.func, thing.args, thing.keywords]
+            return [subject.func, subject.args, subject.keywords]
         case types.MethodType():
-            return [thing.__func__, thing.__self__]
+            return [subject.__func__, subject.__self__]
         case types.FunctionType():
-            return function_parts(thing)
+            return function_parts(subject)
         case types.BuiltinFunctionType() | np.ufunc():
-            return [thing.__name__]
+            return [subject.__name__]
         case jax.ShapeDtypeStruct():
-            return [thing.shape, str(thing.dtype)]
-        case _ if hasattr(type(thing), "model_fields"):  # of pydantic
-            return [thing.model_extra, *(getattr(thing, name) for name in type(thing).model_fields)]
-        case _ if is_dataclass(thing):
-            return [getattr(thing, field.name) for field in fields(thing) if field.compare]
-        case _ if hasattr(thing, "__wrapped__"):  # compiled or cached
-            return [thing.__wrapped__]
-    raise Undescribed(thing)
+            return [subject.shape, str(subject.dtype)]
+        case _ if hasattr(type(subject), "model_fields"):  # of pydantic
+            return [subject.model_extra, *(getattr(subject, name) for name in type(subject).model_fields)]
+        case _ if is_dataclass(subject):
+            return [getattr(subject, field.name) for field in fields(subject) if field.compare]
+        case _ if hasattr(subject, "__wrapped__"):  # compiled or cached
+            return [subject.__wrapped__]
+    raise Undescribed(subject)
 
 
 def function_parts(function: types.FunctionType) -> list[Any]:
@@ -178,5 +178,5 @@ def function_parts(function: types.FunctionType) -> list[Any]:
     if package_of(module) not in DESCRIBED:
         raise Undescribed(function)
     closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
-    given = closed_over, function.__defaults__, function.__kwdefaults__
-    return [module, code.co_qualname, str(list(code.co_positions())), *given]
+    parts = closed_over, function.__defaults__, function.__kwdefaults__
+    return [module, code.co_qualname, str(list(code.co_positions())), *parts]

@@ -212,12 +212,12 @@ class Emitter(Instructions):
         """A call of a function of C for each lane; the register of its first result."""
         self.called[function.symbol] = function
         self.declared |= {f"declare void @{function.symbol}(ptr)", "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"}
-        given = self.buffer(function.operands)
+        packed = self.buffer(function.operands)
         found = self.buffer(function.results)
         operands = foreign_calls.columns(function.operands, self.width)
         for operand, (_, offset) in zip(value.operands, operands, strict=True):
-            self.put(given, offset, operand)
-        self.lines.append(f"  call void @{foreign_calls.over_lanes(function, self.width)}(ptr {given}, ptr {found})")
+            self.put(packed, offset, operand)
+        self.lines.append(f"  call void @{foreign_calls.over_lanes(function, self.width)}(ptr {packed}, ptr {found})")
         results = foreign_calls.columns(function.results, self.width)
         self.parts[id(value)] = [self.taken(found, offset, place.dtype) for place, offset in results]
         return self.parts[id(value)][0]

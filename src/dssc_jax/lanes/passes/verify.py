@@ -95,10 +95,10 @@ def verify_access(value: Value) -> None:
     require(isinstance(value.detail, Slot), value, "must have a slot")
     require(value.dtype == (value.detail.dtype if value.operation == Operation.READ else TOKEN), value, "type is wrong")
     if value.operation != Operation.MEMORY:
-        token, index, *others = value.operands
+        token, index, *operands = value.operands
         require(token.dtype == TOKEN, value, "must begin with a token")
         require(index.dtype == np.dtype(np.int32) and not index.varying, value, "must have a uniform index")
-        require(not others or others[0].dtype == value.detail.dtype, value, "must write the slot's type")
+        require(not operands or operands[0].dtype == value.detail.dtype, value, "must write the slot's type")
 
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:

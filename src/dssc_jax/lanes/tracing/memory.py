@@ -98,8 +98,8 @@ def clamped(build: Builder, index: Value, length: int) -> Value:
     """
     if index.varying:
         raise Unsupported("an array of the time loop at an index that differs between lanes")
-    above = build.add("max", index, build.constant(0, index.dtype))
-    inside = build.add("min", above, build.constant(length - 1, index.dtype))
+    clipped = build.add("max", index, build.constant(0, index.dtype))
+    inside = build.add("min", clipped, build.constant(length - 1, index.dtype))
     return build.add("convert", inside, dtype=INDEX_TYPE)
 
 

@@ -36,8 +36,8 @@ def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Sc
     closing = jnp.where(gap > 0.0, params.rate - slope, params.rate + slope)
     is_met = jnp.abs(gap) < closing * dt
     meeting = jnp.where(is_met, jnp.abs(gap) / jnp.where(is_met, closing, 1.0), 0.0)
-    behind = start + slope * meeting + saturate(slope, params.rate) * (dt - meeting)
-    return (jnp.where(is_met, behind, jnp.where(gap > 0.0, z + reach, z - reach)),)
+    delayed = start + slope * meeting + saturate(slope, params.rate) * (dt - meeting)
+    return (jnp.where(is_met, delayed, jnp.where(gap > 0.0, z + reach, z - reach)),)
 
 
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:

@@ -75,12 +75,12 @@ def system(params: RationalActuatorParams) -> LinearSystem:
         rows.append(tuple(rate if j == i + 1 else 0.0 for j in range(order)))
     if order:
         rows.append(tuple(0.0 if is_zero(pole) else -rate * pole for pole in poles[:-1]))
-    through = zeros[-1]
+    feedthrough = zeros[-1]
     output = []
     for zero, pole in zip(zeros[:-1], poles[:-1], strict=True):
-        output.append(zero if is_zero(through) or is_zero(pole) else zero - through * pole)
+        output.append(zero if is_zero(feedthrough) or is_zero(pole) else zero - feedthrough * pole)
     column = (*(0.0,) * (order - 1), rate) if order else ()
-    return LinearSystem(tuple(rows), column, tuple(output), through)
+    return LinearSystem(tuple(rows), column, tuple(output), feedthrough)
 
 
 RATIONAL = linear_unmodelled(RationalActuatorParams, init, system, prepare)

@@ -92,8 +92,8 @@ def fraction_step(
     u = within_limits(v, gains.low, gains.high)
     after = []
     for i, (b, a) in enumerate(zip(following, lower, strict=True)):
-        above = state.x[i + 1] if i + 1 < len(state.x) else 0.0
-        after.append(b * error - a * u + above)
+        successor = state.x[i + 1] if i + 1 < len(state.x) else 0.0
+        after.append(b * error - a * u + successor)
     return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
 
 

@@ -108,8 +108,8 @@ def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> Sa
     block = np.zeros((order + columns.shape[1],) * 2)
     block[:order, :order] = a
     block[:order, order:] = columns
-    whole = expm(block * sample_time)
-    return SampledPlant(whole[:order, :order], whole[:order, order], whole[:order, order + 1 :])
+    exponential = expm(block * sample_time)
+    return SampledPlant(exponential[:order, :order], exponential[:order, order], exponential[:order, order + 1 :])
 
 
 def regulator(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_time: float) -> np.ndarray:
@@ -135,8 +135,8 @@ def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndar
     count = plant.disturbances.shape[1]
     missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
     deviations = np.array(filled("disturbance_std", (*gains.disturbance_std, *missing), count))
-    own = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
-    w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + own
+    intensity = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
+    w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + intensity
     return filter_gain(plant.a, rows, w, np.diag(np.square(filled("signal_std", gains.signal_std, len(rows)))))
 
 
@@ -168,8 +168,8 @@ def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) 
     block = np.block([[plant.a - np.eye(order), plant.b[:, None]], [output[None, :], np.zeros((1, 1))]])
     if np.linalg.cond(block) > 1e12:
         return 0.0
-    rest = np.linalg.solve(block, np.append(np.zeros(order), 1.0))
-    return float(rest[order] + feedback @ rest[:order])
+    equilibrium = np.linalg.solve(block, np.append(np.zeros(order), 1.0))
+    return float(equilibrium[order] + feedback @ equilibrium[:order])
 
 
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
@@ -179,7 +179,7 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     plant = setting.plant
     by_output = not setting.measures
     rows = plant.output[None, :] if by_output else plant.signals
-    through = np.zeros(1) if by_output else plant.through
+    feedthrough = np.zeros(1) if by_output else plant.through
     if len(gains.signal_std) != len(rows):
         named = "y" if by_output else ", ".join(setting.measures)
         rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
@@ -192,7 +192,7 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
         transition=plain_rows(discrete.a),
         input=tuple(map(float, discrete.b)),
         signals=plain_rows(rows),
-        through=tuple(map(float, through)),
+        through=tuple(map(float, feedthrough)),
         feedback=tuple(map(float, feedback[:order])),
         correction=plain_rows(estimator(discrete, rows, gains)),
         integral_gain=float(feedback[order]) if len(feedback) > order else 0.0,
@@ -217,8 +217,8 @@ def step(
     """One sample: correct, command, predict."""
     shown = measurement.signals or (measurement.y,)
     innovations = []
-    for row, through, signal in zip(gains.signals, gains.through, shown, strict=True):
-        innovations.append(signal - dot((*row, through), (*state.predicted, state.command)))
+    for row, feedthrough, signal in zip(gains.signals, gains.through, shown, strict=True):
+        innovations.append(signal - dot((*row, feedthrough), (*state.predicted, state.command)))
     estimate = []
     for x, row in zip(state.predicted, gains.correction, strict=True):
         estimate.append(x + dot(row, innovations))
@@ -242,10 +242,10 @@ def transfer(
 ) -> LqgState:
     """The integral that gives a command, with a state that the measurement does not correct; 0 without integral."""
     start = init(gains, measurement, reference)
-    _, without, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)
+    _, unlimited, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)
     acts = gains.integral_gain != 0.0
     gain = jnp.where(acts, gains.integral_gain, 1.0)
-    return start._replace(integral=jnp.where(acts, (without.robust - command) / gain, 0.0))
+    return start._replace(integral=jnp.where(acts, (unlimited.robust - command) / gain, 0.0))
 
 
 def prepare(gains: LqgGains) -> LqgGains:

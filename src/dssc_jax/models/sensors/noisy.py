@@ -104,9 +104,9 @@ def aged_reading(present: Measurement, previous: Measurement, age: Scalar, dt: S
     s = 1.0 - age / dt
     rise = present.y - previous.y
     first = dt * previous.y_dot
-    last = dt * present.y_dot
-    second = 3.0 * rise - 2.0 * first - last
-    third = first + last - 2.0 * rise
+    increment = dt * present.y_dot
+    second = 3.0 * rise - 2.0 * first - increment
+    third = first + increment - 2.0 * rise
     y = previous.y + s * (first + s * (second + s * third))
     return Measurement(y, (first + s * (2.0 * second + 3.0 * s * third)) / dt)
 

@@ -106,10 +106,10 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
         k_o, tau_av, _ = functions.at(jnp.asarray(points), jnp.zeros(points.size), l0)
         slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), points.size)
     phi_1 = np.asarray(mean) * points
-    near = slope[0] * change - phi_1[1]
-    reached, before = np.split(phi_1[2:], 2)
-    far = reached - before - slope[2 : 2 + size.size] * change
-    return np.where(size < change, near, far)
+    inner = slope[0] * change - phi_1[1]
+    reached, earlier = np.split(phi_1[2:], 2)
+    outer = reached - earlier - slope[2 : 2 + size.size] * change
+    return np.where(size < change, inner, outer)
 
 
 @jax.jit

@@ -223,7 +223,7 @@ def bounds_of(problem: VehicleProblem, answers: list[dict[Fraction, Answer]]) ->
             seen = [np.zeros(len(POINTS)) if part is None else part.signals[key] for part in parts]
             slopes = [np.zeros(1) if part is None or key == "u_av" else part.slopes[key] for part in parts]
             growth = [eighth * SLOPE_ROOM * np.max(np.abs(slope)) for slope in slopes]
-            largest += [np.max(np.abs(phasors)) + more for phasors, more in zip(seen, growth, strict=True)]
+            largest += [np.max(np.abs(phasors)) + added for phasors, added in zip(seen, growth, strict=True)]
             if len(answers) == 2:
                 circles = 0.5 * (np.abs(seen[0] + 1j * seen[1]) + np.abs(seen[0] - 1j * seen[1]))
                 turned = 0.5 * (np.abs(slopes[0] + 1j * slopes[1]) + np.abs(slopes[0] - 1j * slopes[1]))

@@ -325,9 +325,9 @@ def coupled_torque(problem: VehicleProblem, y: Signals, at: Attitude, couplings:
     a_0, a_1 = problem.stiffness, problem.damping
     if couplings is None:
         return a_0 * GRAVITY * at.desired + GRAVITY * a_1 * at.yaw_rate * at.tilt
-    wanted = y["x"]["wanted"]
-    tangent = wanted / (GRAVITY - at.lift)
-    known = (couplings.lift_gap * wanted + couplings.lift * couplings.wanted_gap) / GRAVITY
+    demanded = y["x"]["wanted"]
+    tangent = demanded / (GRAVITY - at.lift)
+    known = (couplings.lift_gap * demanded + couplings.lift * couplings.wanted_gap) / GRAVITY
     swung = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
     return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + known) + a_1 * swung
 

@@ -56,7 +56,7 @@ def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inp
     """(V2, V3) What the bounds of each cell allow."""
     sigmas = [sigmas_under(vehicle, y) for y in bounds]
     deviations = {
-        name: deviations_in_regions(vehicle.problem, name, vehicle.middles[name], [each[name] for each in sigmas])
+        name: deviations_in_regions(vehicle.problem, name, vehicle.middles[name], [signals[name] for signals in sigmas])
         for name in CHANNELS
     }
     result: list[Inputs] = []

@@ -187,8 +187,8 @@ def channel_flight(
         answers = [answer_of(problem, name, proof, channel, sampled, course, frequency, phases) for course in courses]
         for signal in answers[0].phasors:
             seen = size_of(signal, [answer.phasors[signal] for answer in answers])
-            between = size_of(signal, [[answer.slopes[signal]] for answer in answers])
-            added = (seen + arb(problem["sample_time"]) / 8 * between).upper()
+            slope = size_of(signal, [[answer.slopes[signal]] for answer in answers])
+            added = (seen + arb(problem["sample_time"]) / 8 * slope).upper()
             bounds[signal] = (bounds.get(signal, arb(0)) + added).upper()
         flown = [state + answer.state for state, answer in zip(flown, answers, strict=True)]
     begun = [first_state(problem, name, proof, sampled, course) for course in courses]

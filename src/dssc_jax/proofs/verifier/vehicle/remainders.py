@@ -297,10 +297,10 @@ def coupled_torque(
     damping = arb(problem["damping"])
     if coupling is None:
         return stiffness * g * body.r_2 + g * damping * body.psi_1 * body.s
-    wanted = bounds["x"]["wanted"]
-    t_d = wanted / (g - body.a)
+    demanded = bounds["x"]["wanted"]
+    t_d = demanded / (g - body.a)
     tilted = g * t_d**3 / 3 + body.a * body.a * t_d / g
-    lifted = (coupling.lift * wanted + coupling.lift_known * coupling.wanted) / g
+    lifted = (coupling.lift * demanded + coupling.lift_known * coupling.wanted) / g
     swung = coupling.yaw * g * body.s + coupling.yaw_known * coupling.alpha
     return stiffness * (tilted + lifted) + damping * swung
 
