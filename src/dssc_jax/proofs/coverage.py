@@ -44,6 +44,7 @@ LAGS = {
     LAG.members[Order.TWO]: ((1.0,), (1.0, 2.0, 1.0)),
 }
 """Numerator and denominator of each lag, in rising powers of mu s."""
+UNPROVED_CONTROLLER = "the controller is not DSSC, SSC or PI, in implicit or conservative form"
 
 
 AnyProblem: TypeAlias = ProofProblem | VehicleProblem
@@ -218,6 +219,8 @@ def controller_of(study: Study) -> JsonObject:
     """
     member = study.loop.controller[0]
     gains = study.template.controller[0]
+    if not isinstance(gains, PiGains | DsscGains):
+        raise NotCovered(UNPROVED_CONTROLLER)
     nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
     common = {"l0": float(gains.l0), "nominal": nominal}
     if isinstance(gains, PiGains):
@@ -232,8 +235,8 @@ def controller_of(study: Study) -> JsonObject:
         return common | {"form": "implicit", "functions": functions, "rho": None, "start": "zero"}
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
-    if form is None or not isinstance(gains, DsscGains):
-        raise NotCovered("the controller is not DSSC, SSC or PI, in implicit or conservative form")
+    if form is None:
+        raise NotCovered(UNPROVED_CONTROLLER)
     if not isinstance(gains.rho, ConstantModulation):
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:
