@@ -1,6 +1,7 @@
-"""Draws docs/figures/hover_wind.png and writes the measured parts that are named after it: ``make hover``.
+"""Draws docs/figures/hover_wind*.png and writes the measured parts that are named after them: ``make hover``.
 
-``python -m benchmarks.hover PART ..`` measures some of them. The figure belongs to the part ``hover map``.
+``python -m benchmarks.hover PART ..`` measures some of them. The figures belong to the parts ``hover map`` and
+``hover gains``.
 """
 
 import json
@@ -9,6 +10,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib import rc_context
@@ -21,6 +23,7 @@ from benchmarks.page import put
 from dssc_jax import plotting
 from dssc_jax.plotting.standings import STANDINGS, standing_of
 from dssc_jax.proofs.prove_vehicle import VehicleProved
+from dssc_jax.results.proofs import SweepProofs
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "vehicle_proofs.md"
@@ -30,10 +33,6 @@ RANDOM = 24
 """Random winds whose flights are drawn."""
 WALKS = (("hover_wind", (1.0, 14.0), None), (HOVER, (1.0, 14.0), None), (HOVER, (1.0, 14.0), 0.03))
 """Study, range of the wind [m/s], and lag of the rotors [s]."""
-GAINS = {
-    "controller.functions.kappa_o": {"logspace": [5.0, 100.0, 6]},
-    "controller.l0": {"logspace": [0.1, 3.0, 6]},
-}
 
 
 def path_of(study: dj.Study, draw: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -79,30 +78,45 @@ def draw(result: dj.Result, hover: dj.Study, proved: VehicleProved) -> float:
     return found
 
 
-def map_text() -> str:
-    """The map over wind and lag, and the figure."""
-    study = dj.Study.load("hover_wind_map")
+class ProvedMap(NamedTuple):
+    """A sweep with its proofs, and the number of points of each kind in words."""
+
+    result: dj.Result
+    proofs: SweepProofs
+    kinds: str
+
+
+def proved_map(name: str) -> ProvedMap:
+    """The map of a study, simulated and proved."""
+    study = dj.Study.load(name)
     with tempfile.TemporaryDirectory() as folder:
         result = dj.run(study, Path(folder) / "map")
     proofs = dj.prove_sweep(study)
-    result = result.with_proofs(proofs)
+    share = result.failed.mean("draw").values
+    kinds = standing_of(proofs.proved, share)
+    counts = [f"{np.count_nonzero(kinds == kind)} ({text})" for kind, (_, text) in enumerate(STANDINGS)]
+    text = (
+        f"`dssc-jax sweep {name} --prove`: {share.size} points, {result.failed.sizes['draw']} draws at each; "
+        f"{', '.join(counts)}. {int((proofs.proved & (share > 0.0)).sum())} proved points have a draw that fails."
+    )
+    return ProvedMap(result.with_proofs(proofs), proofs, text)
+
+
+def map_text() -> str:
+    """The map over wind and lag, and the figure."""
+    result, proofs, kinds = proved_map("hover_wind_map")
     hover = dj.Study.load(HOVER)
     proved = dj.prove(hover)
     assert isinstance(proved, VehicleProved)
     found = draw(result, hover, proved)
-    share = result.failed.mean("draw").values
-    kinds = standing_of(proofs.proved, share)
-    counts = [f"{np.count_nonzero(kinds == kind)} ({text})" for kind, (_, text) in enumerate(STANDINGS)]
     ratio = (proofs.bounds["|e_x|, |e_y|"] / result.dataset["error_max_x"].max("draw").values)[proofs.proved]
-    lags, winds = study.axes.values()
+    lags, winds = result.study.axes.values()
     reach = []
     for lag, row in zip(lags, proofs.proved, strict=True):
         told = f"{max(np.array(winds)[row]):g} m/s" if row.any() else "none"
         reach.append(f"{lag:.3g} s: {told}")
     return (
-        f"`dssc-jax sweep hover_wind_map --prove`: {share.size} points, {result.failed.sizes['draw']} draws at each; "
-        f"{', '.join(counts)}. {int((proofs.proved & (share > 0.0)).sum())} proved points have a draw that fails. The "
-        f"proved bound of |e_x| is {np.median(ratio):.2g} times the largest of the draws (median; at most "
+        f"{kinds} The proved bound of |e_x| is {np.median(ratio):.2g} times the largest of the draws (median; at most "
         f"{ratio.max():.2g}). The strongest proved wind at each lag of the rotors: {'; '.join(reach)}. The proofs took "
         f"{proofs.seconds:.0f} s.\n\n"
         f"`dssc-jax prove {HOVER}`: {proved.statement()} `dssc-jax worst-wind` finds a wind that reaches "
@@ -112,19 +126,16 @@ def map_text() -> str:
 
 
 def gains_text() -> str:
-    """What is proved over two gains of x and y, at 8 m/s."""
-    study = dj.Study.load("hover_wind_map").override({"plant.vehicle": {}, "wind.speed": 8.0, "sweep": GAINS})
-    result = dj.run(study)
-    proofs = dj.prove_sweep(study)
-    kinds = standing_of(proofs.proved, result.failed.mean("draw").values)
-    counts = [f"{np.count_nonzero(kinds == kind)} ({text})" for kind, (_, text) in enumerate(STANDINGS)]
+    """The map over two gains of x and y, and its figure."""
+    result, proofs, kinds = proved_map("hover_wind_gains")
+    plotting.write(plotting.sweep(result), DOCS / "figures" / "hover_wind_gains.png")
     best = np.unravel_index(int(np.nanargmin(proofs.error)), proofs.error.shape)
-    pairs = zip(study.axes.items(), best, strict=True)
+    pairs = zip(result.study.axes.items(), best, strict=True)
     at = ", ".join(f"{name.split('.')[-1]} = {values[i]:.3g}" for (name, values), i in pairs)
     return (
-        f"Over kappa_o and l_0 of x and y, without a lag of the rotors, at 8 m/s: {proofs.proved.size} points, "
-        f"{', '.join(counts)}. The smallest proved error is {float(proofs.error[best]):.3g} m, at {at}; the largest "
-        f"{float(np.nanmax(proofs.error)):.3g} m."
+        f"{kinds} The smallest proved error is {float(proofs.error[best]):.3g} m, at {at}; the largest "
+        f"{float(np.nanmax(proofs.error)):.3g} m.\n\n"
+        "![what is proved over two gains](figures/hover_wind_gains.png)"
     )
 
 

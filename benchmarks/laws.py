@@ -6,7 +6,8 @@ With a word (``laws.py vehicle``) only that part runs.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,15 @@ from scipy import stats
 
 import dssc_jax as dj
 from benchmarks.page import put
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.changes import Shift, Widening
-from dssc_jax.analyses.laws.stated_errors import weighted_interval
-from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.analyses.laws.law_tables import median_ends
+from dssc_jax.analyses.laws.ranged_draws import RangedDraws, mixture_values
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.any_failures import AnyFailures
 from dssc_jax.statistics.divergence_balls import BALLS
+from dssc_jax.statistics.law_changes import Shift, Widening
+from dssc_jax.statistics.partition import known_part
+from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
+from dssc_jax.study.laws import Law, RangedLaw
 
 PAGE = Path(__file__).parents[1] / "docs" / "laws.md"
 REPETITIONS, CHEAP = 200, 4000
@@ -31,6 +35,11 @@ DRAWS = (256, 1024, 4096)
 PART = np.array([2.0, 1.0, 0.0]) / np.sqrt(5.0)
 """How three numbers take part in the failure; the last one does not."""
 STATED = 0.15
+BOX_PART = np.array([2.0, 1.0, 0.5])
+BOXES = 200
+LEVELS = 1000
+"""Of each part of a law, for the failure probability in closed form."""
+ROUNDING = 1e-9
 VEHICLE_DRAWS, VEHICLE_LIMIT, NEW_DRAWS = 8192, 0.1, 1024
 Statement = Callable[[WeightedDraws, WeightedDraws, float, float], bool | None]
 """(draws weighted for shifts, and for widenings, p, limit) -> whether a statement holds; None: refused."""
@@ -74,10 +83,124 @@ def widening(_: WeightedDraws, widenings: WeightedDraws, p: float, limit: float)
 
 def stated(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
     """The interval of the failure probability if all means may be wrong by a stated shift."""
-    interval = weighted_interval(shifts, STATED)
+    interval = shifts.interval_within(STATED)
     reach = STATED * np.abs(PART).sum()
     low, high = stats.norm.sf(edge(p) + np.array([reach, -reach]))
     return None if interval is None else bool(interval[0] <= low and high <= interval[1])
+
+
+def removed(number: int) -> Statement:
+    """The share of the variance that knowing the part of one number removes."""
+
+    def statement(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
+        known = known_part(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
+        if known is None:
+            return None
+        shares = part_probabilities(p, number, known.parts)
+        truth = float(np.mean(shares**2) / p**2 - 1.0) * p / (1.0 - p)
+        low, high = known.removed_interval
+        return low - ROUNDING <= truth <= high + ROUNDING
+
+    return statement
+
+
+def changes(number: int) -> Statement:
+    """The probability that knowing the part of one number changes the decision."""
+
+    def statement(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
+        known = known_part(stats.norm.cdf(shifts.scores[:, number]), shifts.failed, limit)
+        if known is None:
+            return None
+        truth = float(np.mean(part_probabilities(p, number, known.parts) > limit))
+        low, high = known.changes_interval
+        return low - ROUNDING <= truth <= high + ROUNDING
+
+    return statement
+
+
+@lru_cache
+def part_probabilities(p: float, number: int, parts: int) -> np.ndarray:
+    """The failure probability of the half space in each part of a number's law, by the midpoint rule."""
+    levels = (np.arange(parts * LEVELS) + 0.5) / (parts * LEVELS)
+    rest = np.sqrt(1.0 - PART[number] ** 2)
+    return stats.norm.sf((edge(p) - PART[number] * stats.norm.ppf(levels)) / rest).reshape(parts, LEVELS).mean(axis=1)
+
+
+def failing_median(shifts: WeightedDraws, _: WeightedDraws, p: float, limit: float) -> bool | None:
+    """The median level of the first number in failed draws."""
+    low, high = median_ends(stats.norm.cdf(shifts.scores[shifts.failed, 0]), CONFIDENCE)
+    return None if np.isnan(low) else low <= median_level(p) <= high
+
+
+def random_box(rng: np.random.Generator) -> dict[str, RangedLaw]:
+    """Three normal laws; at least one of all means and standard deviations is a range."""
+    laws = {}
+    for name in "abc":
+        mean, deviation = rng.uniform(-0.5, 0.5), rng.uniform(0.7, 1.3)
+        ranges = (mean, mean + rng.uniform(0.05, 0.5)), (deviation, deviation * rng.uniform(1.02, 1.4))
+        known = rng.random(2) < 0.3
+        known[0] &= not known[1]
+        kept = tuple((low, low) if fixed else (low, high) for (low, high), fixed in zip(ranges, known, strict=True))
+        laws[name] = RangedLaw("normal", tuple(float(np.mean(pair)) for pair in kept), kept)
+    return laws
+
+
+def normal_half_space(laws: Mapping[str, Law], distance: float) -> float:
+    """The failure probability of PART . x beyond a distance under normal laws."""
+    means, deviations = np.transpose([law.arguments for law in laws.values()])
+    return float(stats.norm.sf((distance - BOX_PART @ means) / np.linalg.norm(BOX_PART * deviations)))
+
+
+def middle_edge(laws: Mapping[str, RangedLaw], p: float) -> float:
+    """The distance beyond which the middle of a box fails with a probability."""
+    means, deviations = np.transpose([law.arguments for law in laws.values()])
+    return float(BOX_PART @ means + np.linalg.norm(BOX_PART * deviations) * edge(p))
+
+
+def drawn_box(laws: dict[str, RangedLaw], count: int, rng: np.random.Generator, distance: float) -> RangedDraws:
+    """Draws of the mixtures of a box, which fail beyond a distance."""
+    levels = rng.random((count, len(laws)))
+    values = {name: mixture_values(law, levels[:, i]) for i, (name, law) in enumerate(laws.items())}
+    failed = np.stack(list(values.values()), axis=1) @ BOX_PART > distance
+    return RangedDraws(laws, values, failed, CONFIDENCE)
+
+
+def boxes() -> bool:
+    """Write in how many of random boxes the interval holds the failure probability of a random law of the box."""
+    rows = ["| p in the middle of the box | draws | boxes | hold the random law's | hold those of all laws |"]
+    rows.append("|---" * 5 + "|")
+    missed = 0
+    for p in LIMITS:
+        for count in DRAWS:
+            held = [box_case(p, count, seed) for seed in range(BOXES)]
+            told = np.array([one for one in held if one is not None]).reshape(-1, 2)
+            missed += int(np.count_nonzero(~told[:, 0]))
+            counts = np.count_nonzero(told, axis=0)
+            rows.append(f"| {p:g} | {count:,} | {len(told)} | {counts[0]} | {counts[1]} |")
+            print(rows[-1], flush=True)
+    put("boxes of laws", "\n".join(rows), PAGE)
+    return missed == 0
+
+
+def box_case(p: float, count: int, seed: int) -> tuple[bool, bool] | None:
+    """Whether the interval of a random box holds the truth of a random law of it, and of all; None: refused."""
+    rng = np.random.default_rng([1, seed])
+    laws = random_box(rng)
+    distance = middle_edge(laws, p)
+    draws = drawn_box(laws, count, rng, distance)
+    if not draws.trusted:
+        return None
+    low, high = draws.lowest().interval[0], draws.highest().interval[1]
+    one = normal_half_space(draws.laws_at(rng.uniform(*np.transpose(draws.bounds))), distance)
+    truths = [normal_half_space(draws.laws_at(corner), distance) for corner in draws.corners]
+    return low <= one <= high, low <= min(truths) and max(truths) <= high
+
+
+@lru_cache
+def median_level(p: float) -> float:
+    """The level of the first number below which half of the failures lie."""
+    parts = part_probabilities(p, 0, 10_000)
+    return float(np.interp(0.5, np.cumsum(parts) / parts.sum(), (np.arange(10_000) + 1.0) / 10_000))
 
 
 STATEMENTS: dict[str, tuple[Statement, int]] = {
@@ -86,6 +209,12 @@ STATEMENTS: dict[str, tuple[Statement, int]] = {
     "shift by the weights": (shift, REPETITIONS),
     "widening by the weights": (widening, REPETITIONS),
     f"failure probability under a shift of {STATED:g}": (stated, REPETITIONS),
+    "variance removed by knowing the first number": (removed(0), CHEAP),
+    "variance removed by knowing the second number": (removed(1), CHEAP),
+    "variance removed by knowing the third number": (removed(2), CHEAP),
+    "knowing the first number changes the decision": (changes(0), CHEAP),
+    "knowing the second number changes the decision": (changes(1), CHEAP),
+    "median of the first number in failed draws": (failing_median, CHEAP),
 }
 
 
@@ -197,7 +326,7 @@ def vehicle() -> bool:
 
 
 def main(words: list[str]) -> int:
-    parts = {"vehicle": vehicle, "coverage": coverage}
+    parts = {"vehicle": vehicle, "coverage": coverage, "boxes": boxes}
     held = [part() for name, part in parts.items() if not words or name in words]
     return 0 if all(held) else 1
 

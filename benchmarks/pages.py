@@ -30,6 +30,10 @@ Numbers are in SI units and radians; y stands for the unit of the plant's output
 may replace a number unless *admissible* excludes it. An expression of [parameters](parameters.md), as `"=1/(L*C)"`, may
 replace any number.
 """
+LAW_TEXT = """A law replaces a number: `k_p = { uniform = [0.8, 1.2] }`. Where its arguments are not known well, they
+may be ranges: `k_p = { normal = [[0.9, 1.1], 0.1] }`. `dssc-jax laws` gives the failure probability over all these laws
+([laws](laws.md#ranges-of-laws)), `explore` moves within them, and `prove` covers all of them. Other commands need
+numbers, and say so."""
 COMMANDS = """# Commands
 
 Every command and option, generated from the command line (`make pages`). `dssc-jax COMMAND --help` prints one of them.
@@ -85,10 +89,11 @@ def study_file() -> str:
     lines = [STUDY_FILE, "## Top level", "", *table(head, fixed_rows(StudyTable))]
     for name, model in FIXED_TABLES.items():
         lines += [f"## [{name}]", "", summary(model), "", *table(head, fixed_rows(model))]
-    lines += ["## Laws", "", "A law replaces a number: `k_p = { uniform = [0.8, 1.2] }`.", ""]
-    lines += table(
-        ("law", "arguments", "rule"), ((f"`{n}`", f"`{law.signature}`", law.rule[0]) for n, law in LAWS.items())
-    )
+    lines += ["## Laws", "", LAW_TEXT, ""]
+    rows = []
+    for name, law in LAWS.items():
+        rows.append((f"`{name}`", f"`{law.signature}`", law.rule[0], "yes" if law.log_density else "no"))
+    lines += table(("law", "arguments", "rule", "may be ranges"), rows)
     lines += ["## Axes of a sweep", "", f"`[sweep]` gives, for a dotted name, one of {', '.join(AXES)}.", ""]
     metrics = [(f"`{name}`", metric.unit, metric.meaning) for name, metric in KNOWN.items()]
     lines += ["## Metrics", "", *table(("metric", "unit", "meaning"), metrics)]
@@ -116,17 +121,20 @@ def commands() -> str:
                 flags = ", ".join(f"`{flag}`" for flag in option.opts)
                 rows.append((flags, option.metavar or "", getattr(option, "help", "") or ""))
         lines += table(("option", "value", "meaning"), rows)
-        for kind in ANSWERS.get(name, (name,)):
+        for kind, case in {name: "", **ANSWERS.get(name, {})}.items():
             if kind in KINDS:
-                case = "" if kind == name else f" of several controllers (`{kind}`)"
                 lines += [f"Numbers{case} of `--json`, and of summary.json in the folder:", ""]
                 meanings = field_meanings(class_of(kind).answer_type())
                 lines += table(("key", "unit", "meaning"), ((f"`{key}`", unit, text) for key, unit, text in meanings))
     return "\n".join(lines).rstrip() + "\n"
 
 
-ANSWERS = {"margin": ("margin", "margins")}
-"""Kinds of analysis that a command makes, where it is not the one of its name."""
+ANSWERS = {
+    "margin": {"margins": " of several controllers (`margins`)"},
+    "compare-log": {"next-flight": " of several logs (`next-flight`)"},
+    "laws": {"law-ranges": " of laws whose arguments are ranges (`law-ranges`)"},
+}
+"""Kinds of analysis that a command makes besides the one of its name, and when."""
 
 PAGES = {"study-file.md": study_file, "commands.md": commands}
 

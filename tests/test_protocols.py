@@ -1,5 +1,7 @@
 """One parametrised test of the contract over every registered model: a new row inherits it."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.registry import single
+from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
@@ -98,9 +101,32 @@ def typed(tree):
     return jax.tree.map(jnp.asarray, tree)
 
 
+SETTING = LoopSetting(
+    0.01,
+    (),
+    NominalPlant(
+        a=np.array([[0.0, 1.0], [0.0, -1.0]]),
+        command=np.array([0.0, 1.0]),
+        disturbances=np.array([[0.0], [1.0]]),
+        output=np.array([1.0, 0.0]),
+        signals=np.zeros((0, 2)),
+        through=np.zeros(0),
+        inputs=("disturbance",),
+    ),
+)
+"""A double integrator with friction, of which y is measured."""
+
+
+def fitted_component(table):
+    """A controller with its gains, fitted to a nominal plant where it is."""
+    component = parse_component(table, CONTROLLERS, "controller")
+    fit = component.model.fit
+    return component if fit is None else replace(component, params=fit(component.params, SETTING))
+
+
 @pytest.mark.parametrize("table", list(controller_cases()))
 def test_controller(table):
-    component = parse_component(table, CONTROLLERS, "controller")
+    component = fitted_component(table)
     controller, gains = component.model, component.params
     reference = ReferencePoint(0.1, -0.2, 0.3)
 
@@ -120,7 +146,7 @@ def test_controller(table):
 @pytest.mark.parametrize("at", [(0.1, -0.2), (0.1, 0.3), (0.6, -0.45), (1.0, 0.0)])
 def test_gradients_are_finite(table, at):
     """With respect to the measurement and to every gain; (0.1, -0.2) is sigma = 0 and e = 0 exactly."""
-    component = parse_component(table, CONTROLLERS, "controller")
+    component = fitted_component(table)
     controller = component.model
     reference = ReferencePoint(0.1, -0.2, 0.3)
     numbers, tree = jax.tree.flatten(component.params)

@@ -11,6 +11,7 @@ from dssc_jax.analyses.comparison import (
 )
 from dssc_jax.analyses.falsification.falsify import Falsified as Falsified, falsify as falsify
 from dssc_jax.analyses.laws.law_errors import LawErrors as LawErrors, laws as laws
+from dssc_jax.analyses.laws.law_ranges import LawRanges as LawRanges, law_ranges as law_ranges
 from dssc_jax.analyses.loading import load as load
 from dssc_jax.analyses.loop_margins import LoopMargins as LoopMargins, loop_margins as loop_margins
 from dssc_jax.analyses.margins import Margins as Margins, margin as margin
@@ -34,6 +35,7 @@ from dssc_jax.engine.integration import IntegrationError as IntegrationError, in
 from dssc_jax.engine.pure_functions import lane as lane, stepper as stepper
 from dssc_jax.exploration import explore as explore
 from dssc_jax.flight_logs.comparison import LogComparison as LogComparison, compare_log as compare_log
+from dssc_jax.flight_logs.next_flight import NextFlight as NextFlight, next_flight as next_flight
 from dssc_jax.flight_logs.reader import FlightLog as FlightLog, read_log as read_log
 from dssc_jax.proofs.prove import Proved as Proved, check_certificate as check_certificate, prove as prove
 from dssc_jax.proofs.prove_vehicle import VehicleProved as VehicleProved

@@ -57,8 +57,12 @@ RUN = {
     "compare": lambda study: dj.compare(study, ["dssc", "pi"], candidates=2, tuning_draws=4),
     "sensitivity": lambda study: dj.sensitivity(study.override({"draws": 256})),
     "laws": lambda study: dj.laws(study.override({"draws": 200}), limit=0.7, within={"kl": 0.1}, shift=0.1, fresh=64),
+    "law-ranges": lambda study: dj.law_ranges(
+        study.override({"draws": 200, "plant.k_p": {"uniform": [[0.6, 0.7], 1.3]}})
+    ),
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
+    "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), [LOG] * 9),
     "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),

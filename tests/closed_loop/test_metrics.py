@@ -14,11 +14,11 @@ from dssc_jax.closed_loop.metrics import (
     Measure,
     Scope,
     Window,
-    first_sample,
     starts,
     update_all,
     values,
 )
+from dssc_jax.closed_loop.spans import first_sample
 from dssc_jax.core.signals import Outcome
 
 STUDIES = Path(__file__).parents[2] / "studies"

@@ -53,5 +53,5 @@ def test_the_json_of_all(capsys):
     assert guarded(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["kinds"]["controller"]["dssc"]["about"]["l0"]["admissible"] == "> 0"
-    assert found["kinds"]["plant"]["state_space"]["fields"] == ["a", "b", "c", "disturbance", "x0"]
+    assert found["kinds"]["plant"]["state_space"]["fields"] == ["a", "b", "c", "disturbance", "x0", "outputs", "inputs"]
     assert "allocation" not in found["kinds"]["plant"]["uav"]["fields"]

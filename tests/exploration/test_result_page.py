@@ -8,6 +8,8 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW
 from dssc_jax.exploration.result_page import ResultPage
+from dssc_jax.exploration.wrong_laws import ALL_MEANS, ALL_WIDTHS
+from dssc_jax.results.stated_errors import StatedAmounts
 from tests.conftest import UNCERTAIN
 
 
@@ -80,3 +82,19 @@ def test_explore_a_result(page):
     assert dj.explore(page.result).view.objects
     with pytest.raises(dj.ConfigError, match="a result has its own"):
         dj.explore(page.result, draws=5)
+
+
+def test_laws_may_be_wrong():
+    """Shift and widening by the weights, as `run` tells them; a result of a sweep has no such slider."""
+    study = dj.Study.from_table(copy.deepcopy(UNCERTAIN)).without_sweep()
+    page = ResultPage(dj.run(study, check=False))
+    page.wrong_laws.kind.value = ALL_MEANS
+    page.wrong_laws.size.value = 0.2
+    (stated,) = page.result.stated_errors(StatedAmounts({}, 0.2, None))
+    assert page.wrong_laws.answer.object.count("[") == 1 + (stated.weighted_interval is not None)
+    assert "mean shift up to 0.2" in page.wrong_laws.answer.object
+    page.wrong_laws.kind.value = ALL_WIDTHS
+    assert "widening up to 1.2" in page.wrong_laws.answer.object
+    page.wrong_laws.limit.value = 0.9
+    page.show_how_wrong()
+    assert f"Kullback-Leibler {dj.laws(page.result, limit=0.9).answer.kl:.3g}" in page.wrong_laws.answer.object

@@ -7,6 +7,7 @@ import dssc_jax as dj
 from dssc_jax.exploration.actions import Superseded, ending_when, proof
 from dssc_jax.exploration.live import LiveStudy
 from dssc_jax.exploration.study_page import StudyPage
+from dssc_jax.statistics import rounded_probability
 
 
 @pytest.fixture
@@ -130,3 +131,31 @@ def test_a_vehicle():
     assert [part.name for part in page.fans] == ["x_e", "y_e", "z_e", "psi_e"]
     path = page.paths[1].path.data
     np.testing.assert_array_equal(path["upward"], page.now.signal("z_y")[page.draw])
+
+
+def test_laws_may_be_wrong(page):
+    """The interval grows with the slider, and is that of the library."""
+    assert "mean shift up to 0: failure probability in [" in page.wrong_laws.answer.object
+    page.wrong_laws.kind.value = "Kullback-Leibler divergence"
+    page.wrong_laws.size.value = 0.1
+    run = page.now
+    (stated,) = dj.run(run.study, check=False, within={"kl": 0.1}).summary()["points"][0]["stated"]
+    low, high = map(rounded_probability, stated["interval"])
+    assert f"kl up to 0.1: failure probability in [{low}, {high}] whatever draws fail" in page.wrong_laws.answer.object
+    page.move({"unmodelled.mu": 0.2})
+    assert f"[{low}, {high}]" not in page.wrong_laws.answer.object
+
+
+def test_arguments_that_are_ranges(explored):
+    """Each has a slider; the button answers for all laws within them."""
+    ranged = explored.override({"plant.k_p": {"uniform": [[0.6, 0.8], 1.2]}})
+    page = StudyPage(LiveStudy(ranged, draws=120))
+    slider = next(slider for slider in page.sliders if slider.name == "plant.k_p")
+    assert (slider.key, slider.low, slider.high, slider.start) == ("plant.k_p (lo)", 0.6, 0.8, 0.7)
+    assert page.now.study.laws["plant.k_p"].arguments == (0.7, 1.2)
+    page.move({"plant.k_p (lo)": 0.6})
+    assert page.now.study.laws["plant.k_p"].arguments == (0.6, 1.2)
+    assert page.now.values["plant.k_p"].min() < 0.62
+    page.ask_ranges()
+    assert "for every law within the ranges" in page.answer.object
+    assert slider not in page.margin_number.options.values()

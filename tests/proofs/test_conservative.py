@@ -10,8 +10,8 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.prove import check_certificate, prove
-from dssc_jax.proofs.search.law_spread import law_spreads, middle_gains
-from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.search.law_spread import StageRegion, law_spreads, middle_gains
+from dssc_jax.proofs.verifier.function_distances import function_distances, increment_error
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains, enclosed_start_ratio
 from dssc_jax.proofs.verifier.small_gain import MIDDLE_GAINS
 from dssc_jax.proofs.verifier.verdict import arb, ball_precision, verify_certificate
@@ -129,8 +129,8 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
     row, rng = ROWS[kind], np.random.default_rng(2)
     nominal = {"controller.nominal": {"a": 0.8, "k": 1.1}}
     problem = problem_of(LOOP.override({**DEFAULT, **nominal, "controller.functions": row}))
-    *_, spread = law_spreads(problem, *region)
-    slopes = dict(zip(MIDDLE_GAINS["conservative"], middle_gains(spread), strict=True))
+    *_, spread = law_spreads(problem, StageRegion(*region, 1e-3))
+    slopes = dict(zip(MIDDLE_GAINS["phi_1"], middle_gains(spread), strict=True))
     with ball_precision():
         centre = {name: arb(value) for name, value in slopes.items()}
         distances = {
@@ -159,6 +159,32 @@ def test_functions_are_as_far_from_their_lines_as_the_verifier_says(kind, region
     searched = {"phi_1": spread.slide.constant, "phi_2": spread.integral.constant / t, "both": spread.command.constant}
     for name, value in searched.items():
         assert distances[name] <= value <= 1.1 * distances[name] + 1e-9 * size
+
+
+@pytest.mark.parametrize("kind", [kind for kind in ROWS if kind != "vgsta"])
+@pytest.mark.parametrize("change", [1e-4, 0.02, 0.5])
+def test_the_implicit_increment_is_as_far_from_that_of_phi_1_as_the_verifier_says(kind, change):
+    """K_P(sigma) (sigma - s) against phi_1(sigma) - phi_1(s) at random points; sharp at sigma = 0 and next to 0."""
+    row, rng = ROWS[kind], np.random.default_rng(3)
+    problem = problem_of(LOOP.override({**DEFAULT, "controller.functions": row}))
+
+    def error(sigma, s):
+        first, _, product = law(row, np.where(sigma == 0.0, 1e-15, sigma), 0.0)
+        before, _, _ = law(row, np.where(s == 0.0, 1e-15, s), 0.0)
+        return np.abs((sigma - s) / product - first + before)
+
+    with ball_precision():
+        for low in (0.0, 0.5 * change, change, 3.0 * change, 0.7, 20.0):
+            size = low + np.concatenate([[0.0], change * rng.random(4000), 10.0 * rng.random(4000)])
+            sigma = size * rng.choice([-1.0, 1.0], size.size)
+            share = np.where(rng.random(size.size) < 0.5, 1.0, rng.random(size.size))
+            s = sigma + change * share * rng.choice([-1.0, 1.0], size.size)
+            s[0] = sigma[0] - np.copysign(change, sigma[0])
+            bound = float(increment_error(problem.to_dict(), low, change))
+            found = error(sigma, s)
+            assert found.max() <= bound + 1e-13
+            if low == 0.0 or low >= change:
+                assert bound <= found[0] * (1.0 + 1e-4) + 1e-13
 
 
 @pytest.mark.parametrize("form", ["implicit", "conservative"])
@@ -305,7 +331,7 @@ def test_a_forged_certificate_of_the_conservative_form_is_refused():
     first = certificate["proofs"][0]["stages"][0]
     forged = {
         "start": ("zero", ("P3", "P5", "P7")),
-        "form": ("implicit", ("P3", "P5", "P6", "P7")),
+        "form": ("implicit", ("P0",)),
         "functions": (TABLE_1 | {"kappa_b": 1.5}, ("P3", "P5", "P6", "P7")),
         "initial": ([[0.25, 0.25], [0.0, 0.0]], ("P3", "P7")),
         "rho": (1.2, ("P5",)),

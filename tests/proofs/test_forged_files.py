@@ -41,6 +41,7 @@ NUMBERS = (
     ("problem", "by_state", 2),
     ("proofs", 0, "box", "rate", 1),
     ("proofs", 0, "stages", 0, "sigma"),
+    ("proofs", 0, "stages", 0, "change"),
     ("proofs", 0, "stages", 0, "slope"),
     ("proofs", 0, "stages", 0, "bounds", 1),
     ("proofs", 0, "stages", 0, "gains", 0),
@@ -126,7 +127,7 @@ def malformed(certificate):
         entry = (*stage, "p", i, j)
         yield f"P not symmetric at {i}, {j}", changed(certificate, entry, at(certificate, entry) * 1.0001 + 1e-9)
     replacements = {
-        ("version",): [1, 4, 5.0, "5", None, True],
+        ("version",): [1, 5, 6.0, "6", None, True],
         ("complete",): [False, 1, "true"],
         ("problem", "sample_time"): [-0.005, 0.0],
         ("problem", "form"): ["explicit", ["implicit"], 1],
@@ -140,6 +141,8 @@ def malformed(certificate):
         ("problem", "numerator"): [[], [2.0]],
         ("proofs",): [{}, None, "", [None], []],
         ("proofs", 0, "stages"): [{}, None, [], [[]]],
+        (*stage, "coordinate"): ["q", ["u_av"], None, 1],
+        (*stage, "change"): [0.0, -1.0],
         (*stage, "method"): ["trust me", ["small gain"], None, "invariant set"],
     }
     for path, values in replacements.items():
@@ -211,7 +214,7 @@ def test_a_sweep_of_other_things_is_refused(tmp_path, capsys):
 
 def test_infinite_bounds_prove_nothing(certificate, monkeypatch):
     """Even where every inequality holds, as it may among numbers near the end of float64's range."""
-    limits = [StageLimits(arb(1), arb(1), arb("1e400"), arb(0), arb(0), arb(0))]
+    limits = [StageLimits(arb(1), arb(1), arb(1), arb("1e400"), arb(0), arb(0), arb(0))]
     monkeypatch.setattr("dssc_jax.proofs.verifier.verdict.verified_stages", lambda problem, proof: limits)
     verdict = verify_certificate(certificate)
     assert not verdict.proved

@@ -85,6 +85,8 @@ def falsified(certificate):
         if i != small_gain.EQUIVALENT:  # with which nothing is computed
             yield "P7", with_stage(bounds=[*first["bounds"][:i], 0.5 * bound, *first["bounds"][i + 1 :]])
     yield "P4", with_stage(sigma=0.9 * first["sigma"])
+    yield "P4", with_stage(change=0.9 * first["bounds"][small_gain.CHANGE])
+    yield "P0", with_stage(coordinate="phi_1")  # of functions whose phi_1 depends on e
     yield "P7", with_stage(sigma=1.5 * first["sigma"], e=1.5 * first["e"])
     yield "P0", with_stage(method="trust me")
     yield "P5", with_problem(rho=0.15)
@@ -102,7 +104,7 @@ def falsified(certificate):
     yield "P0", with_problem(mu=[0.01, 0.005])
     yield "P0", with_problem(a_p=["0.3", "3"])  # as text, below "3e-1"
     yield "P0", with_problem(form="explicit")
-    yield "P7", with_problem(form="conservative")  # of which the stage bounds v in place of q
+    yield "P0", with_problem(form="conservative")  # of which the stage bounds v in place of q
     yield "P0", with_problem(initial=[[0.0, 0.0]] * 6)  # whose surplus would push d(0) out of the start
     yield "P0", with_problem(zero_c=[1.0])
     yield "P0", with_problem(start="elsewhere")

@@ -75,6 +75,13 @@ def test_everything_uncertain_at_once(kind: str) -> None:
     assert "a delay of 0.02 s" in proved.statement()
 
 
+def test_a_lag_far_below_a_sample_costs_hardly_anything() -> None:
+    """Its kernels are sharp, so that the integrals of a sample need more pieces."""
+    without, lagging = (vehicle({"wind.speed": 5.0, "plant.vehicle.motor_lag": lag}) for lag in (None, 0.002))
+    assert lagging.complete, lagging.reason
+    assert lagging.largest_error < 1.02 * without.largest_error
+
+
 def test_case_1_within_its_published_gains() -> None:
     """Case 1's gains hold 3 m/s, more wind costs more, and too much is refused for a reason."""
     study = dj.Study.load("studies/hover_wind.toml")

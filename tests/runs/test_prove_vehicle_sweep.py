@@ -14,6 +14,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.actions import proof
 from dssc_jax.exploration.live import LiveRun
+from dssc_jax.plotting.standings import STANDINGS, standing_of
 from dssc_jax.report import html
 from dssc_jax.results.proofs import PROOFS_FILE
 from tests.cli.conftest import last_json
@@ -59,6 +60,17 @@ def test_a_small_lag_is_proved_and_a_large_one_is_not(result: dj.Result) -> None
 
 
 AT_4 = {"plant.vehicle.motor_lag": 0.02, "wind.speed": 4.0}
+
+
+def test_over_two_gains_strong_control_chatters_and_weak_control_is_proved() -> None:
+    """kappa_o = 1 tilts the vehicle too far in every draw; that of Case 1 is proved, with the bounds of hover_wind."""
+    sweep = {"controller.functions.kappa_o": [1.0, 110.651], "controller.l0": [0.2]}
+    study = dj.Study.load("hover_wind_gains").override({"sweep": sweep, "draws": 4, "loop.duration": 10.0})
+    proofs = dj.prove_sweep(study)
+    share = dj.run(study).failed.mean("draw").values
+    assert standing_of(proofs.proved, share).tolist() == [[len(STANDINGS) - 1], [0]]
+    alone = dj.prove(dj.Study.load("hover_wind")).summary()["bounds"]
+    assert proofs.bounds["|e_x|, |e_y|"][1, 0] == pytest.approx(alone["x"]["e"], rel=1e-9)
 
 
 def test_figure_and_report_say_what_a_proof_of_a_vehicle_covers(result: dj.Result) -> None:

@@ -23,9 +23,11 @@ KINDS = {
     "tune": "dssc_jax.analyses.tuning:Tuned",
     "loop": "dssc_jax.analyses.loop_margins:LoopMargins",
     "laws": "dssc_jax.analyses.laws.law_errors:LawErrors",
+    "law-ranges": "dssc_jax.analyses.laws.law_ranges:LawRanges",
     "region": "dssc_jax.analyses.region.safe_region:SafeRegion",
     "compare-log": "dssc_jax.flight_logs.comparison:LogComparison",
     "worst-loop": "dssc_jax.analyses.worst_loop:WorstLoop",
+    "next-flight": "dssc_jax.flight_logs.next_flight:NextFlight",
     "worst-wind": "dssc_jax.analyses.worst_wind.worst_wind:WorstWind",
     "theory": "dssc_jax.analyses.theory:Assessment",
 }

@@ -30,6 +30,18 @@ def parse_assignment(text: str, option: str) -> tuple[str, str]:
     return name, value
 
 
+def parse_within(texts: list[str] | None) -> dict[str, float]:
+    """Parse all ``--within`` options, ``NAME=RADIUS`` each."""
+    radii = {}
+    for text in texts or []:
+        name, value = parse_assignment(text, "--within")
+        try:
+            radii[name] = float(value)
+        except ValueError:
+            raise ConfigError("--within", f"must be NAME=RADIUS, got '{text}'") from None
+    return radii
+
+
 def parse_value(text: str) -> TomlValue:
     """Parse a TOML value; text that is not valid TOML is a string."""
     try:

@@ -14,6 +14,7 @@ from dssc_jax.engine.batching import computing
 from dssc_jax.results.blocks import writing
 from dssc_jax.results.manifest import MANIFEST, code_entries, machinery_differences, read_manifest
 from dssc_jax.results.result import Result
+from dssc_jax.results.stated_errors import StatedAmounts
 from dssc_jax.results.store import read_dataset
 from dssc_jax.runs import run as runs
 from dssc_jax.study import Study
@@ -33,23 +34,39 @@ def require_unset(purpose: str, **options: object) -> None:
             raise ConfigError(f"--{name.replace('_', '-')}", f"has no meaning with {purpose}")
 
 
-def computed_result(study: Study, out: Path, options: Run | Sweep) -> Result:
-    """The result in the folder if it is complete, else that of a run into it."""
+NONE_STATED = StatedAmounts({}, None, None)
+
+
+def computed_result(study: Study, out: Path, options: Run | Sweep, stated: StatedAmounts = NONE_STATED) -> Result:
+    """The result in the folder if it is complete, else that of a run into it.
+
+    Args:
+        study: The study.
+        out: The folder.
+        options: Of the command.
+        stated: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
+    """
+    resume = options.resume
     if not options.fresh and (result := complete_result(study, out)) is not None:
         notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
-        return result
+        if not stated or stated == result.stated:
+            return result
+        resume = True
     warn_of_study(study)
     folder = str(Path(study.source).resolve().parent) if options.allow_local else None
     with progress_bar(study, quiet=options.as_json) as advance:
         return runs.run(
             study,
             out,
-            resume=options.resume,
+            resume=resume,
             progress=advance,
             cluster=options.cluster,
             notify=notify,
             local=folder,
             check=not options.no_check,
+            within=stated.within,
+            shift=stated.shift,
+            widening=stated.widening,
         )
 
 

@@ -122,8 +122,10 @@ def first_signals(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
     """State of channel i's differentiator before its first step; what the controller will see in that step."""
-    differentiator = loop.differentiator[i].init(params.differentiator[i], reading)
-    _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, reading, loop.sample_time)
+    of_channel = reading._replace(signals=())
+    differentiator = loop.differentiator[i].init(params.differentiator[i], of_channel)
+    _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, of_channel, loop.sample_time)
+    sensed = sensed._replace(signals=reading.signals)
     return differentiator, sensed, nearest_reference(loop, i, reference, sensed)
 
 
@@ -160,7 +162,9 @@ def control(
     """
     dt = loop.sample_time
     seen = unwrap(loop, i, reading, state.reading)
-    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, seen, dt)
+    of_channel = seen._replace(signals=())
+    differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, of_channel, dt)
+    sensed = sensed._replace(signals=reading.signals)
     desired = nearest_reference(loop, i, reference, sensed)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
     after = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())

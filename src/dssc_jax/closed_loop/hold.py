@@ -38,7 +38,7 @@ class HeldParts(NamedTuple):
     Args:
         plant: The plant, with tuples as signals.
         unmodelled: Unmodelled dynamics of each channel.
-        variations: What the disturbance of each channel varies with within a sample.
+        variations: What the disturbance of each channel, then of each named input, varies with within a sample.
         integrator: Method for what is not linear.
         sample_time: T_s [s].
         substeps: Steps within a sample for what is not held exactly.
@@ -139,7 +139,7 @@ def assemble(parts: HeldParts, dynamics: LinearDynamics, unmodelled: States) -> 
         reaching[:order] = scale_column(column, system.d)
         reaching[offset : offset + len(system.a)] = system.b
         inputs.append(Forcing(tuple(reaching), input_terms(model)))
-    for column, variation in zip(dynamics.disturbance, parts.variations, strict=True):
+    for column, variation in zip((*dynamics.disturbance, *dynamics.inputs), parts.variations, strict=True):
         terms = 1 if variation == Variation.HELD else VARYING
         inputs.append(Forcing((*column, *(0.0,) * (size - order)), terms))
     return Assembly(tuple(map(tuple, matrix)), tuple(inputs), tuple(offsets), tuple(systems))
@@ -211,7 +211,7 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
                 if parts.plant.remainder is not None:
                     slope = jax.tree.leaves(parts.plant.remainder(params, at_plant, drive, time))
                     slopes = [slope[row] for row in rows]
-                return [*drive.disturbance, *slopes]
+                return [*drive.disturbance, *drive.inputs, *slopes]
 
             inputs = [terms_of(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)

@@ -9,7 +9,9 @@ import jax
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled, Wind
 from dssc_jax.core.integrators import Integrator
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import stream
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurements, Params, ReferencePoints, Signals
 
 
@@ -17,7 +19,8 @@ class LoopParams(NamedTuple):
     """Parameters of every part of the loop; any number may be traced.
 
     Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
-    channel.
+    channel. Those of ``inputs`` are the disturbances at the inputs that the plant names, those of ``signal_sensor`` the
+    sensors of the measured signals.
     """
 
     plant: Params
@@ -28,6 +31,8 @@ class LoopParams(NamedTuple):
     differentiator: tuple[Params, ...]
     unmodelled: tuple[Params, ...]
     disturbance: tuple[Params, ...]
+    inputs: tuple[Params, ...] = ()
+    signal_sensor: tuple[Params, ...] = ()
 
 
 class Settled(NamedTuple):
@@ -53,6 +58,11 @@ class Loop:
         sample_time: T_s [s].
         steps: Number of samples.
         substeps: Integrator steps between two samples.
+        inputs: A disturbance at each input that the plant names.
+        input_names: Names of these inputs.
+        outputs: What the plant's monitor reports, as far as it is declared with unit and meaning.
+        measures: Signals that are measured beside y and y' of each channel.
+        signal_sensor: A sensor for each of them.
         settled: Rule for ending a settled draw; None: never.
     """
 
@@ -70,6 +80,11 @@ class Loop:
     substeps: int = 1
     integrator: Integrator = Integrator.RK4
     settled: Settled | None = None
+    inputs: tuple[Disturbance, ...] = ()
+    input_names: tuple[str, ...] = ()
+    outputs: tuple[NamedSignal, ...] = ()
+    measures: tuple[NamedSignal, ...] = ()
+    signal_sensor: tuple[Sensor, ...] = ()
 
     @cached_property
     def mimo_plant(self) -> Plant[Measurements, Signals]:
@@ -80,6 +95,11 @@ class Loop:
     def mimo_reference(self) -> Reference[ReferencePoints]:
         """The reference with a tuple of points, one per channel, for any number of channels."""
         return self.reference if len(self.channels) > 1 else as_mimo_reference(self.reference)
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Unit and meaning of each of the plant's outputs."""
+        return {signal.name: signal.quantity for signal in self.outputs}
 
     def key(self, draw: jax.Array, slot: str, channel: str = "") -> jax.Array:
         """The random key of a slot in a channel, from the draw's key."""

@@ -25,7 +25,8 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 class Sample(NamedTuple):
     """The signals of one channel at a sample instant, for metrics.
 
-    ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``sigma_measured`` is what the controller sees.
+    ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
+    ``sigma_measured`` are what the controller sees.
     ``u`` is the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the
     draw's own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
     """
@@ -42,15 +43,18 @@ class Sample(NamedTuple):
     info: Info
     reference: ReferencePoint = ReferencePoint(0.0, 0.0, 0.0)
     e_dot: Scalar = 0.0
+    y_measured: Scalar = 0.0
+    y_dot_measured: Scalar = 0.0
 
 
 class Instant(NamedTuple):
-    """One sample instant of the whole loop: every channel, and the output of the plant's monitor."""
+    """One sample instant of the whole loop: every channel, the output of the plant's monitor, measured signals."""
 
     t: Scalar
     dt: Scalar
     channels: tuple[Sample, ...]
     plant: Info
+    measured: tuple[Scalar, ...] = ()
 
 
 Accumulator: TypeAlias = Any

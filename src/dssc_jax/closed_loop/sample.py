@@ -19,6 +19,7 @@ from dssc_jax.closed_loop.control import (
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
+from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
 from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
@@ -68,11 +69,18 @@ class ChannelState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the plant, the wind, and every channel."""
+    """State of the plant, the wind, every channel, the disturbances at named inputs, and the sensors of signals."""
 
     plant: State
     wind: State
     channels: tuple[ChannelState, ...]
+    inputs: tuple[State, ...] = ()
+    signals: tuple[State, ...] = ()
+
+    @property
+    def disturbances(self) -> tuple[State, ...]:
+        """State of the disturbance of each channel, then of each named input."""
+        return (*(channel.disturbance for channel in self.channels), *self.inputs)
 
 
 class Recorded(NamedTuple):
@@ -107,8 +115,12 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "disturbance", name)
         disturbances.append(loop.disturbance[i].init(params.disturbance[i], jax.random.fold_in(stream_key, 0)))
-    drive = plant_input(loop, params, tuple(disturbances), wind, plant, reaching, 0.0)
+    inputs = []
+    for model, p, name in zip(loop.inputs, params.inputs, loop.input_names, strict=True):
+        inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
+    drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0)
     measurements = measure(loop, params, plant, references, drive)
+    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, measurements, drive))
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -116,7 +128,8 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        control = initial_control(loop, params, i, principal_value(loop, i, reading), references[i])
+        seen = principal_value(loop, i, reading)._replace(signals=signals)
+        control = initial_control(loop, params, i, seen, references[i])
         channels.append(
             ChannelState(
                 controller=control.controller,
@@ -130,7 +143,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reading=control.reading,
             )
         )
-    return as_arrays(LoopState(plant, wind, tuple(channels)))
+    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors))
 
 
 def held_parts(loop: Loop) -> HeldParts:
@@ -138,7 +151,7 @@ def held_parts(loop: Loop) -> HeldParts:
     return HeldParts(
         loop.mimo_plant,
         loop.unmodelled,
-        tuple(model.variation for model in loop.disturbance),
+        tuple(model.variation for model in (*loop.disturbance, *loop.inputs)),
         loop.integrator,
         loop.sample_time,
         loop.substeps,
@@ -178,7 +191,7 @@ def plant_input(
     Args:
         loop: The models and the clock.
         params: Their parameters.
-        held: State of the disturbance of each channel.
+        held: State of the disturbance of each channel, then of each named input.
         wind: State of the wind.
         plant: State of the plant.
         actuation: The commands that reach it.
@@ -190,7 +203,11 @@ def plant_input(
     for i, model in enumerate(loop.disturbance):
         sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
         disturbances.append(model.value(params.disturbance[i], held[i], measurements[i], sigma, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t))
+    first = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
+    inputs = []
+    for model, p, state in zip(loop.inputs, params.inputs, held[len(loop.disturbance) :], strict=True):
+        inputs.append(model.value(p, state, measurements[0], first, t))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs))
 
 
 def all_finite(state: LoopState) -> Scalar:
@@ -211,12 +228,13 @@ def control_channel(
     channel: ChannelState,
     i: int,
     measurement: Measurement,
+    signals: Signals,
     reference: ReferencePoint,
     k: Scalar,
 ) -> tuple[ChannelState, Controlled]:
     """Run sensor, differentiator and controller of channel i at sample k, and advance its disturbance's state.
 
-    The sensor sees an angle that is continuous in time.
+    The sensor sees an angle that is continuous in time. ``signals`` are the readings of the measured signals.
     """
     t = k * loop.sample_time
     dt = loop.sample_time
@@ -230,7 +248,8 @@ def control_channel(
         t,
         dt,
     )
-    state, controlled = control(loop, params, i, channel.control, principal_value(loop, i, reading), reference)
+    seen = principal_value(loop, i, reading)._replace(signals=signals)
+    state, controlled = control(loop, params, i, channel.control, seen, reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,
@@ -275,6 +294,8 @@ def metric_sample(
         info=controlled.info,
         reference=reference,
         e_dot=error.sigma - l0 * error.e,
+        y_measured=controlled.sensed.y,
+        y_dot_measured=controlled.sensed.y_dot,
     )
 
 
@@ -302,10 +323,11 @@ def step(
     dt = loop.sample_time
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
-    disturbances = tuple(channel.disturbance for channel in state.channels)
     reaching = tuple(channel.reaching for channel in state.channels)
-    arriving_drive = plant_input(loop, params, disturbances, state.wind, state.plant, reaching, t)
+    arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t)
     measurements = measure(loop, params, state.plant, references, arriving_drive)
+    values = signal_values(loop, params, state.plant, measurements, arriving_drive)
+    signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -313,7 +335,7 @@ def step(
     outputs = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], reference, k)
+        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], signals, reference, k)
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
@@ -326,10 +348,13 @@ def step(
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
     held = as_arrays(tuple(commands))
     sampled = tuple(channel.unmodelled for channel in channels)
-    disturbances = tuple(channel.disturbance for channel in channels)
+    held_inputs = []
+    for model, p, before, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
+        held_inputs.append(model.step(p, before, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
+    following = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, disturbances, wind, plant, actuation, time)
+        return plant_input(loop, params, following.disturbances, wind, plant, actuation, time)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
@@ -337,7 +362,7 @@ def step(
     arriving = actuate(loop, params, unmodelled, held)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels)))
+    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors))
     broken = loop.plant.broken(params.plant, after.plant)
-    instant = Instant(t, dt, tuple(samples), info)
+    instant = Instant(t, dt, tuple(samples), info, signals)
     return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))

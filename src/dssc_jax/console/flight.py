@@ -7,6 +7,7 @@ from typing import Any
 
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.flight_logs.comparison import LogAnswer, LogComparison
+from dssc_jax.flight_logs.next_flight import NextFlight
 
 SIGNIFICANCE = 0.05  # of the test of a log
 
@@ -73,6 +74,37 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     for channel, largest in answer.reference_differences.items():
         place = f" of {channel}" if channel else ""
         say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
+    show_files(files)
+
+
+def show_next_flight(found: NextFlight, files: list[Path]) -> None:
+    """Print the limits of the next flight, and what the flights say of the study."""
+    answer = found.answer
+    say = partial(output().print, soft_wrap=True, markup=False)
+    say(f"{found.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
+    say(found.headline)
+    share = f"{100 * answer.probability:g} %"
+    rows = []
+    for name, metric in answer.metrics.items():
+        beyond = "" if metric.draws_beyond is None else f"{100 * metric.draws_beyond:.3g} %"
+        limit = "too few flights" if metric.limit is None else f"{metric.limit:.4g}"
+        row = (f"{name} [{metric.unit}]", limit, f"{metric.largest:.4g}", f"{metric.median_of_draws:.4g}", beyond)
+        rows.append(row)
+    show_table((f"the next flight, {share}", "at most", "largest so far", "median of draws", "draws beyond"), rows)
+    for name in answer.without_spread:
+        say(f"{name} is the same in all draws, and is left out")
+    test = answer.study_test
+    low, high = test.share_interval
+    say(
+        f"{test.beyond} of {answer.flights} flights depart farther than 95 % of the draws (p = {test.p_value:.3g}); "
+        f"that share lies in [{low:.3g}, {high:.3g}]"
+    )
+    rows = []
+    for share, refute in test.flights_to_refute.items():
+        counts = ("too many" if count is None else str(count) for count in (refute, test.flights_to_confirm[share]))
+        rows.append((f"{100 * float(share):g} %", *counts))
+    head = ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right")
+    show_table(head, rows)
     show_files(files)
 
 

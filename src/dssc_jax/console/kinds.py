@@ -104,6 +104,12 @@ def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[F
         if isinstance(spec.mark, Slot):
             meaning = f"which part; a number alone is '{spec.mark.number}'" if spec.mark.number else "which part"
             yield f"{prefix}{name}.kind", "", meaning, " | ".join(spec.mark.registry), spec.mark.default or REQUIRED
+        elif spec.named is not None:
+            if isinstance(spec.mark, Quantity):
+                yield f"{prefix}{name}.NAME", *field_columns(spec), "absent"
+            else:
+                yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
+                yield from fields(spec.named, f"{prefix}{name}.NAME.", None)
         elif spec.nested:
             inner = None if default in (None, REQUIRED) else default
             if default is None:
@@ -125,6 +131,8 @@ def field_columns(spec: FieldSpec) -> tuple[str, str, str]:
             *([] if spec.mark.law else ["no law"]),
         ]
         return spec.mark.unit, meaning, ", ".join(limits)
+    if spec.text:
+        return "", "text", ""
     if isinstance(spec.core, type) and issubclass(spec.core, Enum):
         return "", "option", " | ".join(member.value for member in spec.core)
     return "", "option", "true | false"
@@ -138,7 +146,7 @@ def text_of(default: object) -> str:
         return f"[{', '.join(map(text_of, default))}]"
     if isinstance(default, bool):
         return str(default).lower()
-    return "absent" if default is None else f"{default:g}" if isinstance(default, int | float) else str(default)
+    return "absent" if default in (None, "") else f"{default:g}" if isinstance(default, int | float) else str(default)
 
 
 def entry_of(model: Any, name: str) -> Entry:

@@ -7,8 +7,8 @@ from rich.markup import escape
 
 from dssc_jax.analyses.laws.answer import LawError, LawErrorsAnswer
 from dssc_jax.analyses.laws.law_errors import LawErrors
+from dssc_jax.console.stated import interval_text, show_stated
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.statistics import rounded_probability
 from dssc_jax.statistics.divergence_balls import BALLS
 
 NOT_REACHED = "not reached"
@@ -34,7 +34,7 @@ def show_laws(errors: LawErrors, files: list[Path]) -> None:
             console.print(f"weights for {name.replace('_', ' ')}: {weights.reason}", markup=False, soft_wrap=True)
     show_each_law(errors)
     show_knowledge(errors)
-    show_stated(answer)
+    show_stated(answer.stated)
     show_fresh(answer)
     show_files(files)
 
@@ -77,15 +77,20 @@ def show_each_law(errors: LawErrors) -> None:
 
 def show_knowledge(errors: LawErrors) -> None:
     """Print what knowing each number is worth, the most valuable one first, and where it lies in failed draws."""
-    known = [(name, law.knowledge, law.failing) for name, law in errors.answer.by_law.items()]
     rows = []
-    for name, knowledge, failing in sorted(known, key=lambda entry: -entry[1].removed if entry[1] else 0.0):
+    for name, law in sorted(errors.answer.by_law.items(), key=lambda entry: removed_by(entry[1]), reverse=True):
+        knowledge = law.knowledge
+        failing = law.failing
+        interval = law.failing_median_interval
         if knowledge is None or failing is None:
             continue
         low, middle, high = failing
         removed = share_text(knowledge.removed, knowledge.removed_interval)
         changes = share_text(knowledge.changes, knowledge.changes_interval)
-        rows.append((name, removed, changes, f"{low:.4g}", f"{middle:.4g}", f"{high:.4g}"))
+        median = f"{middle:.4g}"
+        if interval is not None:
+            median += f" [{interval[0]:.4g}, {interval[1]:.4g}]"
+        rows.append((name, removed, changes, f"{low:.4g}", median, f"{high:.4g}"))
     if rows:
         parts = max(law.knowledge.parts for law in errors.answer.by_law.values() if law.knowledge)
         head = (
@@ -99,21 +104,15 @@ def show_knowledge(errors: LawErrors) -> None:
         show_table(head, rows)
 
 
+def removed_by(law: LawError) -> float:
+    """Share of the variance that knowing the number removes; 0 if it is not known."""
+    return law.knowledge.removed if law.knowledge else 0.0
+
+
 def share_text(value: float, interval: tuple[float, float]) -> str:
     """A share with its interval in percent."""
     low, high = interval
     return f"{100 * value:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
-
-
-def show_stated(answer: LawErrorsAnswer) -> None:
-    """Print the interval of the failure probability for each stated amount."""
-    rows = []
-    for stated in answer.stated:
-        weighted = interval_text(stated.weighted_interval) if stated.weighted_interval else ""
-        always = interval_text(stated.interval) if stated.interval else "none, correlated"
-        rows.append((f"{stated.kind.replace('_', ' ')} up to {stated.amount:g}", always, weighted))
-    if rows:
-        show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
 
 
 def show_fresh(answer: LawErrorsAnswer) -> None:
@@ -137,9 +136,3 @@ def importance(law: LawError) -> tuple[float, float]:
 def known_text(value: float | None) -> str:
     """An amount as text, or that it was not reached."""
     return NOT_REACHED if value is None else f"{value:.3g}"
-
-
-def interval_text(interval: tuple[float, float]) -> str:
-    """An interval of a probability as text."""
-    low, high = map(rounded_probability, interval)
-    return f"[{low}, {high}]"

@@ -9,6 +9,7 @@ import numpy as np
 from rich.markup import escape
 
 from dssc_jax.closed_loop.requirements import ended_early
+from dssc_jax.console.stated import show_stated
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
@@ -38,6 +39,8 @@ def show_result(result: "Result") -> None:
         console.print(describe_probability(result.failed.values, result.method), markup=False)
         if stopping := result.manifest.get("stopping"):
             console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
+        if result.stated:
+            show_stated(result.stated_errors(result.stated))
         show_point(result.study, next(result.points()))
     elif len(axes) == 2 and math.prod(map(len, axes.values())) > WIDEST_ROWS:
         show_grid(result, list(axes))

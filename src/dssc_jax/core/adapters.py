@@ -6,11 +6,13 @@ from typing import NamedTuple
 import jax
 
 from dssc_jax.core.contracts import (
+    Disturbance,
     LinearDynamics,
     NoParams,
     Plant,
     Reference,
     Unmodelled,
+    Variation,
     Wind,
     WindBounds,
     as_given,
@@ -35,7 +37,7 @@ from dssc_jax.core.vectors import Vec3
 def linear_derivative(
     linear: Callable[[Params], LinearDynamics],
 ) -> Callable[[Params, State, PlantInput[Scalar], Scalar], State]:
-    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d."""
+    """The ``derivative`` of a plant with one channel that is linear: A x + b u_p + e d and its named inputs."""
 
     def derivative(params: Params, state: State, drive: PlantInput[Scalar], t: Scalar) -> State:
         del t
@@ -43,9 +45,10 @@ def linear_derivative(
         (command,) = dynamics.command
         (disturbance,) = dynamics.disturbance
         x, structure = jax.tree.flatten(state)
-        signals = (*x, drive.command, drive.disturbance)
-        rows = zip(dynamics.a, command, disturbance, strict=True)
-        return structure.unflatten([dot((*row, b, e), signals) for row, b, e in rows])
+        signals = (*x, drive.command, drive.disturbance, *drive.inputs)
+        columns = (command, disturbance, *dynamics.inputs[: len(drive.inputs)])
+        rows = zip(dynamics.a, *columns, strict=True)
+        return structure.unflatten([dot((*row, *entries), signals) for row, *entries in rows])
 
     return derivative
 
@@ -56,7 +59,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,) = drive.command
         (disturbance,) = drive.disturbance
-        return PlantInput(command, disturbance, drive.wind)
+        return PlantInput(command, disturbance, drive.wind, drive.inputs)
 
     remainder = plant.remainder
     return Plant(
@@ -78,6 +81,8 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         onboard=plant.onboard,
         smooth=plant.smooth,
         info=plant.info,
+        outputs=plant.outputs,
+        inputs=plant.inputs,
     )
 
 
@@ -139,6 +144,38 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
     has_bounds = all(wind.bounds is not None for wind in parts)
     return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None)
+
+
+def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
+    """The sum of several disturbances at one place; the parameters are a tuple, and each draws numbers of its own."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
+        states = []
+        for index, (part, numbers) in enumerate(zip(parts, params, strict=True)):
+            states.append(part.init(numbers, jax.random.fold_in(key, index)))
+        return tuple(states)
+
+    def step(
+        params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[State, ...]:
+        states = []
+        for index, (part, numbers, held) in enumerate(zip(parts, params, state, strict=True)):
+            states.append(part.step(numbers, held, jax.random.fold_in(key, index), t, dt))
+        return tuple(states)
+
+    def value(
+        params: tuple[Params, ...], state: tuple[State, ...], measurement: Measurement, sigma: Scalar, t: Scalar
+    ) -> Scalar:
+        total: Scalar = 0.0
+        for part, numbers, held in zip(parts, params, state, strict=True):
+            total = total + part.value(numbers, held, measurement, sigma, t)
+        return total
+
+    varying = max((part.variation for part in parts), key=list(Variation).index)
+    smooth = SMOOTH if all(part.smooth == SMOOTH for part in parts) else None
+    return Disturbance(NoParams, init, step, value, variation=varying, smooth=smooth)
 
 
 def static_unmodelled(

@@ -11,7 +11,10 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 
-from dssc_jax.core.sampled_linear import Column, LinearSystem, Rows
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.quantities import quantities_of
+from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
+from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import (
     Command,
     Info,
@@ -73,20 +76,6 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
     return state
 
 
-class LinearDynamics(NamedTuple):
-    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
-
-    Args:
-        a: A, row by row, shape (n, n).
-        command: Column of the command of each channel, shape (n,) each.
-        disturbance: Column of the disturbance of each channel, shape (n,) each.
-    """
-
-    a: Rows
-    command: tuple[Column, ...]
-    disturbance: tuple[Column, ...]
-
-
 class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
@@ -119,6 +108,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         smooth: Where the part has a derivative (:mod:`dssc_jax.core.smoothness`); without it, nothing is linearised.
         info: NamedTuple type of what ``monitor`` reports. Fields annotated with a ``Quantity`` have its unit and
             meaning in trajectories; the others have none.
+        outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
+        inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
+            ``input.inputs`` in this order; None: there are none.
     """
 
     params: type
@@ -139,6 +131,14 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     onboard: tuple[str, ...] = ()
     smooth: Declaration = None
     info: type | None = None
+    outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+    inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+
+    def reported(self, params: Params) -> tuple[NamedSignal, ...]:
+        """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
+        outputs = self.outputs(params) if self.outputs else ()
+        declared = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
+        return outputs or tuple(declared)
 
 
 class Preset(NamedTuple):
@@ -161,6 +161,11 @@ class HarmonicBalance(NamedTuple):
     residual: Callable[[complex, float, float], float]
 
 
+def takes_none(gains: Params) -> int:
+    """Take no measured signals."""
+    return 0
+
+
 class Controller(NamedTuple):
     """A sampled controller.
 
@@ -176,6 +181,10 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
+        takes: ``(gains) -> n``: the number of measured signals that it takes from ``measurement.signals``; 0: it takes
+            y and y' alone, and what else is measured does not matter.
+        fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
+            sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
         tunable: Names of the usual gains that a comparison tunes, dotted within the controller's table, or a function
             of the gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
         from_dssc: ``(gains of DSSC) -> table``: the gains that correspond to those of DSSC. None: a comparison needs
@@ -193,6 +202,8 @@ class Controller(NamedTuple):
     smooth: Declaration = None
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
+    takes: Callable[[Params], int] = takes_none
+    fit: Callable[[Params, LoopSetting], Params] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
     from_dssc: Callable[[Params], TomlTable] | None = None
     limit: str = ""
@@ -319,18 +330,6 @@ class Differentiator(NamedTuple):
     step: Callable[[Params, State, Measurement, Scalar], tuple[State, Measurement]]
     prepare: Callable[[Params], Params] = as_given
     smooth: Declaration = None
-
-
-class Moments(NamedTuple):
-    """A signal over a step, as the straight line with the same mean and the same first moment.
-
-    Args:
-        mean: Mean of the signal over the step.
-        rise: Rise of the line from the start to the end of the step.
-    """
-
-    mean: Scalar
-    rise: Scalar
 
 
 class Timing(StrEnum):

@@ -37,6 +37,34 @@ Column = tuple[Scalar, ...]
 Rows = tuple[Column, ...]
 
 
+class LinearDynamics(NamedTuple):
+    """x' = A x + B (u_p) + E d of a plant whose state x is the list of its state's leaves; the loop holds it exactly.
+
+    Args:
+        a: A, row by row, shape (n, n).
+        command: Column of the command of each channel, shape (n,) each.
+        disturbance: Column of the disturbance of each channel, shape (n,) each.
+        inputs: Column of each disturbance input that the plant names, shape (n,) each.
+    """
+
+    a: Rows
+    command: tuple[Column, ...]
+    disturbance: tuple[Column, ...]
+    inputs: tuple[Column, ...] = ()
+
+
+class Moments(NamedTuple):
+    """A signal over a step, as the straight line with the same mean and the same first moment.
+
+    Args:
+        mean: Mean of the signal over the step.
+        rise: Rise of the line from the start to the end of the step.
+    """
+
+    mean: Scalar
+    rise: Scalar
+
+
 class LinearSystem(NamedTuple):
     """x' = A x + b u, y = c x + d u, with one input and one output; a zero known before tracing is a plain 0.0.
 

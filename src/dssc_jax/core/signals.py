@@ -19,10 +19,15 @@ ProgressCallback: TypeAlias = Callable[[int, int | None], None]
 
 
 class Measurement(NamedTuple):
-    """The plant's measurement: output ``y`` [m] and its derivative ``y_dot`` [m/s]."""
+    """The plant's measurement: output ``y`` [m] and its derivative ``y_dot`` [m/s].
+
+    What reaches a controller has the other measured ``signals`` as well, in the order of the study's ``measures``. The
+    plant's own measurement, and what passes through sensor and differentiator of a channel, has none.
+    """
 
     y: Scalar
     y_dot: Scalar
+    signals: tuple[Scalar, ...] = ()
 
 
 class ReferencePoint(NamedTuple):
@@ -62,12 +67,14 @@ class PlantInput(NamedTuple, Generic[Signal]):
     """The plant's input: the command u_p after unmodelled dynamics, and the matched disturbance d [m/s].
 
     Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
-    ``Vec3`` [m/s] for flying plants.
+    ``Vec3`` [m/s] for flying plants. ``inputs`` are the disturbances at the inputs that the plant names, in their
+    order; () stands for zeros.
     """
 
     command: Signal
     disturbance: Signal
     wind: State = None
+    inputs: Signals = ()
 
 
 class Outcome(IntEnum):

@@ -240,6 +240,7 @@ def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
     """The bounds (A0)-(A4) of a loop of the class (5)-(8); the plant's stiffness is a disturbance -stiffness y/k_p."""
     plant = plant_bounds(loop.plant, ends.part("plant"))
     reference = reference_bounds(loop.reference, ends.part("reference"))
+    require_no_inputs(loop)
     disturbance = disturbance_bounds(loop.disturbance[0], ends.part("disturbance", 0))
     return Bounds(
         k_min=plant.k_min,
@@ -250,6 +251,17 @@ def bounds_of(loop: Loop, ends: Ends, p: Parameters) -> Bounds:
         **(disturbance | {"k_d4": disturbance.get("k_d4", 0.0) + plant.stiffness / plant.k_min}),
         **nominal_bounds(ends.part("controller", 0).part("nominal"), p, reference),
     )
+
+
+def require_no_inputs(loop: Loop) -> None:
+    """Require that no disturbance acts at an input that the plant names.
+
+    Raises:
+        NotCovered: one does.
+    """
+    for name, model in zip(loop.input_names, loop.inputs, strict=True):
+        if model is not NO_DISTURBANCE:
+            raise NotCovered(f"a disturbance acts at the input '{name}', and (7) takes it where the command acts")
 
 
 def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:

@@ -38,7 +38,7 @@ def ends_of(study: Study) -> Ends:
         name: np.asarray(values).reshape([-1 if i == position else 1 for i in range(count)])
         for position, (name, values) in enumerate(study.axes.items())
     }
-    ends = {name: law.support for name, law in study.laws.items()} | {
+    ends = {name: law.support for name, law in study.written_laws.items()} | {
         name: (axis, axis) for name, axis in swept.items()
     }
     ends |= expression_ends(study, ends)

@@ -187,6 +187,7 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
     """
     if segment is not None and segment < 1:
         raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
+    study.require_single_laws()
     return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 
 
@@ -203,4 +204,5 @@ def stepper(study: Study) -> Stepper:
         >>> info.instant.channels[0].e.shape
         (100,)
     """
+    study.require_single_laws()
     return Stepper(study)

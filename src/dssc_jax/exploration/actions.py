@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from dssc_jax.analyses.laws.law_ranges import law_ranges
 from dssc_jax.analyses.margins import margin
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
@@ -48,6 +49,15 @@ def margins_of(slider: Slider, position: float) -> Question:
                 result = margin(run.study, over=slider.name, bounds=(position, end), log=slider.log, progress=check)
                 answers.append(f"{direction} to {end:.4g}: {result.headline}")
         return f"margin of {slider.name}, {run.failed.size:,} draws; " + "; ".join(answers)
+
+    return answer
+
+
+def over_ranges(study: Study) -> Question:
+    """The failure probability over all laws of a study whose arguments are ranges."""
+
+    def answer(_: LiveRun, check: Callable[..., None]) -> str:
+        return law_ranges(study, progress=check).headline
 
     return answer
 

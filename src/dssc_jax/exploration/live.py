@@ -154,7 +154,8 @@ class LiveStudy:
             default = study.config.draws
         count = draws or default
         self.swept = study.override({"draws": count})
-        self.base = self.swept.without_sweep()
+        self.ranged = self.swept.without_sweep()
+        self.base = self.ranged.with_laws({name: law.middle for name, law in self.ranged.ranged_laws.items()})
         self.sliders: list[Slider] = admitted(self.base, sliders_of(self.swept, names))
         self._programs: OrderedDict[float, RecordedDraws] = OrderedDict()
         self._compiling = Lock()
@@ -171,6 +172,14 @@ class LiveStudy:
             ConfigError: The study is not valid there; the message gives the number and its rule.
         """
         return self.base.override(changes_of(self.swept, positions))
+
+    def ranged_at(self, positions: Positions) -> Study:
+        """The study that positions describe, with the ranges of its laws' arguments instead of single laws.
+
+        Raises:
+            ConfigError: The study is not valid there.
+        """
+        return self.at(positions).with_laws(self.ranged.ranged_laws)
 
     def run(
         self, positions: Positions, stale: Stale = lambda: False, progress: Notice = lambda _: None

@@ -18,6 +18,7 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.worker import Stale
+from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET
 from dssc_jax.results.result import Result
 from dssc_jax.runs.trajectory import agreement_of, recorder
@@ -43,7 +44,10 @@ class ResultPage(Page):
         self.flight: xr.Dataset | None = None
         self.pinned: list[xr.Dataset] = []
         self.key = html_pane("")
+        self.wrong_laws = WrongLaws(self.show_wrong_laws, self.show_how_wrong)
         self.say("click a draw to see its flight")
+        if not result.study.axes:
+            self.show_wrong_laws()
         self.choices: list[pn.widgets.Button] = []
         for name in (WORST_DRAW, MEDIAN_DRAW, RANDOM_DRAW):
             button = pn.widgets.Button(label=name.capitalize())
@@ -77,12 +81,35 @@ class ResultPage(Page):
         plot.multi_line("across", "upward", source=source, line_color="colour", line_width=2)
         return plot
 
+    def show_wrong_laws(self) -> None:
+        """Show the failure probability if the laws are wrong as the slider says."""
+        amounts = self.wrong_laws.amounts
+
+        def answer(stale: Stale) -> None:
+            text = answer_text(amounts, self.result.study, self.result.failed.values, self.result.method)
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
+
+    def show_how_wrong(self) -> None:
+        """Show how wrong the laws may be."""
+        limit = float(self.wrong_laws.limit.value)
+
+        def answer(stale: Stale) -> None:
+            text = how_wrong_text(self.result, limit)
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
+
     @property
     def view(self) -> pn.Column:
         """The page for Panel."""
         figures = [pn.pane.Bokeh(plot, sizing_mode="stretch_width") for plot in (*self.paths, *self.figures)]
         return pn.Column(
             pn.pane.Bokeh(self.brushing.layout),
+            *([] if self.result.study.axes else [self.wrong_laws.view]),
             pn.Row(*self.choices, self.pin, self.clear),
             self.status,
             self.key,

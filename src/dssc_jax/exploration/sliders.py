@@ -10,7 +10,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.study import Study
 from dssc_jax.study.expressions import is_expression
-from dssc_jax.study.laws import Law
+from dssc_jax.study.laws import LAWS, Law, RangedLaw
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import Expression
 
@@ -116,6 +116,8 @@ def sliders_of_number(study: Study, name: str) -> list[Slider]:
         low = min(*study.axes[name], start)
         high = max(*study.axes[name], start)
         return [slider_at(number, "", low, high, start, low > 0.0)] if low < high else []
+    if isinstance(number.value, RangedLaw):
+        return sliders_of_ranges(number, number.value)
     if isinstance(number.value, Law):
         return sliders_of_law(number, number.value)
     low, high, log = extent_around(number.value, number.quantity)
@@ -143,6 +145,16 @@ def sliders_of_law(number: Number, law: Law) -> list[Slider]:
         return []
     width = Slider(number.name, WIDTH, f"width of {number.quantity.meaning}", "", *WIDTHS, 1.0, True)
     return [slider_at(number, MEDIAN, low, high, law.median, log), width]
+
+
+def sliders_of_ranges(number: Number, law: RangedLaw) -> list[Slider]:
+    """A slider for each argument of a law that is a range, from its lowest to its highest value."""
+    sliders = []
+    for name, (low, high), middle in zip(LAWS[law.kind].argument_names, law.ranges, law.arguments, strict=False):
+        if low < high:
+            meaning = f"{name} of the law of {number.quantity.meaning}"
+            sliders.append(Slider(number.name, name, meaning, "", low, high, middle, False))
+    return sliders
 
 
 def slider_at(number: Number, part: str, low: float, high: float, start: float, log: bool) -> Slider:
@@ -226,6 +238,11 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Change]:
     for name, parts in laws.items():
         law = study.numbers[name].value
         assert isinstance(law, Law)  # only laws have parts
+        if isinstance(law, RangedLaw):
+            names = LAWS[law.kind].argument_names
+            arguments = [parts.get(argument, middle) for argument, middle in zip(names, law.arguments, strict=False)]
+            changes[name] = {law.kind: arguments}
+            continue
         median = parts.get(MEDIAN, law.median)
         share = parts.get(WIDTH, 1.0)
         if (median, share) != (law.median, 1.0):

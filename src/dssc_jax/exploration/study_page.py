@@ -14,6 +14,7 @@ from dssc_jax.exploration.actions import (
     differing_draws,
     ending_when,
     margins_of,
+    over_ranges,
     proof,
     save_study,
 )
@@ -27,8 +28,10 @@ from dssc_jax.exploration.figures import (
 )
 from dssc_jax.exploration.live import LiveRun, LiveStudy
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
-from dssc_jax.exploration.sliders import WIDTH, Slider, grid, position_text
+from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
 from dssc_jax.exploration.worker import Stale
+from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
+from dssc_jax.results.result import interval_method
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
 SIDE = 330  # px
@@ -71,11 +74,14 @@ class StudyPage(Page):
         self.draw_choice = pn.widgets.RadioButtonGroup(label="Draw", options=choices, value=WORST_DRAW)
         self.draw_axis = pn.widgets.Select(label="", options=list(self.live.first.values) or [""], width=220)
         self.draw_axis.param.watch(lambda _: self._choose_draw(), "value")
-        by_name = {slider.name: slider for slider in reversed(self.sliders) if slider.part != WIDTH}
+        by_name = {slider.name: slider for slider in reversed(self.sliders) if slider.part in ("", MEDIAN)}
         self.margin_number = pn.widgets.Select(label="", options=dict(sorted(by_name.items())), width=220)
         self.margin = pn.widgets.Button(label="Margin of")
         self.prove = pn.widgets.Button(label="Prove")
+        self.ranges = pn.widgets.Button(label="Over all ranges of laws")
+        self.ranges.on_click(lambda _: self.ask_ranges())
         self.answer = html_pane("")
+        self.wrong_laws = WrongLaws(self.show_wrong_laws, self.show_how_wrong)
         self.margin.on_click(lambda _: self.ask_margin(self.margin_number.value))
         self.prove.on_click(lambda _: self.ask(proof, "searching for a proof"))
         self.file = pn.widgets.TextInput(label="Save as study", value=f"{self.live.base.name}-explored.toml")
@@ -99,6 +105,7 @@ class StudyPage(Page):
     @property
     def view(self) -> pn.Row:
         """The page for Panel."""
+        ranges = [self.ranges] if self.live.ranged.ranged_laws else []
         figures = [
             pn.pane.Bokeh(part.figure, sizing_mode="stretch_width") for part in (*self.fans, self.draws, *self.paths)
         ]
@@ -108,9 +115,10 @@ class StudyPage(Page):
         main = pn.Column(
             self.headline,
             probability,
+            self.wrong_laws.view,
             self.details,
             pn.Row(self.draw_choice, self.draw_axis),
-            pn.Row(self.margin, self.margin_number, self.prove),
+            pn.Row(self.margin, self.margin_number, self.prove, *ranges),
             self.answer,
             html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
@@ -175,9 +183,38 @@ class StudyPage(Page):
         """Show a run."""
         if run is not self.now:
             self.answer.object = ""
-        self.now = run
+            self.now = run
+            self.show_wrong_laws()
         self.before = self.before or run
         self._show(run, self.choose(self.draw_choice.value, run.order))
+
+    def show_wrong_laws(self) -> None:
+        """Show the failure probability of the present run if its laws are wrong as the slider says."""
+        run = self.now
+        if run is None:
+            return
+        amounts = self.wrong_laws.amounts
+
+        def answer(stale: Stale) -> None:
+            text = answer_text(amounts, run.study, run.failed, interval_method(run.study))
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
+
+    def show_how_wrong(self) -> None:
+        """Show how wrong the laws of the present run may be."""
+        run = self.now
+        if run is None:
+            return
+        limit = float(self.wrong_laws.limit.value)
+
+        def answer(stale: Stale) -> None:
+            text = how_wrong_text(run.study, limit)
+            if not stale():
+                self.update(self.wrong_laws.show, text)
+
+        self.work_aside(answer)
 
     def choose_draw(self, draw: int) -> None:
         """Show a draw of the present run."""
@@ -213,6 +250,11 @@ class StudyPage(Page):
     def ask_margin(self, slider: Slider) -> None:
         """Tell how far a slider's number may go, other numbers as they stand."""
         self.ask(margins_of(slider, self.positions[slider]), f"walking along {slider.name}")
+
+    def ask_ranges(self) -> None:
+        """Tell the failure probability over all laws within their ranges, other numbers as they stand."""
+        study = self.live.ranged_at(self.positions)
+        self.ask(over_ranges(study), "simulating the laws within their ranges")
 
     def ask(self, question: Question, activity: str) -> None:
         """Answer a question about the present run; a newer move ends the search for the answer."""

@@ -28,6 +28,7 @@ def channels_text(code: FlightCode) -> str:
         limits="FLT" if code.precision == 32 else "DBL",
         channels=str(len(controllers)),
         most_parameters=str(max(1, *(len(controller.parameters) for controller in controllers))),
+        signals=str(len(controllers[0].signals)),
         most_results=str(max(len(row_names(controller)) for controller in controllers)),
         functions="\n\n".join(channel_functions(controller) for controller in controllers),
         names=[line for controller in controllers for line in name_tables(controller)],
@@ -54,7 +55,15 @@ def channel_functions(controller: SampledController) -> str:
         f"{variable}.parameters.{parameter.name} = given[{place}];"
         for place, parameter in enumerate(controller.parameters)
     ]
-    return fill("bench_channel.h", name=controller.prefix, parameters=parameters, results=results)
+    measured = len(controller.measured)
+    return fill(
+        "bench_channel.h",
+        name=controller.prefix,
+        parameters=parameters,
+        results=results,
+        measurement=", ".join(f"row[{place}]" for place in range(measured)),
+        reference=", ".join(f"row[{place}]" for place in range(measured, len(controller.signals))),
+    )
 
 
 def name_tables(controller: SampledController) -> list[str]:

@@ -26,11 +26,36 @@ FLOWN_SLOTS = ("controller", "differentiator")
 COMMAND = ("u", "u_n", "u_p")
 """The command in its two parts and their sum (11)."""
 
-SAMPLED_SIGNALS = (
-    *(f"measurement.{name}" for name in Measurement._fields),
-    *(f"reference.{name}" for name in ReferencePoint._fields),
-)
-"""The inputs of a controller at each sample."""
+OF_CHANNEL = ("y", "y_dot")
+"""What every controller measures."""
+
+
+class MeasuredSignal(NamedTuple):
+    """A member of a controller's measurement."""
+
+    name: str  # in C
+    unit: str
+    meaning: str
+
+
+def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
+    """What a channel's controller measures: y and y', and the study's measured signals if a controller takes some."""
+    loop = study.loop
+    units = study.units[index]
+    y, y_dot = OF_CHANNEL
+    signals = [MeasuredSignal(y, units.output, f"measured {units.output_meaning}")]
+    signals.append(MeasuredSignal(y_dot, units.of("y/s"), f"derivative of measured {units.output_meaning}"))
+    if takes_signals(study):
+        names = member_names([*OF_CHANNEL, *(f"signal_{signal.name}" for signal in loop.measures)])
+        for name, signal in zip(list(names)[len(OF_CHANNEL) :], loop.measures, strict=True):
+            signals.append(MeasuredSignal(name, signal.unit or "1", f"measured {signal.quantity.meaning}"))
+    return tuple(signals)
+
+
+def takes_signals(study: Study) -> bool:
+    """Whether a controller takes measured signals beside y and y'."""
+    pairs = zip(study.loop.controller, study.template.controller, strict=True)
+    return any(controller.takes(gains) for controller, gains in pairs)
 
 
 class Parameter(NamedTuple):
@@ -69,6 +94,13 @@ class SampledController:
     step: TracedFunction
     transfer: TracedFunction | None
     precision: int  # bits of a number
+    measured: tuple[MeasuredSignal, ...]  # the members of its measurement
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Its inputs at each sample, in C."""
+        measurement = (f"measurement.{signal.name}" for signal in self.measured)
+        return (*measurement, *(f"reference.{name}" for name in ReferencePoint._fields))
 
     @property
     def real(self) -> np.dtype:
@@ -142,7 +174,9 @@ def trace_controller(study: Study, index: int) -> SampledController:
 
     number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
-    signals = (Measurement(number, number), ReferencePoint(number, number, number))
+    measured = measured_signals(study, index)
+    others = (number,) * (len(measured) - len(OF_CHANNEL))
+    signals = (Measurement(number, number, others), ReferencePoint(number, number, number))
     transferred = None
     try:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
@@ -164,6 +198,7 @@ def trace_controller(study: Study, index: int) -> SampledController:
         TracedFunction(step_program, step_origins),
         transferred,
         study.config.loop.precision,
+        measured,
     )
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.signals import Measurement, ReferencePoint
+from dssc_jax.core.signals import ReferencePoint
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.names import c_string
@@ -80,14 +80,12 @@ def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]
         (units.of("y/s^2"), "second derivative of "),
     )
     variables = []
-    for group, members, adjective in (
-        ("measurement", Measurement._fields, "measured"),
-        ("reference", ReferencePoint._fields, "desired"),
-    ):
-        for member, (unit, derivative) in zip(members, derivatives, strict=False):
-            name = channel_variable(controller, f"{group}.{member}")
-            meaning = f"{derivative}{adjective} {units.output_meaning}"
-            variables.append(FmuVariable(name, INPUT, unit, meaning, 0.0))
+    for signal in controller.measured:
+        name = channel_variable(controller, f"measurement.{signal.name}")
+        variables.append(FmuVariable(name, INPUT, signal.unit, signal.meaning, 0.0))
+    for member, (unit, derivative) in zip(ReferencePoint._fields, derivatives, strict=True):
+        name = channel_variable(controller, f"reference.{member}")
+        variables.append(FmuVariable(name, INPUT, unit, f"{derivative}desired {units.output_meaning}", 0.0))
     return variables
 
 
@@ -217,7 +215,7 @@ def channel_step(controller: SampledController, references: dict[str, int], flag
     return fill(
         "fmu_channel.h",
         name=controller.prefix,
-        measurement=inputs("measurement", Measurement._fields),
+        measurement=inputs("measurement", [signal.name for signal in controller.measured]),
         reference=inputs("reference", ReferencePoint._fields),
         flag=flag,
         results=results,

@@ -48,6 +48,7 @@ class FlightFolder:
 
     def __init__(self, study: Study, premises: Premises | None = None) -> None:
         study = study.without_sweep()
+        study.require_single_laws()
         self.code = FlightCode(study, sampled_controllers(study), certificate_sentence(study))
         self.monitor = None if premises is None else traced_monitor(self.code, premises)
 

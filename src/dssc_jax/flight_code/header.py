@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from dssc_jax.core.signals import Measurement, ReferencePoint
+from dssc_jax.core.signals import ReferencePoint
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.text import comment
@@ -66,7 +66,7 @@ def declarations(study: Study, controller: SampledController) -> str:
         "channel.h",
         name=controller.prefix,
         parameters=members(parameter_comments.items()),
-        measurement=members(zip(Measurement._fields, rates[:2], strict=True)),
+        measurement=members((signal.name, signal.unit) for signal in controller.measured),
         reference=members(zip(ReferencePoint._fields, rates, strict=True)),
         command=members(zip(COMMAND, command_comments, strict=True)),
         state=members([(state, "") for state in controller.states]),

@@ -18,7 +18,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values
+from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values, takes_signals
 from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
@@ -43,6 +43,8 @@ def recording_lane(
 ) -> Callable[[dict[str, Scalar], jax.Array], Rows]:
     """The program of a lane: (numbers by name, draw index) -> for each channel a column of each member of a row."""
 
+    others = takes_signals(study)
+
     def lane(values: dict[str, Scalar], index: jax.Array) -> Rows:
         loop = study.loop
         params = study.params(values)
@@ -58,7 +60,8 @@ def recording_lane(
             ):
                 command = command_parts(controlled.command)
                 results = jax.tree.leaves((channel.control, controlled.info))
-                rows.append((*controlled.reading, *reference, *command, *results))
+                reading = controlled.reading if others else controlled.reading._replace(signals=())
+                rows.append((*jax.tree.leaves(reading), *reference, *command, *results))
             real = jnp.result_type(float)
             return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)
 

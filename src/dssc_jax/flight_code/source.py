@@ -7,7 +7,6 @@ import numpy as np
 
 from dssc_jax.flight_code.controller import (
     COMMAND,
-    SAMPLED_SIGNALS,
     FlightCode,
     Parameter,
     SampledController,
@@ -38,7 +37,7 @@ class FunctionText(CText):
         sample_time = code.study.loop.sample_time
         constants = {} if sample_time in (0.5, 1.0, 2.0) else {float(controller.real.type(sample_time)): "T_s"}
         parameters = [f"p->{parameter.name}" for parameter in controller.parameters]
-        expressions = [*parameters, *inputs, *SAMPLED_SIGNALS]
+        expressions = [*parameters, *inputs, *controller.signals]
         super().__init__(traced.program, traced.origins, expressions, controller.real, LOCAL_NAMES, constants)
         self.outputs = [output for output in traced.program.outputs if isinstance(output, Value)]
         self.text = ""
@@ -178,7 +177,7 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     function.text = fill(
         "step.c",
         name=name,
-        signals_finite=finite(SAMPLED_SIGNALS),
+        signals_finite=finite(controller.signals),
         state_before=state_before if updated else "",
         parameters=parameter_pointer(controller, function),
         computation=computation,
@@ -201,7 +200,7 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         "transfer.c",
         name=controller.prefix,
         real=controller.c_real,
-        arguments_finite=finite([*SAMPLED_SIGNALS, "command"]),
+        arguments_finite=finite([*controller.signals, "command"]),
         parameters=parameter_pointer(controller, function),
         computation=function.lines,
         results_finite=finite([*updated, *COMPUTED]),

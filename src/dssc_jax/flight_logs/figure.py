@@ -12,6 +12,7 @@ from dssc_jax.plotting.thinning import envelope, thinned
 
 if TYPE_CHECKING:
     from dssc_jax.flight_logs.comparison import LogComparison, SignalAnswer
+    from dssc_jax.flight_logs.next_flight import NextFlight
 
 MOST_SIGNALS = 5  # of one figure
 BANDS = (("lowest", "highest", 0.18, "all draws"), ("low", "high", 0.3, "90 % of the draws"))
@@ -51,6 +52,51 @@ def log_comparison(comparison: "LogComparison") -> Figure:
     name = config.description or config.name
     title(figure, f"{name}: {comparison.log} over {len(statistics) - 1} draws{note}")
     return figure
+
+
+@styled
+def next_flight_figure(analysis: "NextFlight") -> Figure:
+    """Plot the band of the next flight over the flights and the draws, and the departures of both.
+
+    Args:
+        analysis: The return value of :func:`dssc_jax.next_flight`.
+    """
+    data = analysis.dataset
+    names = [str(name) for name in data["signal"].values if data["spread"].sel(signal=name).notnull().any()]
+    shown = names[:MOST_SIGNALS]
+    figure = Figure(figsize=(11.5, 2.5 * len(shown) + 2.6), layout="constrained")
+    axes = figure.subplots(len(shown) + 1, 1)
+    time = data["t"].values
+    for ax, name in zip(axes, shown, strict=False):
+        signal = data.sel(signal=name)
+        for low, high, colour, alpha, text in (
+            ("lower", "upper", BLUE, 0.2, f"the next flight, {100 * analysis.probability:g} %"),
+            ("lowest", "highest", DARK, 0.5, "all flights"),
+        ):
+            known = np.isfinite(signal[low].values)
+            if known.any():
+                x, lower, upper = envelope(time[known], signal[low].values[known], signal[high].values[known])
+                ax.fill_between(x, lower, upper, color=colour, alpha=alpha, linewidth=0.0, label=text)
+        ax.plot(*thinned(time, signal["middle"].values), color=ORANGE, linewidth=1.2, label="median of the draws")
+        ax.set_ylabel(name)
+    axes[len(shown) - 1].set_xlabel("time [s]")
+    axes[0].legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=10)
+    departures_of_flights(axes[-1], data["departure_of_draw"].values, data["departure"].values)
+    config = analysis.study.config
+    title(figure, f"{config.description or config.name}: {len(analysis.logs)} flights")
+    return figure
+
+
+def departures_of_flights(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> None:
+    """Draw the share of draws above each departure, and the flights' departures."""
+    ordered = np.sort(draws[np.isfinite(draws)])
+    share = 1.0 - np.arange(len(ordered)) / len(draws)
+    ax.step(ordered, share, where="pre", color=BLUE, label="share of draws at or above")
+    own = flights[np.isfinite(flights)]
+    ax.plot(own, np.full(len(own), 0.02), "|", color=RED, markersize=14, label="flights")
+    ax.set(xlabel="largest departure from the draws' median, in their spreads", ylabel="share", ylim=(0.0, 1.02))
+    ax.set_xscale("log")
+    ax.legend(frameon=False, loc="best")
 
 
 def signal_over_draws(ax: Axes, signal: xr.Dataset, place: "SignalAnswer") -> None:

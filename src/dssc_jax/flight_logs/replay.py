@@ -11,6 +11,7 @@ import numpy as np
 from dssc_jax.closed_loop.control import ControlState, control, initial_control, near_reference
 from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
 from dssc_jax.closed_loop.time_loops import scan_recorded
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
 from dssc_jax.engine import forms
@@ -72,6 +73,8 @@ def commanded(study: Study, index: int, readings: np.ndarray, references: np.nda
         The command u + u_n, shape (samples,).
     """
     loop = study.loop
+    if loop.controller[index].takes(study.template.controller[index]):
+        raise ConfigError("controller", "takes measured signals beside y and y', which a log does not have")
 
     def commands(signals: tuple[Measurement, ReferencePoint]) -> jax.Array:
         params = study.params(median_values(study))

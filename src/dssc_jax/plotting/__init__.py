@@ -14,6 +14,7 @@ from dssc_jax.plotting.curves import fitted_slope
 from dssc_jax.plotting.draws import distribution, factor, failures
 from dssc_jax.plotting.indices import sensitivity
 from dssc_jax.plotting.law_errors import law_errors
+from dssc_jax.plotting.law_ranges import law_ranges
 from dssc_jax.plotting.loops import loop_margins
 from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
@@ -42,6 +43,7 @@ __all__ = [
     "falsification",
     "fitted_slope",
     "law_errors",
+    "law_ranges",
     "loop_margins",
     "margin",
     "probability",

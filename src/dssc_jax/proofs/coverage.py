@@ -9,7 +9,7 @@ import jax
 from dssc_jax.core.contracts import Differentiator, Sensor
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.registry import Discretisation
-from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds
+from dssc_jax.design.certification import NotCovered, disturbance_bounds, reference_bounds, require_no_inputs
 from dssc_jax.design.ends import Ends, ends_of
 from dssc_jax.models.actuators import NO_DYNAMICS
 from dssc_jax.models.actuators.delay import DELAY
@@ -73,7 +73,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
             f"the actuators form a chain, {kind_in(study.config, 'unmodelled')}; only one of them is covered"
         )
     ends = ends_of(study)
-    for name, law in study.laws.items():
+    for name, law in study.written_laws.items():
         if name in study.parameter_names:
             followers = ", ".join(study.followers(name)) or "nothing"
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
@@ -137,6 +137,7 @@ def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float,
     Raises:
         NotCovered: one is not known.
     """
+    require_no_inputs(study.loop)
     model = study.loop.disturbance[0]
     try:
         if model is STEP and ends.high.disturbance[0].at > 0.0:
@@ -175,7 +176,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     Raises:
         NotCovered: the reference's start is uncertain.
     """
-    if any(name.startswith("reference.") for name in study.laws):
+    if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
     zero = ends.low.plant.zero_dynamics
     size = 2 + (len(zero.a) if zero else 0)

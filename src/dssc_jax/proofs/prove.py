@@ -23,7 +23,7 @@ from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehi
 from dssc_jax.proofs.verifier.verdict import ProofVerdict, verify_certificate, verify_proof
 from dssc_jax.study import Study
 
-VERSION = 5
+VERSION = 6
 REASONS = {
     "origin": "the loop is not stable at sigma = e = 0",
     "decay": "no common quadratic function decreases for all gains of the smallest region",

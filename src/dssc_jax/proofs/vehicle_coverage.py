@@ -92,7 +92,7 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
 
 def require_laws(study: Study) -> None:
     """Refuse laws of numbers that the theorem does not cover, and laws without bounds."""
-    for name, law in study.laws.items():
+    for name, law in study.written_laws.items():
         if not name.startswith((*UNCERTAIN, *ONLY_BOUNDS)):
             raise NotCovered(
                 f"{name} is uncertain; a proof of the vehicle takes intervals of {', '.join(UNCERTAIN)} only"

@@ -52,14 +52,14 @@ class VehicleProblem:
         yaw_integral_gain: i_y of the yaw rate's loop [1/s^2].
         mass: Interval of the mass M [kg].
         believed_mass: M_n of the inner loops [kg].
-        thrust: Interval of kappa = (M_n/M)(k_T/k_n).
-        turn: Interval that holds nu_i = (k_T/k_n) J_n,i/J_i of every axis.
+        thrust: Interval of kappa = (M_n/M)(k_T/k_Tn).
+        turn: Interval that holds nu_i = (k_T/k_Tn) J_n,i/J_i of every axis.
         inertia: Intervals of the diagonal of J [kg m^2].
         believed_inertia: Diagonal of J_n [kg m^2].
         rotors: Number of rotors n.
         arm: Radius L of the circle on which they are [m].
         torque_coefficient: c_tau, torque over thrust [m].
-        thrust_coefficient: k_n that the inner loops believe [N s^2/rad^2].
+        thrust_coefficient: k_Tn that the inner loops believe [N s^2/rad^2].
         rotor_limit: Largest thrust of a rotor that the allocation commands [N].
         rotor_lag: Time constant tau of a rotor's speed [s]; 0: none.
         rotor_inertia: Axial inertia I_z of a rotor [kg m^2].

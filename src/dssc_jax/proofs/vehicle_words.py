@@ -46,7 +46,7 @@ def rotor_words(problem: VehicleProblem) -> str:
     lag = f"lag of {problem['rotor_lag']} s" if problem["rotor_lag"] else "no lag"
     place = f"{problem['rotors']} at {problem['arm']} m"
     limit = f"at most {problem['rotor_limit']} N each"
-    coefficients = f"c_tau = {problem['torque_coefficient']} m, k_n = {problem['thrust_coefficient']} N s^2/rad^2"
+    coefficients = f"c_tau = {problem['torque_coefficient']} m, k_Tn = {problem['thrust_coefficient']} N s^2/rad^2"
     return f"{place}, {lag}, {limit}, {coefficients}, I_z = {problem['rotor_inertia']} kg m^2"
 
 

@@ -46,7 +46,22 @@ def outcome(subject: Subject) -> Section:
     if subject.result.study.axes:
         return Section("outcome", "The outcome", [*points_section(subject), *ways(subject), integration(subject)])
     certificate = subject.result.certificate and h.p[h.strong[subject.result.certificate], "."]
-    return Section("outcome", "The outcome", [*ways(subject), certificate, integration(subject)])
+    body = [*ways(subject), stated_errors(subject), certificate, integration(subject)]
+    return Section("outcome", "The outcome", body)
+
+
+def stated_errors(subject: Subject) -> h.Node:
+    """Intervals of the failure probability if the laws are wrong by stated amounts; none if none were stated."""
+    amounts = subject.result.stated
+    if not amounts:
+        return None
+    rows = []
+    for stated in subject.result.stated_errors(amounts):
+        always = interval(stated.interval) if stated.interval else "none, the laws are correlated"
+        weighted = interval(stated.weighted_interval) if stated.weighted_interval else stated.weights_refused
+        rows.append((stated.text, always, weighted))
+    head = ("laws wrong by", "whatever draws fail", "by the draws' weights")
+    return table(f"The failure probability if the laws are wrong, {LEVEL} intervals", head, rows)
 
 
 def integration(subject: Subject) -> h.Node:

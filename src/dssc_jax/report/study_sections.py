@@ -13,6 +13,7 @@ from dssc_jax.report.elements import Section, counted, facts, figure, folded, nu
 from dssc_jax.report.subject import StudySubject, Subject
 from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
+from dssc_jax.study.laws import RangedLaw
 
 BINS = 36  # of a density's sketch
 BIN_LEVELS = 60
@@ -31,7 +32,7 @@ def question(subject: Subject) -> Section:
     body = [
         h.p[
             f"Does the loop meet what is required of it, over {counted(study.config.draws, 'draw')} of "
-            f"{counted(len(study.laws), 'uncertain number')}? Each draw is simulated for {clock.duration:g} s, "
+            f"{counted(len(study.written_laws), 'uncertain number')}? Each draw is simulated for {clock.duration:g} s, "
             f"sampled every {1e3 * clock.sample_time:g} ms."
         ],
         h.p["Required of each draw:"],
@@ -62,15 +63,21 @@ def loop(subject: StudySubject) -> Section:
 def laws(subject: StudySubject) -> Section | None:
     """Every uncertain number with its law."""
     study = subject.result.study
-    if not study.laws:
+    if not study.written_laws:
         return None
     rows = []
-    for name, law in study.laws.items():
-        low, middle, high = law.quantile(np.array([0.05, 0.5, 0.95]))
+    for name, law in study.written_laws.items():
+        members = law.corners if isinstance(law, RangedLaw) else [law]
+        low = min(float(member.quantile(np.asarray(0.05))) for member in members)
+        middle = law.median
+        high = max(float(member.quantile(np.asarray(0.95))) for member in members)
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
         label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
-        drawn = [sketch(law), law.logarithmic and h.span(".meaning")["logarithmic axis"]]
+        drawn = [
+            sketch(law.middle if isinstance(law, RangedLaw) else law),
+            law.logarithmic and h.span(".meaning")["logarithmic axis"],
+        ]
         rows.append((label, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"

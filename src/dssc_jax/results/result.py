@@ -18,7 +18,9 @@ from dssc_jax.results import store
 from dssc_jax.results.manifest import Manifest
 from dssc_jax.results.proofs import SweepProofs, read_proofs
 from dssc_jax.results.schema import variables
-from dssc_jax.results.summary import Summary, SummaryRow, lines, points
+from dssc_jax.results.scored_draws import ScoredDraws
+from dssc_jax.results.stated_errors import STATED, StatedAmounts, StatedError, confidence_of
+from dssc_jax.results.summary import Summary, SummaryRow, jsonable, lines, points
 from dssc_jax.results.theorem import theorem_mark
 from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Look, Method, Replicated
 from dssc_jax.study import Study
@@ -153,7 +155,30 @@ class Result:
 
     def points(self, confidence: float = CONFIDENCE) -> Iterator[SummaryRow]:
         """The points of :meth:`summary`, one by one, so that few points of a large sweep are in memory at once."""
-        return points(self.study, self.with_theorem().dataset, self.method, confidence)
+        amounts = self.stated
+        for row in points(self.study, self.with_theorem().dataset, self.method, confidence):
+            yield row | {STATED: jsonable(self.stated_errors(amounts, confidence))} if amounts else row
+
+    @property
+    def stated(self) -> StatedAmounts | None:
+        """Amounts by which the laws may be wrong, as given to the run; None if none were."""
+        entry = self.manifest.get(STATED)
+        return None if entry is None else StatedAmounts.of(entry)
+
+    def stated_errors(self, amounts: StatedAmounts, confidence: float = CONFIDENCE) -> list[StatedError]:
+        """Intervals of the failure probability if the laws are wrong by amounts.
+
+        Args:
+            amounts: How wrong the laws may be.
+            confidence: Confidence of each single interval.
+
+        Raises:
+            ConfigError: The result has a sweep, its draws are not independent, or no law can be changed.
+        """
+        amounts.require(self.study)
+        low, high = self.method.failure_interval(self.failed.values, confidence).tolist()
+        draws = ScoredDraws.of(self.study, self.failed.values)
+        return amounts.errors(draws, (low, high), confidence_of(self.method, confidence))
 
     def lines(self) -> Iterator[str]:
         """:meth:`summary` as JSON, line by line, as written to ``summary.json``."""

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,6 +18,7 @@ from dssc_jax.engine.integration import integration_error
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
+from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.correlation import gaussian
@@ -74,6 +75,9 @@ def run(
     notify: Callable[[str], None] = print,
     local: str | None = None,
     check: bool = True,
+    within: Mapping[str, float] | None = None,
+    shift: float | None = None,
+    widening: float | None = None,
 ) -> Result:
     """Simulate every draw of a study at every point of its sweep.
 
@@ -93,18 +97,25 @@ def run(
         local: Folder in which a cluster's workers also look for the study's ``module:object`` names.
         check: Whether to simulate some draws again with twice the substeps; see
             :func:`dssc_jax.engine.integration.integration_error`.
+        within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted
+            beside the usual one: ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
+        shift: The same for a shift of all means, >= 0 [standard deviations].
+        widening: The same for the relative width of all laws, >= 1.
 
     Raises:
         ConfigError: ``out`` contains something else, is being written, cannot be written, or is missing where
-            ``resume`` or ``cluster`` needs it; or the cluster is lost.
+            ``resume`` or ``cluster`` needs it; the cluster is lost; an amount is out of range, or the study does not
+            admit it.
     """
+    stated = stated_entry(study, within, shift, widening)
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
         if cluster:
             raise ConfigError("out", "is needed on a cluster: a folder that every worker can access")
         if resume:
             raise ConfigError("out", "is needed to resume")
-        return run_in_memory(study, layout, Engine(study, layout.lanes, tile, devices), progress, check)
+        engine = Engine(study, layout.lanes, tile, devices)
+        return run_in_memory(study, layout, engine, progress, integration_entry(study, check) | stated)
     require_startable(Path(out), study, resume)
     this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
@@ -120,7 +131,9 @@ def run(
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
             entries = workers.fill(target, advance)
-            target.complete(entries | integration_entry(study, check))
+            target.complete(entries | integration_entry(study, check) | stated)
+        elif stated and stated[STATED] != target.manifest.get(STATED):
+            target.complete(stated)
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -189,10 +202,25 @@ def integration_entry(study: Study, check: bool) -> Manifest:
     return {"integration": integration_error(study).to_dict()} if check else {}
 
 
+def stated_entry(
+    study: Study, within: Mapping[str, float] | None, shift: float | None, widening: float | None
+) -> Manifest:
+    """The manifest's entry with amounts by which the laws may be wrong; empty without any.
+
+    Raises:
+        ConfigError: An amount is out of range, or the study does not admit it.
+    """
+    amounts = StatedAmounts(within or {}, shift, widening)
+    if not amounts:
+        return {}
+    amounts.require(study)
+    return {STATED: amounts.entry}
+
+
 def run_in_memory(
-    study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, check: bool
+    study: Study, layout: Layout, engine: Engine, progress: ProgressCallback | None, entries: Manifest
 ) -> Result:
-    """Run a study in memory."""
+    """Run a study in memory; the manifest gets further entries."""
     began = time.perf_counter()
     blocks = layout.blocks()
     computed = execute(engine, blocks)
@@ -202,5 +230,5 @@ def run_in_memory(
     for box, results, values in computed:
         put(dataset, box, results, values)
         advance(lanes_in(box))
-    manifest |= {"complete": True, "times": engine.times(began), **integration_entry(study, check)}
+    manifest |= {"complete": True, "times": engine.times(began), **entries}
     return Result.of(study, dataset, manifest)

@@ -1,6 +1,7 @@
 """``run_until``: runs with a sequential stopping rule; the result has the final number of draws of the study."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
-from dssc_jax.runs.run import integration_entry, run_manifest
+from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
 from dssc_jax.study import Study, takes_file
@@ -31,6 +32,9 @@ def run_until(
     most: int = MOST_DRAWS,
     progress: ProgressCallback | None = None,
     check: bool = True,
+    within: Mapping[str, float] | None = None,
+    shift: float | None = None,
+    widening: float | None = None,
 ) -> Result:
     """Simulate draws until a stopping rule is satisfied, at a geometric sequence of looks.
 
@@ -43,13 +47,17 @@ def run_until(
         out: Results folder, written at the end; None keeps the result in memory.
         most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
-        check: As of :func:`dssc_jax.runs.run.run`.
+        check: As of :func:`dssc_jax.runs.run.run`, like the following arguments.
+        within: Amounts by which the laws may be wrong.
+        shift: Of all means [standard deviations].
+        widening: Relative width of all laws.
 
     Raises:
         ConfigError: The study is swept or its draws are not independent, ``most`` is out of range, or ``out``
             contains something else.
     """
     require_sequential(study)
+    stated = stated_entry(study, within, shift, widening)
     if most < FIRST:
         raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
     longest = study.override({"draws": most})
@@ -87,6 +95,7 @@ def run_until(
         "complete": True,
         "times": engine.times(began),
         **integration_entry(final, check),
+        **stated,
         "stopping": {
             "data_driven": True,
             "rule": rule.text,

@@ -31,6 +31,8 @@ SIGNALS = {
     "y_ref": Quantity("y", "desired output y_m"),
     "e": Quantity("y", "output error e"),
     "sigma": Quantity("y/s", "sigma = e' + l_0 e"),
+    "y_measured": Quantity("y", "output y as the controller sees it"),
+    "y_dot_measured": Quantity("y/s", "output's derivative y' as the controller sees it"),
     "sigma_measured": Quantity("y/s", "sigma as the controller sees it"),
     "u": Quantity("u", "robust command u"),
     "u_total": Quantity("u", "total command u + u_n"),
@@ -150,12 +152,16 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
             "y_ref": reference.y,
             "e": sample.e,
             "sigma": sample.sigma,
+            "y_measured": sample.y_measured,
+            "y_dot_measured": sample.y_dot_measured,
             "sigma_measured": sample.sigma_measured,
             "u": sample.u,
             "u_total": sample.u_total,
             **info_signals(sample.info),
         }
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
+    for signal, values in zip(study.loop.measures, instant.measured, strict=True):
+        columns[f"measured_{signal.name}"] = values
     for name, values in info_signals(instant.plant).items():
         columns |= tuple_columns(name, values) if isinstance(values, tuple) else {name: values}
     return columns
@@ -182,8 +188,8 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     vector, _, part = signal.rpartition("_")
     controllers = study.loop.controller
     loaded = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
-    quantities = SIGNALS | quantities_of(controllers[index].info if loaded else None)
-    observed = {} if named else quantities_of(study.loop.plant.info)
+    quantities = SIGNALS | measured_quantities(study) | quantities_of(controllers[index].info if loaded else None)
+    observed = {} if named else study.loop.quantities
     if signal in quantities or signal in observed:
         quantity = quantities[signal] if signal in quantities else observed[signal]
         unit = units.of(quantity.unit)
@@ -195,6 +201,15 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
         unit = ""
         meaning = signal
     return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
+
+
+def measured_quantities(study: Study) -> dict[str, Quantity]:
+    """Unit and meaning of the column of each measured signal."""
+    found = {}
+    for signal in study.loop.measures:
+        quantity = signal.quantity
+        found[f"measured_{signal.name}"] = Quantity(quantity.unit, f"measured {quantity.meaning}")
+    return found
 
 
 def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:

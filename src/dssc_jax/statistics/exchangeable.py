@@ -6,6 +6,8 @@ uniform (G. A. Barnard, J. Royal Statistical Society B 25 (1963) 294; for curves
 Statistical Society B 79 (2017) 381-404). Nothing is assumed of how the values of a curve depend on each other.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 FLOOR = 0.05  # of the root mean square over time of a signal's spread: least spread by which departures are measured
@@ -94,3 +96,40 @@ def rank_p_value(statistics: np.ndarray) -> float:
         0.5
     """
     return float(np.mean(statistics >= statistics[-1]))
+
+
+class Yardstick(NamedTuple):
+    """The middle and the spread of curves, from draws that are not compared themselves.
+
+    Args:
+        middle: Pointwise median, shape (signals, times).
+        spread: Pointwise median absolute deviation, or a floor, shape (signals, times); NaN: a signal without spread.
+    """
+
+    middle: np.ndarray
+    spread: np.ndarray
+
+    @classmethod
+    def of(cls, curves: np.ndarray) -> "Yardstick":
+        """The yardstick of some curves, shape (n, signals, times), of which at least one runs at each time."""
+        finite = np.where(np.isfinite(curves), curves, np.nan)
+        middle = np.nanmedian(finite, axis=0)
+        distance = np.abs(finite - middle)
+        spread = np.nanmedian(distance, axis=0)
+        size = np.abs(middle).max(axis=1, keepdims=True)
+        floor = FLOOR * np.sqrt(np.mean(spread**2, axis=1, keepdims=True))
+        spread = np.maximum(spread, np.maximum(floor, LEAST_SPREAD * size))
+        same = np.nanmax(distance, axis=(0, 2)) <= LEAST_SPREAD * size[:, 0]
+        spread[same] = np.nan
+        return cls(middle, spread)
+
+    def largest_departure(self, curve: np.ndarray, known: np.ndarray) -> float:
+        """The largest distance of a curve from the middle, in units of the spread; infinite where it has ended.
+
+        Args:
+            curve: Shape (signals, times).
+            known: Which values are compared, shape (signals, times); at least one has spread.
+        """
+        compared = known & np.isfinite(self.spread)
+        departures = np.abs(curve - self.middle)[compared] / self.spread[compared]
+        return float(np.where(np.isfinite(departures), departures, np.inf).max())

@@ -6,9 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dssc_jax.statistics.conformal import BEYOND, flights_to_confirm, flights_to_refute, least_flights
 from dssc_jax.statistics.order import first, wilks_draws
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require_share
 
+LINE_DRAWS = 999  # of a study that flights are compared with
+DEPARTING = 0.5  # share of the flights that depart far
 ORDERS = {1: (1, 2, 3, 4, 5), 2: (1, 2, 3)}  # Wilks orders worth naming, by number of sides
 NEGLIGIBLE = 1e-9  # probability of the counts that a sum leaves out
 
@@ -171,4 +174,34 @@ def plan(error: float, confidence: float = CONFIDENCE, probability: float | None
                     f"{limit} leave{'s' if sides == 1 else ''} at most {error:g} of the law outside {sure}",
                 )
             )
+    return [*answers, *flight_answers(error, confidence)]
+
+
+def flight_answers(error: float, confidence: float) -> list[Answer]:
+    """Number of flights for a set in which the next one lies, and for a verdict on the study.
+
+    Args:
+        error: Probability that the next flight leaves the set.
+        confidence: Of the verdict, and probability that it is reached.
+    """
+    sure = f"in {100 * confidence:g} % of all cases"
+    line = f"{100 * BEYOND:g} % of {LINE_DRAWS} draws"
+    answers = [
+        Answer(
+            "flights for a set of the next one (conformal)",
+            least_flights(1.0 - error),
+            f"the next flight is beyond the largest of so many with probability <= {error:g}, whatever its law",
+        )
+    ]
+    refute = flights_to_refute(DEPARTING, LINE_DRAWS, confidence)
+    confirm = flights_to_confirm(DEPARTING, LINE_DRAWS, confidence)
+    share = f"{100 * DEPARTING:g} % of the flights"
+    if refute is not None:
+        statement = f"if {share} depart farther than all but {line}, that refutes the study {sure}"
+        answers.append(Answer("flights that refute a study", refute, statement))
+    if confirm is not None:
+        statement = (
+            f"if the study is right, they show {sure} that fewer than {share} depart farther than all but {line}"
+        )
+        answers.append(Answer("flights that confirm a study", confirm, statement))
     return answers

@@ -13,17 +13,19 @@ from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import sampled_signals
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import extent
+from dssc_jax.core.quantities import extent, quantities_of
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table, explain
-from dssc_jax.study.laws import Uncertain
+from dssc_jax.study.fitting import fitted, medians
+from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import kinds_of, measured
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
@@ -45,6 +47,8 @@ from dssc_jax.study.slots import (
     SLOTS,
     TABLES,
     parse_channels,
+    parse_disturbances,
+    parse_inputs,
     parse_reference,
     parse_whole,
     parse_winds,
@@ -130,8 +134,23 @@ def parsed_parts(table: TomlTable) -> Parts:
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
     if not has_several_channels:
         wholes["plant"] = with_units(plant, units[0])
-    columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL}
+    inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
+    places = [signal.name for signal in inputs]
+    known = measurable(plant.model, medians(plant.params), plant.model.reported(plant.params), channels, units)
+    sensors = sensor_tables(tables["sensor"], known)
+    measures = tuple(known[name] for name in sensors.measures)
+    tables["sensor"] = sensors.channels
+    columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL if slot != "disturbance"}
+    columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, places)
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
+    columns["inputs"] = [
+        with_units(part, units[0]._replace(command=signal.unit or UNNAMED_UNITS.command))
+        for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
+    ]
+    columns["signal_sensor"] = parse_signal_sensors(sensors, known)
+    columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
+    for part in columns["controller"]:
+        require_signals(part.model, part.params, measures)
     for name, gains in zip(channels, columns["controller"], strict=True):
         if "l0" not in gains.params._fields:
             raise ConfigError(
@@ -145,22 +164,27 @@ def parsed_parts(table: TomlTable) -> Parts:
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
         channels=channels,
+        measures=measures,
+        input_names=tuple(signal.name for signal in inputs),
+        outputs=plant.model.reported(plant.params),
         **clock(config),
     )
     template = LoopParams(
         **{slot: part.params for slot, part in wholes.items()},
         **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
     )
-    known = kinds_of(config)
-    fields = info_fields(loop, template)
-    names = available_metrics(*fields, known)
-    measures, requirements = measured(config, names, known, channels, units, fields[1], parameters.constant)
+    metrics = kinds_of(config)
+    fields, seen = info_fields(loop, template)
+    names = available_metrics(fields, seen, metrics)
+    reports = [quantities_of(model.info) for model in loop.controller]
+    signals = sampled_signals(fields, seen, units, reports, loop.quantities, measures)
+    computed, requirements = measured(config, names, metrics, channels, units, signals, parameters.constant)
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, channels, numbers)
-    check_settled(loop, measures)
-    return Parts(config, loop, template, units, numbers, measures, requirements)
+    check_swept_parts(table, config, loop, known, numbers)
+    check_settled(loop, computed)
+    return Parts(config, loop, template, units, numbers, computed, requirements)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
@@ -236,8 +260,7 @@ Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
 
 def info_fields(loop: Loop, template: LoopParams) -> Fields:
     """Field names of each controller's info and of the plant's, found without computing anything."""
-    params = jax.tree.map(lambda leaf: leaf.median if isinstance(leaf, Uncertain) else leaf, template)
-    leaves, structure = jax.tree.flatten(params)
+    leaves, structure = jax.tree.flatten(medians(template))
     shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
     return traced_fields(loop, structure, tuple(shapes))
 

@@ -6,6 +6,7 @@ and laws.
 """
 
 import inspect
+import re
 import types
 import typing
 from dataclasses import dataclass, replace
@@ -17,12 +18,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 
 from dssc_jax.core.contracts import Plant, Preset, as_given
 from dssc_jax.core.errors import ConfigError, close_names, errors_under, nearest
+from dssc_jax.core.named import Text
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import is_law, is_number
-from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_numbers
+from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_number, parse_numbers
 from dssc_jax.study.parameters import Expression
 from dssc_jax.study.tables import merged
 
@@ -61,9 +63,19 @@ class FieldSpec:
         return self.mark is None and hasattr(self.core, "_fields")
 
     @property
+    def named(self) -> Any:
+        """The type of a table's items if the study names them; None otherwise."""
+        return typing.get_args(self.core)[1] if typing.get_origin(self.core) is dict else None
+
+    @property
+    def text(self) -> bool:
+        """Whether the field is a unit or a meaning, in words."""
+        return self.core is Text
+
+    @property
     def part(self) -> bool:
         """Whether the field is a separate table, of a kind chosen by the study or of a fixed kind."""
-        return isinstance(self.mark, Slot) or self.nested
+        return isinstance(self.mark, Slot) or self.nested or self.named is not None
 
     @property
     def enum(self) -> type[Enum] | None:
@@ -73,7 +85,7 @@ class FieldSpec:
     @property
     def derived(self) -> bool:
         """Whether the model's ``prepare`` fills the field, which is then not allowed in tables."""
-        return self.mark is None and not self.nested and self.enum is None and self.core is not bool
+        return not (self.mark or self.part or self.text or self.enum or self.core is bool)
 
 
 @cache
@@ -112,6 +124,8 @@ def table_model(params: type) -> type[BaseModel]:
         if spec.part or spec.derived:
             continue
         kind = number_type(spec.mark, spec.depth, spec.optional) if isinstance(spec.mark, Quantity) else spec.core
+        if spec.text:
+            kind = str
         if spec.enum:
             kind = Literal[tuple(member.value for member in spec.enum)]  # type: ignore[valid-type]
         fields[name] = (kind, ...)
@@ -119,6 +133,7 @@ def table_model(params: type) -> type[BaseModel]:
 
 
 UNKNOWN_NAME = "unknown name"
+SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 
 
 def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
@@ -287,6 +302,8 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
             raise ConfigError("", "is required and missing")
         if preset is None:
             return None, ()
+    if spec.named is not None:
+        return parse_named(spec, as_table(value))
     if slot is None:
         return parse_params(as_table(value), spec.core, preset)
     if slot.number is None or not (is_number(value) or is_law(value) or isinstance(value, Expression)):
@@ -297,6 +314,31 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     return component.params, tuple(
         replace(number, name="") if number.name == first else number for number in component.numbers
     )
+
+
+def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:
+    """The items of a table whose names are the study's: numbers, or parameters of one type.
+
+    Raises:
+        ConfigError: As in :func:`parse_params`; or an item's name is no name of a signal.
+    """
+    items: dict[str, Any] = {}
+    numbers: list[Number] = []
+    for name, value in table.items():
+        with errors_under(name):
+            if not SIGNAL_NAME.fullmatch(name):
+                raise ConfigError("", "must be named by letters and digits, with single _ between them")
+            if isinstance(spec.mark, Quantity):
+                try:
+                    number = parse_number(value, spec.mark)
+                except ValueError as error:
+                    raise ConfigError("", str(error)) from None
+                items[name] = leaves_of(number)
+                numbers.append(Number.of(name, spec.mark, number, name))
+            else:
+                items[name], inner = parse_params(as_table(value), spec.named)
+                numbers += [number.under(name, name) for number in inner]
+    return items, tuple(numbers)
 
 
 def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tuple[str, ...]) -> TomlTable:
@@ -314,6 +356,7 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     except ValidationError as error:
         raise explain(error, [*specs, *choices]) from None
     checked_values = {name: getattr(checked, name) for name in model.model_fields}
-    return {
-        name: value if (enum := specs[name].enum) is None else enum(value) for name, value in checked_values.items()
-    }
+    for name, value in checked_values.items():
+        enum = Text if specs[name].text else specs[name].enum
+        checked_values[name] = value if enum is None else enum(value)
+    return checked_values

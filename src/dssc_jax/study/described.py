@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
+from dssc_jax.closed_loop.signal_metrics import sampled_signals
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -38,7 +39,7 @@ class DescribedNumber(BaseModel):
     """A number of the loop as JSON: its value, law or expression, and its meaning."""
 
     model_config = NO_EXTRA_FIELDS
-    value: float | dict[str, list[float]] | str
+    value: float | dict[str, list[float | list[float]]] | str
     unit: str
     meaning: str
 
@@ -141,8 +142,9 @@ class Described(Study):
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
+            signals = sampled_signals(description.fields, description.seen, units, [{}] * len(units), {})
             measures, requirements = measured(
-                config, names, known, channels or ("",), units, description.seen, parameters.constant
+                config, names, known, channels or ("",), units, signals, parameters.constant
             )
         except ConfigError as error:
             raise error.within(source) from None
@@ -208,7 +210,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
     for name, number in study.numbers.items():
         law = number.value
         quantity = number.quantity
-        value = {law.kind: list(law.arguments)} if isinstance(law, Law) else law
+        value = law.table if isinstance(law, Law) else law
         value = number.expression.text if number.expression else value
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
     fields, seen = info_fields(study.loop, study.template)

@@ -1,12 +1,13 @@
 """Signals that a study can name, and the requirement that a formula of them is true."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TypeAlias
 
 from dssc_jax.closed_loop.formulas import formula_metric, memory_size
 from dssc_jax.closed_loop.metrics import Instant, Measure, Sample, suffixed
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Info, Scalar
@@ -57,22 +58,23 @@ def time_of(instant: Instant) -> Scalar:
 
 
 def formula_signals(
-    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], seen: Sequence[str]
+    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], others: Mapping[str, SampledSignal]
 ) -> dict[str, FormulaSignal]:
     """The signals that a formula can name.
 
     Args:
         channels: Names of the channels.
         units: Their units and meanings.
-        seen: Fields of the plant's monitor.
+        others: Every signal of the loop, by the name of its column in a trajectory.
     """
-    signals = {"t": FormulaSignal("s", "time", time_of)}
+    signals = {name: FormulaSignal(*signal) for name, signal in others.items()}
+    signals |= {"t": FormulaSignal("s", "time", time_of)}
     for number, (channel, named) in enumerate(zip(channels, units, strict=True)):
         for name, (unit, meaning, value) in CHANNEL_SIGNALS.items():
             signal = FormulaSignal(named.of(unit), named.named(meaning), partial(of_channel, number, value))
             signals[suffixed(name, channel)] = signal
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
-        if name in seen:
+        if name in others:
             signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))
     return signals
 

@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import TypeGuard
 
 import numpy as np
@@ -14,8 +15,8 @@ import scipy
 
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.toml import TomlTable
-
-Arguments = tuple[float, ...]
+from dssc_jax.study import densities
+from dssc_jax.study.densities import Arguments
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class LawKind:
         roles: Which arguments are locations (l) and scales (s), of a lognormal law those of the logarithm; empty:
             the law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
+        log_density: Logarithm of the density at values; None: arguments may not be ranges.
     """
 
     signature: str
@@ -40,6 +42,12 @@ class LawKind:
     quantile: Callable[[Arguments, np.ndarray], np.ndarray]
     roles: str = ""
     logarithmic: bool = False
+    log_density: Callable[[Arguments, np.ndarray], np.ndarray] | None = None
+
+    @property
+    def argument_names(self) -> tuple[str, ...]:
+        """The names of the arguments, as many as the law can have."""
+        return tuple(self.signature.rpartition("[")[2].rstrip("]").split(", "))
 
 
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
@@ -87,6 +95,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (a[0], a[1]),
         lambda a, u: a[0] + (a[1] - a[0]) * u,
         roles="ll",
+        log_density=densities.uniform,
     ),
     "loguniform": LawKind(
         "[lo, hi]",
@@ -96,6 +105,7 @@ LAWS: dict[str, LawKind] = {
         lambda a, u: np.clip(a[0] * np.exp(np.log(a[1] / a[0]) * u), a[0], a[1]),
         roles="ll",
         logarithmic=True,
+        log_density=densities.loguniform,
     ),
     "normal": LawKind(
         "[mean, std]",
@@ -104,6 +114,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (-INFINITE, INFINITE),
         lambda a, u: a[0] + a[1] * scipy.special.ndtri(u),
         roles="ls",
+        log_density=densities.normal,
     ),
     "truncated_normal": LawKind(
         "[mean, std, lo, hi]",
@@ -115,6 +126,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (a[2], a[3]),
         truncated_quantile,
         roles="lsll",
+        log_density=densities.truncated_normal,
     ),
     "lognormal": LawKind(
         "[mean of the logarithm, std of the logarithm]",
@@ -124,6 +136,7 @@ LAWS: dict[str, LawKind] = {
         lambda a, u: np.exp(a[0] + a[1] * scipy.special.ndtri(u)),
         roles="ls",
         logarithmic=True,
+        log_density=densities.lognormal,
     ),
     "beta": LawKind(
         "[a, b] or [a, b, lo, hi]",
@@ -132,6 +145,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (a[2], a[3]) if len(a) == 4 else (0.0, 1.0),
         beta_quantile,
         roles="..ll",
+        log_density=densities.beta,
     ),
     "triangular": LawKind(
         "[lo, mode, hi]",
@@ -140,6 +154,7 @@ LAWS: dict[str, LawKind] = {
         lambda a: (a[0], a[2]),
         triangular_quantile,
         roles="lll",
+        log_density=densities.triangular,
     ),
     "choice": LawKind(
         "[value, value, ...]",
@@ -180,6 +195,11 @@ class Law(Uncertain):
 
     kind: str
     arguments: tuple[float, ...]
+
+    @property
+    def table(self) -> TomlTable:
+        """The law as a study file gives it."""
+        return {self.kind: list(self.arguments)}
 
     @property
     def movable(self) -> bool:
@@ -253,6 +273,43 @@ class Law(Uncertain):
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"
 
 
+@dataclass(frozen=True)
+class RangedLaw(Law):
+    """A law whose arguments may lie anywhere within ranges: a probability box. Its ``arguments`` are their middles.
+
+    Args:
+        ranges: Lowest and highest value of each argument; equal if it is known.
+    """
+
+    ranges: tuple[tuple[float, float], ...]
+
+    @property
+    def table(self) -> TomlTable:
+        """The law as a study file gives it."""
+        return {self.kind: [low if low == high else [low, high] for low, high in self.ranges]}
+
+    @property
+    def support(self) -> tuple[float, float]:
+        """Lowest and highest value of all its laws."""
+        lows, highs = zip(*(law.support for law in self.corners), strict=True)
+        return min(lows), max(highs)
+
+    @property
+    def corners(self) -> list[Law]:
+        """The laws whose arguments are ends of their ranges."""
+        ends = [dict.fromkeys(pair) for pair in self.ranges]
+        return [Law(self.kind, arguments) for arguments in product(*ends)]
+
+    @property
+    def middle(self) -> Law:
+        """The law whose arguments are the middles of their ranges."""
+        return Law(self.kind, self.arguments)
+
+    def __str__(self) -> str:
+        texts = [f"{low:g}" if low == high else f"[{low:g}, {high:g}]" for low, high in self.ranges]
+        return f"{self.kind}({', '.join(texts)})"
+
+
 def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a finite int or float, and not a bool."""
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -280,12 +337,35 @@ def parse_law(table: TomlTable) -> Law:
     if kind not in LAWS:
         raise ValueError(f"'{kind}' is not a law; {nearest(kind, LAWS)}")
     spec = LAWS[kind]
-    if not isinstance(arguments, list) or not all(is_number(value) for value in arguments):
+    if not isinstance(arguments, list) or not all(is_number(value) or is_range(value) for value in arguments):
         raise ValueError(f"{kind} takes finite numbers {spec.signature}, got {arguments}")
+    ranged = any(is_range(value) for value in arguments)
+    if ranged and spec.log_density is None:
+        raise ValueError(f"the arguments of a {kind} may not be ranges, got {arguments}; give numbers")
     if spec.counts is not None and len(arguments) not in spec.counts:
         raise ValueError(f"{kind} takes {spec.signature}, got {len(arguments)} arguments {arguments}")
-    values = tuple(float(value) for value in arguments)
     rule, holds = spec.rule
-    if not holds(values):
+    ranges = tuple(ends_of_range(value) for value in arguments)
+    if not all(holds(corner) for corner in product(*ranges)):  # the rules are linear, so that they hold in between
         raise ValueError(f"{kind} {spec.signature}: {rule}, got {arguments}")
-    return Law(kind, values)
+    middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
+    return RangedLaw(kind, middles, ranges) if ranged else Law(kind, middles)
+
+
+def is_range(value: object) -> TypeGuard[list[int | float]]:
+    """Whether a value is a list of two numbers."""
+    return isinstance(value, list) and len(value) == 2 and all(is_number(end) for end in value)
+
+
+def ends_of_range(value: int | float | list[int | float]) -> tuple[float, float]:
+    """Lowest and highest value of an argument; equal for a number.
+
+    Raises:
+        ValueError: The ends are in the wrong order.
+    """
+    if not isinstance(value, list):
+        return float(value), float(value)
+    low, high = map(float, value)
+    if not low < high:
+        raise ValueError(f"a range of an argument is [lo, hi] with lo below hi, got {value}")
+    return low, high

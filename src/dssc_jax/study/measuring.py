@@ -1,12 +1,13 @@
 """Parsing of a study's metrics and requirements."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
 from dssc_jax.closed_loop.performance import PERFORMANCE
 from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.signal_metrics import SIGNAL_METRICS, SampledSignal, metrics_of_signals
 from dssc_jax.closed_loop.spans import first_sample, samples_before_end
 from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
@@ -14,7 +15,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import CHANNEL_SIGNALS, Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import imported
-from dssc_jax.study.schema import StudyTable
+from dssc_jax.study.schema import RequirementTable, StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
 
@@ -50,7 +51,7 @@ def measured(
     known: Mapping[str, Metric],
     channels: tuple[str, ...],
     units: tuple[ChannelUnits, ...],
-    seen: Sequence[str],
+    signals: Mapping[str, SampledSignal],
     parameters: Constants,
 ) -> tuple[tuple[Measure, ...], tuple[Requirement, ...]]:
     """The metrics over the study's window, and one more for each requirement with its own window.
@@ -61,13 +62,16 @@ def measured(
         known: All kinds of metric.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Their units and meanings.
-        seen: Fields of the plant's monitor.
+        signals: Every signal of the loop by name.
         parameters: Value of an expression of parameters that a place needs before tracing.
 
     Raises:
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
     has_several_channels = len(channels) > 1
+    of_signals = signal_metrics_of(config, signals)
+    known = {**known, **of_signals}
+    names = names | {name: (name, None) for name in of_signals}
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
@@ -91,18 +95,18 @@ def measured(
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
-    signals = formula_signals(channels, units, seen)
+    formula_terms = formula_signals(channels, units, signals)
     requirements = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
         if table.formula is not None:
-            requirement = formula_requirement(table, place, config, signals, parameters)
+            requirement = formula_requirement(table, place, config, formula_terms, parameters)
             if requirement.measure.name in {*measures, *names}:
                 raise ConfigError(f"{place}.name", f"'{requirement.measure.name}' is taken; choose another name")
             measures[requirement.measure.name] = requirement.measure
             requirements.append(requirement)
             continue
-        metric = short(table.metric)
+        metric = required_metric(table)
         if metric not in names:
             if metric.endswith("_margin"):
                 rule = f"'{metric}' belongs to the linearised loop, and a requirement is judged on simulated flights"
@@ -129,6 +133,30 @@ def measured(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def required_metric(table: RequirementTable) -> str:
+    """The name of a requirement's metric: of a signal, kind and signal."""
+    metric = short(table.metric or "")
+    return metric if table.signal is None else suffixed(metric, table.signal)
+
+
+def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
+    """The metrics of signals that a study names or requires, by name.
+
+    Raises:
+        ConfigError: A requirement's signal, or its kind of metric, is unknown.
+    """
+    for index, table in enumerate(config.requirement):
+        if table.signal is not None and table.signal not in signals:
+            rule = f"'{table.signal}' is no signal of this loop; {nearest(table.signal, signals)}"
+            raise ConfigError(f"requirement.{index}.signal", rule)
+        metric = table.metric or ""
+        if table.signal is not None and metric not in SIGNAL_METRICS:
+            rule = f"'{metric}' is no metric of a signal; {nearest(metric, SIGNAL_METRICS)}"
+            raise ConfigError(f"requirement.{index}.metric", rule)
+    required = [required_metric(table) for table in config.requirement if table.formula is None]
+    return metrics_of_signals([*required, *(config.metrics.names or ())], signals)
 
 
 def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> list[Requirement]:

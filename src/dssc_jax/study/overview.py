@@ -26,7 +26,7 @@ def overview(study: "Study") -> str:
     time = f"{clock.duration:g} s, sampled every {clock.sample_time:g} s"
     sections = [
         section("loop", part_rows(study)),
-        section("uncertain", [number_row(study.numbers[name], law) for name, law in study.laws.items()]),
+        section("uncertain", [number_row(study.numbers[name], law) for name, law in study.written_laws.items()]),
         section("follows from parameters", expression_rows(study)),
         section("swept", axis_rows(study)),
         section("required", [(requirement.text,) for requirement in study.requirements]),

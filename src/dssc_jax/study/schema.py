@@ -94,6 +94,10 @@ class BoundedMetric(BaseModel):
 
     model_config = STRICT
     metric: str | None = Field(default=None, description="the bounded metric")
+    signal: str | None = Field(
+        default=None,
+        description="the signal of `rms` and its like, as a trajectory names it; absent: the metric has its own",
+    )
     formula: str | None = Field(default=None, description="a formula of signal temporal logic that must be true")
     name: str | None = Field(
         default=None,
@@ -306,7 +310,9 @@ class StudyTable(BaseModel):
     actuator: list[TomlTable] = Field(
         default=[], description="chain of actuators between command and plant, in order; instead of `[unmodelled]`"
     )
-    disturbance: TomlTable = Field(default={"kind": "none"}, description="disturbance at the plant's input")
+    disturbance: TomlTable | list[TomlTable] = Field(
+        default={"kind": "none"}, description="disturbance at the command; several `[[disturbance]]` have their places"
+    )
     wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )

@@ -1,10 +1,11 @@
 """Parsing of the loop's slots: one part for the whole loop, a sum of winds, a reference, or one part a channel."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 
-from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_winds
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.adapters import ReplacedParams, replace_channels, sum_of_disturbances, sum_of_winds
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.registry import single
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import ChannelUnits
@@ -112,3 +113,79 @@ def parse_channels(table: TomlTable | list[TomlTable], slot: str, channels: tupl
         )
         components.append(replace(component, numbers=numbers))
     return components
+
+
+COMMAND = "command"
+"""The place of a disturbance at the plant's command, if the plant has one channel."""
+
+
+def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Sequence[str]) -> str:
+    """The place at which a disturbance acts: a channel's name, empty for the only one, or an input's.
+
+    Raises:
+        ConfigError: the plant has no such place.
+    """
+    places = {channel or COMMAND: channel for channel in channels} | {name: name for name in inputs}
+    chosen = table.get("input", COMMAND if channels == ("",) else None)
+    if chosen not in places:
+        rule = f"must be a place of the plant at which a disturbance acts, got {chosen!r}"
+        raise ConfigError(f"{path}.input", f"{rule}; {nearest(str(chosen), places)}")
+    return places[chosen]
+
+
+def placed_disturbances(
+    table: TomlTable | list[TomlTable], channels: Sequence[str], inputs: Sequence[str]
+) -> dict[str, list[Component]]:
+    """The disturbances of ``[[disturbance]]`` by their places; of one table with ``input``, the single one.
+
+    Raises:
+        ConfigError: one is not valid.
+    """
+    parts = {"disturbance": table} if isinstance(table, dict) else {f"disturbance.{i}": t for i, t in enumerate(table)}
+    placed: dict[str, list[Component]] = {place: [] for place in (*channels, *inputs)}
+    for path, part in parts.items():
+        entries = as_table(part, path)
+        place = place_of(entries, path, channels, inputs)
+        entries.pop("input", None)
+        placed[place].append(parse_component(entries, DISTURBANCES, path))
+        component = placed[place][-1]
+        numbers = tuple(number.under("", path) for number in component.numbers)
+        placed[place][-1] = replace(component, numbers=numbers)
+    return placed
+
+
+def summed(parts: Sequence[Component], path: str) -> Component:
+    """The sum of the disturbances at one place, whose parameters are at a path."""
+    if not parts:
+        return parse_component({"kind": "none"}, DISTURBANCES)
+    numbers = []
+    for index, part in enumerate(parts):
+        inside = path if len(parts) == 1 else f"{path}.{index}"
+        numbers += [replace(n, paths=tuple(dotted(inside, inner) for inner in n.paths)) for n in part.numbers]
+    params = parts[0].params if len(parts) == 1 else tuple(part.params for part in parts)
+    kind = " + ".join(part.kind for part in parts)
+    return Component(kind, sum_of_disturbances(tuple(part.model for part in parts)), params, tuple(numbers))
+
+
+def parse_disturbances(
+    table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
+) -> list[Component]:
+    """The disturbance of each channel: by its table, or the sum of those of ``[[disturbance]]`` at its command.
+
+    Raises:
+        ConfigError: one is not valid.
+    """
+    if isinstance(table, dict) and "input" not in table:
+        return parse_channels(table, "disturbance", channels)
+    placed = placed_disturbances(table, channels, inputs)
+    return [summed(placed[channel], f"disturbance.{index}") for index, channel in enumerate(channels)]
+
+
+def parse_inputs(
+    table: TomlTable | list[TomlTable], channels: tuple[str, ...], inputs: Sequence[str]
+) -> list[Component]:
+    """The disturbance at each input that the plant names; see :func:`parse_disturbances`."""
+    if isinstance(table, dict) and "input" not in table:
+        return [summed([], "") for _ in inputs]
+    placed = placed_disturbances(table, channels, inputs)
+    return [summed(placed[name], f"inputs.{index}") for index, name in enumerate(inputs)]

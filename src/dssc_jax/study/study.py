@@ -22,7 +22,7 @@ from dssc_jax.study.build import build
 from dssc_jax.study.correlation import matrix, paired, require_correlation
 from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.formulas import tokens_of
-from dssc_jax.study.laws import Law, Uncertain
+from dssc_jax.study.laws import Law, RangedLaw, Uncertain
 from dssc_jax.study.library import find
 from dssc_jax.study.native import with_digests, with_other_files
 from dssc_jax.study.numbers import Number
@@ -77,7 +77,8 @@ class Study:
     requirements: tuple[Requirement, ...]
 
     def __repr__(self) -> str:
-        return f"<Study {self.name!r}: {self.config.draws} draws, {len(self.laws)} uncertain, {len(self.axes)} swept>"
+        uncertain = len(self.written_laws)
+        return f"<Study {self.name!r}: {self.config.draws} draws, {uncertain} uncertain, {len(self.axes)} swept>"
 
     def __str__(self) -> str:
         return overview(self)
@@ -110,6 +111,9 @@ class Study:
             study = cls(table=content, source=source, **build(content)._asdict())
             uncertain = [name for name, number in study.numbers.items() if isinstance(number.value, Law)]
             require_correlation(study.config.correlation, uncertain, study.axes)
+            for name in study.ranged_laws.keys() & set(study.correlated):
+                rule = f"the arguments of the law of {name} are ranges; such a number cannot be correlated"
+                raise ConfigError("correlation", rule)
             return study
         except ConfigError as error:
             raise error.within(source) from None
@@ -138,9 +142,49 @@ class Study:
         return dict(self.config.sweep)
 
     @property
-    def laws(self) -> dict[str, Law]:
-        """The law of each uncertain number that is not swept; a swept value replaces the law."""
+    def written_laws(self) -> dict[str, Law]:
+        """The law of each uncertain number that is not swept; a swept value replaces the law.
+
+        The arguments of some may be ranges; see :attr:`laws` for what can be drawn.
+        """
         return {name: leaf for name, leaf in self.leaves().items() if isinstance(leaf, Law) and name not in self.axes}
+
+    @property
+    def ranged_laws(self) -> dict[str, RangedLaw]:
+        """Those of the laws whose arguments are ranges."""
+        return {name: law for name, law in self.written_laws.items() if isinstance(law, RangedLaw)}
+
+    @property
+    def laws(self) -> dict[str, Law]:
+        """The law of each uncertain number that is not swept, from which draws are made.
+
+        Raises:
+            ConfigError: The arguments of one are ranges.
+        """
+        self.require_single_laws()
+        return self.written_laws
+
+    def require_single_laws(self) -> None:
+        """Require a single law of every uncertain number, from which draws can be made.
+
+        Raises:
+            ConfigError: The arguments of one are ranges.
+        """
+        for name, law in self.ranged_laws.items():
+            rule = (
+                f"{name}: the arguments of {law} are ranges, so there is no single law to draw from; `laws` gives the "
+                f"failure probability over all of them (in Python: dj.law_ranges); elsewhere give numbers, such as "
+                f"{law.middle}"
+            )
+            raise ConfigError(self.source, rule)
+
+    def with_laws(self, laws: Mapping[str, Law]) -> "Study":
+        """Return the study with other laws of some numbers, by dotted name.
+
+        Raises:
+            ConfigError: The changed study is not valid.
+        """
+        return self.override({name: law.table for name, law in laws.items()})
 
     @property
     def correlated(self) -> tuple[str, ...]:
@@ -165,7 +209,7 @@ class Study:
     @property
     def uncertain(self) -> tuple[str, ...]:
         """Dotted names of the numbers that differ between draws: those with a law, and those that follow from one."""
-        laws = self.laws.keys()
+        laws = self.written_laws.keys()
         return tuple(name for name, number in self.numbers.items() if laws & {name, *number.sources})
 
     def followers(self, name: str) -> tuple[str, ...]:

@@ -3,11 +3,14 @@
 import copy
 from collections.abc import Mapping
 
+from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.actuators import ACTUATOR
 from dssc_jax.study.components import field_specs
+from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import StudyTable
@@ -17,6 +20,8 @@ from dssc_jax.study.slots import (
     REGISTRIES,
     TABLES,
     parse_channels,
+    parse_disturbances,
+    parse_inputs,
     parse_reference,
     parse_whole,
     parse_winds,
@@ -60,7 +65,11 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
 
 
 def check_swept_parts(
-    table: TomlTable, config: StudyTable, channels: tuple[str, ...], numbers: Mapping[str, Number]
+    table: TomlTable,
+    config: StudyTable,
+    loop: Loop,
+    known: Mapping[str, NamedSignal],
+    numbers: Mapping[str, Number],
 ) -> None:
     """Require that the rules spanning several fields of a part hold for all swept values.
 
@@ -72,6 +81,7 @@ def check_swept_parts(
     if not config.sweep:
         return
     table = copy.deepcopy(table)
+    channels = loop.channels
     for name, values in config.sweep.items():
         set_dotted(table, name, {"choice": list(values)})
     slots = {name.partition(".")[0] for name in config.sweep}
@@ -81,7 +91,14 @@ def check_swept_parts(
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
             part = parameters.resolved(table[slot], slot)
-            if slot in (*PER_CHANNEL, ACTUATOR):
+            if slot == "disturbance":
+                parse_disturbances(part, channels, loop.input_names)
+                parse_inputs(part, channels, loop.input_names)
+            elif slot == "sensor":
+                sensors = sensor_tables(part, known)
+                parse_channels(sensors.channels, slot, channels)
+                parse_signal_sensors(sensors, known)
+            elif slot in (*PER_CHANNEL, ACTUATOR):
                 parse_channels(part, slot, channels)
             elif slot == "reference":
                 parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))

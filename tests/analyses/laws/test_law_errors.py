@@ -105,6 +105,8 @@ def test_what_to_measure_next(found, result):
     assert knowledge.changes_interval[0] <= 0.1 <= knowledge.changes_interval[1]
     failing = result.dataset[INITIAL].values[result.failed.values]
     np.testing.assert_allclose(answer.by_law[INITIAL].failing, np.quantile(failing, [0.05, 0.5, 0.95]), rtol=1e-3)
+    low, high = answer.by_law[INITIAL].failing_median_interval
+    assert low < 2.0 + 0.1 * stats.norm.isf(0.5 * p) < high
     other = answer.by_law["plant.k_p"].knowledge
     assert other.removed_interval[0] < 0.0 < other.removed_interval[1]
 

@@ -40,7 +40,7 @@ def path(sensor, params, y, y_dot, key, dt=DT):
     def sample(state, present):
         k, true = present
         state, seen = sensor.step(params, state, true, jax.random.fold_in(key, k + 1), k * dt, dt)
-        return floats(state), jnp.stack(seen)
+        return floats(state), jnp.stack(seen[:2])
 
     return jax.lax.scan(sample, state, (jnp.arange(len(y)), Measurement(y, y_dot)))[1].T
 

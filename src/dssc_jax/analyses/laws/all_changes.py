@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dssc_jax.analyses.laws.worst_changes import LargestChange, WeightedDraws
+from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
 POINTS = 25  # sizes of a curve
 BEYOND = 1.5  # how far a curve goes beyond what is guaranteed

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Annotated, Self
 
-from dssc_jax.analyses.laws.changes import Change
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits
-from dssc_jax.analyses.laws.stated_errors import StatedError
-from dssc_jax.analyses.laws.worst_changes import LargestChange
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.results.stated_errors import StatedError
+from dssc_jax.statistics.law_changes import Change
+from dssc_jax.statistics.worst_changes import LargestChange
 
 DEVIATIONS = "standard deviations"
 
@@ -97,6 +97,10 @@ class LawError:
     failing: Annotated[
         tuple[float, float, float] | None,
         Quantity("that of the number", "5 %, 50 % and 95 % quantile among failed draws; None: no draw fails"),
+    ]
+    failing_median_interval: Annotated[
+        tuple[float, float] | None,
+        Quantity("that of the number", "interval of its median among failed draws; None: too few failures"),
     ]
     knowledge: Annotated[Knowledge | None, Quantity("", "what knowing the number is worth; None: too few failures")]
 

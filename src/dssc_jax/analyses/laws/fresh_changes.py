@@ -8,11 +8,11 @@ from typing import Annotated
 import numpy as np
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
-from dssc_jax.analyses.laws.scored_draws import FreshDraws
-from dssc_jax.analyses.laws.worst_changes import LargestChange, WeightedDraws
+from dssc_jax.analyses.laws.fresh_draws import FreshDraws
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.statistics import clopper_pearson
+from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
 SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
 HALVINGS = 8  # of the last doubling

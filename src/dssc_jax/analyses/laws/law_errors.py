@@ -27,21 +27,21 @@ from dssc_jax.analyses.laws.answer import (
     LawErrorsAnswer,
     WeightedAnswer,
 )
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.changes import Shift, Widening
 from dssc_jax.analyses.laws.fresh_changes import FreshLimits, fresh_limits
-from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, TABLE, AllChanges, dataset_of, in_words
-from dssc_jax.analyses.laws.scored_draws import FreshDraws, ScoredDraws
-from dssc_jax.analyses.laws.stated_errors import StatedAmounts, StatedError
-from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.analyses.laws.fresh_draws import FreshDraws
+from dssc_jax.analyses.laws.law_tables import FAILING, KNOWLEDGE, MEDIAN_ENDS, TABLE, AllChanges, dataset_of, in_words
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import Result
+from dssc_jax.results.scored_draws import ScoredDraws
+from dssc_jax.results.stated_errors import NO_LAW, StatedAmounts, StatedError, confidence_of
 from dssc_jax.runs.run import run
-from dssc_jax.statistics import CONFIDENCE, Replicated
+from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.divergence_balls import BALLS
+from dssc_jax.statistics.law_changes import Shift, Widening
+from dssc_jax.statistics.worst_changes import largest_change
 from dssc_jax.study import Study
 from dssc_jax.study.laws import Law
 
@@ -55,7 +55,8 @@ class LawErrors(Analysis):
     the draws' uncertainty; ``towards``, 1 if larger values fail and -1 if smaller ones do; and ``worst_shift``, its
     shift within the worst shift of all means. ``removed`` and ``changes``, with ``_low`` and ``_high``, say what it is
     worth to know in which of ``parts`` parts of its law the number lies; ``failing_low``, ``failing_median`` and
-    ``failing_high`` where it lies in failed draws. Along ``size``, of a shift of all means, and ``width``, of all laws,
+    ``failing_high`` where it lies in failed draws, ``failing_median_low`` and ``failing_median_high`` the interval of
+    that median. Along ``size``, of a shift of all means, and ``width``, of all laws,
     it has the worst failure probability by the weights (``shifted``, ``widened``), its upper limit (``shifted_limit``,
     ``widened_limit``), and the upper limit whatever set of draws fails (``shifted_guaranteed``,
     ``widened_guaranteed``).
@@ -163,6 +164,7 @@ class LawErrors(Analysis):
                 shifted_median=float(law.quantile(special.ndtr(towards * shift))) if towards else None,
                 in_worst_shift=float(row["worst_shift"]),
                 failing=failing_values(law, row),
+                failing_median_interval=failing_median_interval(law, row),
                 knowledge=knowledge_in(row),
             )
         return rows
@@ -177,6 +179,12 @@ def failing_values(law: Law, row: xr.Dataset) -> tuple[float, float, float] | No
     """Quantiles of a number among the failed draws; None if no draw fails."""
     low, middle, high = (float(law.quantile(row[name].values)) for name in FAILING)
     return None if np.isnan(middle) else (low, middle, high)
+
+
+def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | None:
+    """The interval of a number's median among the failed draws; None if too few draws fail."""
+    low, high = (float(law.quantile(row[name].values)) for name in MEDIAN_ENDS)
+    return None if np.isnan(low) else (low, high)
 
 
 def knowledge_in(row: xr.Dataset) -> Knowledge | None:
@@ -230,15 +238,16 @@ def laws(
     amounts = StatedAmounts(within or {}, shift, widening)
     result = simulated(subject, progress)
     study = result.study
-    draws = ScoredDraws(result)
+    draws = ScoredDraws.of(study, result.failed.values)
     free = draws.free(draws.names)
     if not free.any():
-        raise ConfigError(study.source, "no law can be changed; give at least one number a law that is not a choice")
+        raise ConfigError(study.source, NO_LAW)
     low, high = result.method.failure_interval(draws.failed).tolist()
-    bounds = AnyFailures(draws.precision, (low, high))
+    bounds = draws.bounds((low, high))
     guaranteed = Guaranteed(bounds.largest_shift(free, limit), bounds.largest_widening(free, limit))
-    shifts = WeightedDraws(Shift(draws.precision), draws.scores, draws.failed, free, confidence_of(result))
-    widenings = WeightedDraws(Widening(draws.precision), draws.scores, draws.failed, free, confidence_of(result))
+    confidence = confidence_of(result.method)
+    shifts = draws.weighted(Shift, confidence)
+    widenings = draws.weighted(Widening, confidence)
     shift_of_all = AllChanges(
         shifts,
         largest_change(shifts, limit),
@@ -263,7 +272,7 @@ def laws(
         interval_method=result.method.name,
         guaranteed=guaranteed,
         weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in both},
-        stated=amounts.errors(shifts, widenings, bounds),
+        stated=amounts.errors(draws, (low, high), confidence),
         fresh=fresh_limits(new, both, limit) if fresh and draws.failed.any() else None,
         seconds=time.perf_counter() - began,
     )
@@ -283,9 +292,3 @@ def simulated(subject: Study | Result, progress: ProgressCallback | None) -> Res
         remedy = "give the study, whose sweep is ignored, or the result of `run`"
         raise ConfigError(study.source, f"has a sweep over {', '.join(study.axes)}; {remedy}")
     return subject
-
-
-def confidence_of(result: Result) -> float:
-    """The confidence of a single statement, which a stopping rule increases."""
-    method = result.method
-    return CONFIDENCE if isinstance(method, Replicated) else method.level(CONFIDENCE)

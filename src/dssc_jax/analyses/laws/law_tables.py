@@ -8,10 +8,11 @@ import xarray as xr
 from scipy import special
 
 from dssc_jax.analyses.laws.all_changes import AllChanges
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.scored_draws import ScoredDraws
-from dssc_jax.analyses.laws.worst_changes import WeightedDraws, largest_change
+from dssc_jax.results.scored_draws import ScoredDraws
+from dssc_jax.statistics.any_failures import AnyFailures
+from dssc_jax.statistics.order import quantile_interval
 from dssc_jax.statistics.partition import known_part
+from dssc_jax.statistics.worst_changes import WeightedDraws, largest_change
 
 TABLE = "number"
 KNOWLEDGE = {
@@ -27,6 +28,9 @@ KNOWLEDGE = {
 
 FAILING = {"failing_low": 0.05, "failing_median": 0.5, "failing_high": 0.95}
 """Columns of levels in failed draws, with the quantile of each."""
+
+MEDIAN_ENDS = ("failing_median_low", "failing_median_high")
+"""Columns of the ends of the interval of the median level in failed draws."""
 
 Column: TypeAlias = tuple[str, np.ndarray, dict[str, str]]
 """Dimension, values and attributes of a variable."""
@@ -49,7 +53,7 @@ def dataset_of(
     """
     sizes, shifted = shift.curves()
     log_widths, widened = widening.curves()
-    worst = dict(zip(draws.result.study.laws, shift.found.worst.amounts, strict=True))
+    worst = dict(zip(draws.study.laws, shift.found.worst.amounts, strict=True))
     columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns |= knowledge_columns(draws, shift.draws.confidence, limit)
@@ -63,7 +67,7 @@ def dataset_of(
         "size": ("size", sizes, deviations("shift of all means")),
         "width": ("width", np.exp(log_widths), share("relative width of all laws")),
     }
-    return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.result.study.name})
+    return xr.Dataset(columns, coords=coordinates, attrs={"title": draws.study.name})
 
 
 def law_columns(
@@ -91,8 +95,8 @@ def law_columns(
 
 def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> dict[str, Column]:
     """What it is worth to know each number, and where it lies in failed draws."""
-    laws = list(draws.result.study.laws)
-    columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING)}
+    laws = list(draws.study.laws)
+    columns: dict[str, list[float]] = {name: [] for name in (*KNOWLEDGE, *FAILING, *MEDIAN_ENDS)}
     for name in draws.names:
         levels = special.ndtr(draws.scores[:, laws.index(name)])
         part = known_part(levels, draws.failed, limit, confidence)
@@ -101,13 +105,25 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
             numbers = (part.parts, part.removed, *part.removed_interval, part.changes, *part.changes_interval)
         failing = levels[draws.failed]
         quantiles = np.quantile(failing, list(FAILING.values())) if failing.size else [np.nan] * len(FAILING)
-        for column, number in zip(columns.values(), (*numbers, *quantiles), strict=True):
+        ends = median_ends(failing, confidence)
+        for column, number in zip(columns.values(), (*numbers, *quantiles, *ends), strict=True):
             column.append(float(number))
     described = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
     for name, quantile in FAILING.items():
         meaning = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
         described[name] = (TABLE, np.array(columns[name]), share(meaning))
+    for name in MEDIAN_ENDS:
+        meaning = "an end of the interval of the median level in failed draws"
+        described[name] = (TABLE, np.array(columns[name]), share(meaning))
     return described
+
+
+def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:
+    """The exact interval of the median level in failed draws; NaN if too few draws failed."""
+    if not levels.size:
+        return np.nan, np.nan
+    low, high = quantile_interval(levels, 0.5, confidence)
+    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else (np.nan, np.nan)
 
 
 def direction(shifts: WeightedDraws, free: np.ndarray) -> int:

@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 
 from dssc_jax.analyses.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.readings import signal_values
 from dssc_jax.closed_loop.sample import (
     LoopState,
     actuate,
@@ -31,7 +32,6 @@ from dssc_jax.core.signals import (
     Measurement,
     Measurements,
     Params,
-    PlantInput,
     Scalar,
     Signals,
     State,
@@ -102,16 +102,18 @@ def part_maps(
     for i, channel in enumerate(state.channels):
         sampled.append(sampled_command(loop, params, key, channel.unmodelled, i, commands[i], k))
     actuation = actuate(loop, params, tuple(sampled), commands)
-    disturbances = tuple(channel.disturbance for channel in state.channels)
+    disturbances = state.disturbances
     drive = plant_input(loop, params, disturbances, state.wind, state.plant, actuation, t)
 
     def plant(_: int) -> PartMap:
         def apply(
             part: Plant[Measurements, Signals], p: Params, memory: tuple[()], signals: tuple[State, Signals]
-        ) -> tuple[State, Measurements]:
+        ) -> tuple[State, tuple[Measurements, Signals]]:
             plant_state, command = signals
-            slope = part.derivative(p, plant_state, PlantInput(command, drive.disturbance, drive.wind), t)
-            return slope, measure(loop, params, plant_state, references)
+            slope = part.derivative(p, plant_state, drive._replace(command=command), t)
+            outputs = measure(loop, params, plant_state, references)
+            shown = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
+            return slope, (outputs, shown)
 
         return PartMap(apply, (), (state.plant, drive.command))
 
@@ -154,7 +156,26 @@ def part_maps(
         sigma = tracking_error(measurement, references[i], params.controller[i].l0).sigma
         return PartMap(apply, (), (measurement, sigma))
 
+    def signal_sensor(i: int) -> PartMap:
+        def apply(part: Sensor, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
+            stream = jax.random.fold_in(loop.key(key, "signal", loop.measures[i].name), k + 1)
+            after, shown = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
+            return after, shown.y
+
+        values = signal_values(loop, params, state.plant, recorded.measurements, drive)
+        return PartMap(apply, state.signals[i], values[i])
+
+    def named_input(i: int) -> PartMap:
+        def apply(part: Disturbance, p: Params, memory: tuple[()], signals: tuple[Measurement, Scalar]) -> Scalar:
+            measurement, sigma = signals
+            return part.value(p, state.inputs[i], measurement, sigma, t)
+
+        sigma = tracking_error(recorded.measurements[0], references[0], params.controller[0].l0).sigma
+        return PartMap(apply, (), (recorded.measurements[0], sigma))
+
     map_of = {
+        "signal_sensor": signal_sensor,
+        "inputs": named_input,
         "plant": plant,
         "sensor": sensor,
         "differentiator": differentiator,

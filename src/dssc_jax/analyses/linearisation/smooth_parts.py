@@ -25,6 +25,11 @@ from dssc_jax.study.actuators import kind_in, section_of
 
 CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
 DISTURBANCE = "disturbance"
+SIGNAL_SENSOR = "signal_sensor"
+UNMODELLED = "unmodelled"
+INPUTS = "inputs"
+SECTIONS = {SIGNAL_SENSOR: "sensor", INPUTS: DISTURBANCE}
+"""Sections of the study that hold the parts of a slot of another name."""
 Part: TypeAlias = Plant | Controller | Sensor | Differentiator | Unmodelled | Disturbance
 """A model that is linearised."""
 
@@ -98,7 +103,7 @@ class Chosen(NamedTuple):
 
 
 def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
-    """Every part that a linearisation of the study differentiates.
+    """Every part that a linearisation of the study differentiates: plant, parts of the channels, sensors of signals.
 
     Args:
         study: The study.
@@ -115,7 +120,20 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
         for index in range(len(loop.channels)):
             part = getattr(loop, slot)[index]
             places.append(declared_place(study, slot, index, part, getattr(template, slot)[index]))
+    for slot in (SIGNAL_SENSOR, INPUTS) if moving else (SIGNAL_SENSOR,):
+        for index, part in enumerate(getattr(loop, slot)):
+            places.append(declared_place(study, slot, index, part, getattr(template, slot)[index]))
     return tuple(places)
+
+
+def named_kind(study: Study, slot: str, name: str) -> str:
+    """The kind of the part of a channel, of a measured signal, or of the disturbances at an input, by its name."""
+    table = getattr(study.config, SECTIONS.get(slot, slot))
+    if isinstance(table, list) or "input" in table:
+        tables = table if isinstance(table, list) else [table]
+        return " + ".join(str(part["kind"]) for part in tables if part.get("input", name) == name) or "none"
+    common = "none" if slot == INPUTS else "ideal" if slot == SIGNAL_SENSOR else table.get("kind", "ideal")
+    return str(table.get(name, {}).get("kind", common)) if name else str(common)
 
 
 def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
@@ -124,9 +142,11 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     Raises:
         ConfigError: as :func:`declared_places` says.
     """
-    channel = study.loop.channels[index] if slot != "plant" else ""
-    kind = kind_in(study.config, slot, channel)
-    section = section_of(study.config, slot)
+    loop = study.loop
+    names = {"plant": ("",), SIGNAL_SENSOR: [signal.name for signal in loop.measures], INPUTS: loop.input_names}
+    channel = names.get(slot, loop.channels)[index]
+    kind = kind_in(study.config, slot, channel) if slot == UNMODELLED else named_kind(study, slot, channel)
+    section = SECTIONS.get(slot) or section_of(study.config, slot)
     path = f"{study.source}: {section}{'.' if channel else ''}{channel}.kind"
     try:
         smoothness = declared_smoothness(part, params)

@@ -64,12 +64,16 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
         start = measure(loop, params, loop.plant.init(params.plant), origin)
         desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
     fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else ReferencePoint(0.0, 0.0, 0.0))
-    undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=tuple(NO_DISTURBANCE for _ in channels))
+    quiet = tuple(NO_DISTURBANCE for _ in channels)
+    inputs = tuple(NO_DISTURBANCE for _ in loop.inputs)
+    undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=quiet, inputs=inputs)
     undisturbed_params = params._replace(
         reference=NoParams(),
         wind=NoParams(),
         sensor=tuple(map(without_noise, params.sensor)),
         disturbance=tuple(NoParams() for _ in channels),
+        inputs=tuple(NoParams() for _ in loop.inputs),
+        signal_sensor=tuple(map(without_noise, params.signal_sensor)),
     )
     return undisturbed_loop, undisturbed_params
 

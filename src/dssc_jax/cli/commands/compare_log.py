@@ -8,12 +8,14 @@ from dssc_jax.cli.declarations.flight import CompareLog
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.parsing import parse_assignment
-from dssc_jax.console.flight import show_fit, show_log_comparison
+from dssc_jax.cli.running import require_unset
+from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight
 from dssc_jax.console.terminal import output, progress_bar
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
 from dssc_jax.flight_logs.reader import FlightLog, read_log
 from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
 from dssc_jax.study import Study, read_toml
@@ -24,29 +26,40 @@ def run(options: CompareLog) -> int:
     if options.number and not options.fit:
         raise ConfigError("--number", "is a number to estimate, and needs --fit")
     study = study_of(options).without_sweep()
-    log = logged_flight(options, study)
+    logs = [logged_flight(options, path, study) for path in options.log]
+    if len(logs) > 1:
+        require_unset("several logs", fit=options.fit or None)
+        return run_next_flight(study, logs, options)
+    require_unset("a single log", probability=options.probability)
+    (log,) = logs
     if options.fit:
         return fit(study, log, options.number or [], options.out, options.as_json)
-    folder = free_folder(
-        study,
-        "compare-log",
-        f"compare-log-{options.log.stem}",
-        options.out,
-        options.settings,
-        options.draws,
-        options.seed,
-        options.columns,
-        options.column,
-        options.start,
-    )
+    folder = free_folder(study, "compare-log", f"compare-log-{options.log[0].stem}", options.out, *asked(options))
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)
     return DONE
 
 
-def logged_flight(options: CompareLog, study: Study) -> FlightLog:
-    """The log, with the table of its columns and the options that change it."""
+def asked(options: CompareLog) -> tuple[object, ...]:
+    """The options that change the question."""
+    return options.settings, options.draws, options.seed, options.columns, options.column, options.start
+
+
+def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) -> int:
+    """Tell what several flights say of the next one."""
+    probability = PROBABILITY if options.probability is None else options.probability
+    names = [str(path) for path in options.log]
+    question = (*asked(options), names, options.probability)
+    folder = free_folder(study, "next-flight", "next-flight", options.out, *question)
+    with progress_bar(study, quiet=options.as_json, of="draws") as advance:
+        found = next_flight(study, logs, probability=probability, progress=advance)
+    finish(found, folder, options, show_next_flight)
+    return DONE
+
+
+def logged_flight(options: CompareLog, path: Path, study: Study) -> FlightLog:
+    """A log, with the table of its columns and the options that change it."""
     table = read_toml(options.columns) if options.columns is not None else {}
     named = dict(parse_assignment(text, "--column") for text in options.column or [])
     if named:
@@ -54,9 +67,9 @@ def logged_flight(options: CompareLog, study: Study) -> FlightLog:
     if options.start is not None:
         table = {**table, "start": options.start}
     try:
-        return read_log(options.log, study.loop.channels, table)
+        return read_log(path, study.loop.channels, table)
     except ConfigError as error:
-        if options.columns is not None and options.log.is_file():
+        if options.columns is not None and path.is_file():
             raise error.within(str(options.columns)) from None
         raise
 

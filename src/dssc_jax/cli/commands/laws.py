@@ -4,15 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from dssc_jax.analyses.laws.law_errors import laws
+from dssc_jax.analyses.laws.law_ranges import law_ranges
 from dssc_jax.cli.analysing import finish, free_folder
 from dssc_jax.cli.declarations.statistics import Laws
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import stored_result, study_of
-from dssc_jax.cli.parsing import parse_assignment
+from dssc_jax.cli.parsing import parse_within
 from dssc_jax.cli.running import require_unset
 from dssc_jax.console.laws import show_laws
+from dssc_jax.console.ranges import show_ranges
 from dssc_jax.console.terminal import progress_bar
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -21,6 +22,8 @@ def run(options: Laws) -> int:
     """Find how wrong the laws may be, save and print it."""
     within = parse_within(options.within)
     subject = subject_of(options)
+    if isinstance(subject, Study) and subject.ranged_laws:
+        return run_ranges(subject, options)
     stored = isinstance(subject, Result)
     study = subject.study if isinstance(subject, Result) else subject
     asked = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
@@ -43,6 +46,20 @@ def run(options: Laws) -> int:
     return DONE
 
 
+def run_ranges(study: Study, options: Laws) -> int:
+    """Find the failure probability over all laws within their ranges, save and print it."""
+    require_unset(
+        "laws whose arguments are ranges", within=options.within, shift=options.shift, widening=options.widening
+    )
+    asked = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "law-ranges", "laws", options.out, *asked)
+    with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
+        ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
+    options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again
+    finish(ranges, folder, options, show_ranges)
+    return DONE
+
+
 def subject_of(options: Laws) -> Result | Study:
     """The result in the folder that the user names, or the study."""
     folder = Path(options.study)
@@ -50,15 +67,3 @@ def subject_of(options: Laws) -> Result | Study:
         return study_of(options).without_sweep()
     require_unset("a result", set=options.settings, draws=options.draws, seed=options.seed)
     return stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
-
-
-def parse_within(texts: list[str] | None) -> dict[str, float]:
-    """Parse all ``--within`` options, ``NAME=RADIUS`` each."""
-    radii = {}
-    for text in texts or []:
-        name, value = parse_assignment(text, "--within")
-        try:
-            radii[name] = float(value)
-        except ValueError:
-            raise ConfigError("--within", f"must be NAME=RADIUS, got '{text}'") from None
-    return radii

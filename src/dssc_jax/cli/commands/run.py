@@ -5,10 +5,12 @@ from pathlib import Path
 from dssc_jax.cli.analysing import usual_folder
 from dssc_jax.cli.declarations.simulation import Run
 from dssc_jax.cli.exit_codes import DONE, FAILS
+from dssc_jax.cli.parsing import parse_within
 from dssc_jax.cli.running import computed_result, print_result, require_unset, simulated_study
 from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.stated_errors import StatedAmounts
 from dssc_jax.runs.run_until import MOST_DRAWS, run_until
 from dssc_jax.statistics import AcceptReject, StoppingRule, UntilWidth
 from dssc_jax.study import Study
@@ -23,8 +25,13 @@ def run(options: Run) -> int:
         return run_with_rule(study, rule, options)
     require_unset("a fixed number of draws", max_draws=options.max_draws)
     out = options.out or usual_folder(study, "run", options.settings, options.draws, options.seed)
-    print_result(computed_result(study, out, options), out, options.as_json)
+    print_result(computed_result(study, out, options, stated_amounts(options)), out, options.as_json)
     return DONE
+
+
+def stated_amounts(options: Run) -> StatedAmounts:
+    """The amounts by which the laws may be wrong."""
+    return StatedAmounts(parse_within(options.within), options.shift, options.widening)
 
 
 def stopping_rule(width: float | None, accept: float | None, reject: float | None) -> StoppingRule | None:
@@ -51,7 +58,17 @@ def run_with_rule(study: Study, rule: StoppingRule, options: Run) -> int:
     limit = MOST_DRAWS if options.max_draws is None else options.max_draws
     out = options.out or folder_of_rule(study, rule, limit)
     with progress_bar(study, quiet=options.as_json, early="the rule is met") as advance:
-        result = run_until(study, rule, out, most=limit, progress=advance, check=not options.no_check)
+        result = run_until(
+            study,
+            rule,
+            out,
+            most=limit,
+            progress=advance,
+            check=not options.no_check,
+            within=parse_within(options.within),
+            shift=options.shift,
+            widening=options.widening,
+        )
     print_result(result, out, options.as_json)
     return DONE if result.manifest["stopping"]["verdict"] in ("narrow", "accepted") else FAILS
 

@@ -29,14 +29,31 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Find gains with a certificate from bounds.
+    """Find gains with a certificate from bounds; or first gains for the plant of a study.
 
-    [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the smallest
-    guaranteed error at a sampling period of 1 ms.
+    Of a study, its plant and T_s matter: the gains of a PID, LQG or SSC controller follow from the bandwidth, in the
+    plant's units, and --out writes the study with them. Of bounds, [free] fixes free parameters of Table 1; what it
+    leaves open is chosen for the [goal]: without one, for the smallest guaranteed error at a sampling period of 1 ms.
     """
 
-    bounds: Annotated[Path, typer.Argument(metavar="BOUNDS", help="A file with [bounds]; [free], [goal] as wanted.")]
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the design file.")] = None
+    bounds: Annotated[
+        Path, typer.Argument(metavar="BOUNDS|STUDY", help="A file with [bounds]; [free], [goal] as wanted. Or a study.")
+    ]
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the design file, or the study.")] = (
+        None
+    )
+    controller: Annotated[
+        str | None, typer.Option("--controller", metavar="KIND", help="Of a study: pid, lqg or ssc [pid].")
+    ] = None
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            "--bandwidth", metavar="RAD/S", help="Of a study: where the loop gain crosses 1 [0.05 pi/T_s or less]."
+        ),
+    ] = None
+    limit: Annotated[
+        float | None, typer.Option("--limit", metavar="U", help="Of a study: largest command, in its unit.")
+    ] = None
     as_json: Json = False
     as_latex: Latex = False
 

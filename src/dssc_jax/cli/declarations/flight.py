@@ -88,11 +88,18 @@ class CompareLog(OutputOptions, DrawsOptions):
     y_dot, y_ref, y_ref_dot, y_ref_ddot and u_total; those of a channel x are x_y and so on. Without a table, the log's
     columns must have these names, and t. The study's [sweep] is ignored.
 
+    With several logs the answer is a set in which the next flight lies with the probability of --probability: a band of
+    all signals, and limits of metrics. It assumes that flights are exchangeable, and no law. It also tells whether the
+    flights refute the study, and how many flights would refute or confirm it.
+
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
     the reason, if the flight does not identify them, or if the study does not describe the flight.
     """
 
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="A CSV or Parquet file, or a ULog of PX4 (.ulg).")]
+    log: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="CSV or Parquet files, or ULogs of PX4 (.ulg); one for each flight."),
+    ]
     columns: Annotated[
         Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
     ] = None
@@ -103,6 +110,10 @@ class CompareLog(OutputOptions, DrawsOptions):
     start: Annotated[
         float | None,
         typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
+    ] = None
+    probability: Annotated[
+        float | None,
+        typer.Option("--probability", metavar="P", help="Of the next flight, with several logs [0.9]; needs P/(1-P)."),
     ] = None
     fit: Annotated[
         bool, typer.Option("--fit", help="Estimate numbers that have laws, and propose narrower laws; --out FILE.toml.")

@@ -16,6 +16,7 @@ from dssc_jax.cli.declarations.types import (
     RunOptions,
     SeededOptions,
     Set,
+    StatedOptions,
     StoredOptions,
     TrajectoryOptions,
     TrustCode,
@@ -24,7 +25,7 @@ from dssc_jax.proofs import SWEEP_BOXES
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run(OutputOptions, RunOptions, DrawsOptions):
+class Run(OutputOptions, StatedOptions, RunOptions, DrawsOptions):
     """Simulate every draw at the study's own values.
 
     The study's [sweep] is ignored.
@@ -32,6 +33,8 @@ class Run(OutputOptions, RunOptions, DrawsOptions):
     Prints the failure probability with its interval, and writes a results folder. Draws that fail are outcomes: the
     exit code is 0. With --until-width, or --accept and --reject, the draws decide their number. The interval is then
     the sequential one, which stays valid, and the exit code is 1 unless the rule is met (narrow enough, or accepted).
+
+    With --within, --shift or --widening the interval is also printed that holds if the laws are wrong by so much.
     """
 
     also: ClassVar = ("monte-carlo", "montecarlo", "mc")

@@ -6,7 +6,15 @@ from typing import Annotated
 import typer
 
 from dssc_jax.analyses.defaults import FEWER_PLAIN, LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS, VARIATION
-from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, RareMethod, SeededOptions, TrustCode
+from dssc_jax.cli.declarations.types import (
+    DrawsOptions,
+    Json,
+    OutputOptions,
+    RareMethod,
+    SeededOptions,
+    StatedOptions,
+    TrustCode,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +53,7 @@ class Sensitivity(OutputOptions, DrawsOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Laws(OutputOptions, DrawsOptions):
+class Laws(OutputOptions, StatedOptions, DrawsOptions):
     """How wrong may the laws be before too many draws fail?
 
     How far the true laws may lie from the assumed ones before the failure probability can exceed the limit: in total
@@ -54,24 +62,13 @@ class Laws(OutputOptions, DrawsOptions):
     weights of the same draws; where these are too uneven, --fresh simulates new draws.
 
     A result is analysed as it is stored; a study is simulated first, and its [sweep] is ignored.
+
+    Where the arguments of laws are ranges, { normal = [[0.9, 1.1], 0.1] }, the answer is the interval of the failure
+    probability over all laws within them. New draws of the best and the worst law, --fresh of each, check it.
     """
 
     study: Annotated[str, typer.Argument(metavar="STUDY|RESULT", help="A study, or the folder of a run.")]
     limit: Annotated[float, typer.Option("--limit", metavar="P", help="Largest failure probability allowed.")] = LIMIT
-    within: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--within",
-            metavar="NAME=R",
-            help="The failure probability if the laws are wrong by R: kl, chi_square or total_variation.",
-        ),
-    ] = None
-    shift: Annotated[
-        float | None, typer.Option("--shift", metavar="S", help="The same if all means are, by S standard deviations.")
-    ] = None
-    widening: Annotated[
-        float | None, typer.Option("--widening", metavar="K", help="The same if all laws are up to K times as wide.")
-    ] = None
     fresh: Annotated[int, typer.Option("--fresh", metavar="N", help="New draws to simulate under changed laws.")] = 0
     trust_code: TrustCode = False
 

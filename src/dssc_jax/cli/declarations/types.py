@@ -78,6 +78,26 @@ class OutputOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class StatedOptions:
+    """Amounts by which the laws may be wrong."""
+
+    within: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--within",
+            metavar="NAME=R",
+            help="The failure probability if the laws are wrong by R: kl, chi_square or total_variation.",
+        ),
+    ] = None
+    shift: Annotated[
+        float | None, typer.Option("--shift", metavar="S", help="The same if all means are, by S standard deviations.")
+    ] = None
+    widening: Annotated[
+        float | None, typer.Option("--widening", metavar="K", help="The same if all laws are up to K times as wide.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class StoredOptions:
     """A stored result, whose study may name code."""
 

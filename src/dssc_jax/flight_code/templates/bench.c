@@ -33,7 +33,6 @@ typedef struct {
 
 #include "bench_channels.h" /* real, bits, CHANNELS, shapes, prepare, restart, check, advance */
 
-#define SIGNALS 5u
 #define COMMANDS 3u
 static const char magic[] = "dssc-jax recording 1";
 

@@ -10,8 +10,8 @@ static void prepare_@{name}(const real *given)
 
 static unsigned advance_@{name}(const real *row, real *results, bool telemetry)
 {
-    const @{name}_measurement measurement = {row[0], row[1]};
-    const @{name}_reference reference = {row[2], row[3], row[4]};
+    const @{name}_measurement measurement = {@{measurement}};
+    const @{name}_reference reference = {@{reference}};
     @{name}_command command;
     @{name}_telemetry seen = {0};
     @{name}_controller *const controller = &controller_of_@{name};

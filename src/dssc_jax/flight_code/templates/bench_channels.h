@@ -7,6 +7,7 @@ typedef uint@{precision}_t bits;
 #define SMALLEST @{limits}_MIN
 #define LARGEST @{limits}_MAX
 #define CHANNELS @{channels}u
+#define SIGNALS @{signals}u
 #define MOST_PARAMETERS @{most_parameters}
 #define MOST_RESULTS @{most_results}
 

@@ -1,7 +1,8 @@
-"""State feedback with integral action, u = -k_1 (y - y_m) - k_2 (y' - y_m') - k_i int (y - y_m) dt.
+"""State feedback with integral action, u = -k_1 (y - y_m) - k_2 (y' - y_m') - k s + f y_m - k_i int (y - y_m) dt.
 
-The state is (y, y'), what the class (5)-(8) measures; with n = 2 it is the plant's whole state. Limits and anti-windup
-are those of the PID controller.
+Without measured signals s the state is (y, y'), what the class (5)-(8) measures; with n = 2 it is the plant's whole
+state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
+those of the PID controller.
 
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), section 7.4.
@@ -12,6 +13,8 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot, is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
@@ -22,12 +25,14 @@ from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, requi
 class FeedbackGains(NamedTuple):
     """Gains of the state feedback; ``l0`` defines sigma of the metrics and is not used by the controller."""
 
-    k_1: Annotated[Scalar, Quantity("u/y", "gain k_1 of the output", at_least=0.0)]
-    k_2: Annotated[Scalar, Quantity("u s/y", "gain k_2 of the output's derivative", at_least=0.0)]
+    k_1: Annotated[Scalar, Quantity("u/y", "gain k_1 of the output", at_least=0.0)] = 0.0
+    k_2: Annotated[Scalar, Quantity("u s/y", "gain k_2 of the output's derivative", at_least=0.0)] = 0.0
     k_i: Annotated[Scalar, Quantity("u/(y s)", "integral gain k_i", at_least=0.0)] = 0.0
     low: Annotated[Scalar | None, LOW] = None
     high: Annotated[Scalar | None, HIGH] = None
     tracking: Annotated[Scalar | None, Quantity("s", "time constant T_t of the anti-windup", above=0.0)] = None
+    signals: Annotated[tuple[Scalar, ...], Quantity("SI", "gain k of each measured signal")] = ()
+    feedforward: Annotated[Scalar, Quantity("u/y", "gain f of the desired output y_m")] = 0.0
     l0: Annotated[Scalar, L0] = 1.0
 
 
@@ -48,12 +53,20 @@ def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoi
     return FeedbackState(0.0)
 
 
+def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
+    """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k s - f y_m."""
+    total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
+    if gains.signals:
+        total = total + dot(gains.signals, measurement.signals)
+    return total if is_zero(gains.feedforward) else total - gains.feedforward * reference.y
+
+
 def step(
     gains: FeedbackGains, state: FeedbackState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[FeedbackState, Command, FeedbackInfo]:
     """One sample of the state feedback; the integral takes the error of this sample from the next one on."""
     error = measurement.y - reference.y
-    v = state.integral - gains.k_1 * error - gains.k_2 * (measurement.y_dot - reference.y_dot)
+    v = state.integral - proportional_part(gains, measurement, reference)
     u = within_limits(v, gains.low, gains.high)
     integral = state.integral - dt * gains.k_i * error
     if gains.low is not None or gains.high is not None:
@@ -65,15 +78,21 @@ def transfer(
     gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
 ) -> FeedbackState:
     """The integral part that leaves the command as it is; 0 without integral action."""
-    error = measurement.y - reference.y
-    needed = command + gains.k_1 * error + gains.k_2 * (measurement.y_dot - reference.y_dot)
+    needed = command + proportional_part(gains, measurement, reference)
     return FeedbackState(jnp.where(gains.k_i > 0.0, needed, 0.0))
 
 
 def prepare(gains: FeedbackGains) -> FeedbackGains:
-    """Require limits in order; raises ConfigError."""
+    """Require a gain and limits in order; raises ConfigError."""
     require_order(gains.low, gains.high)
+    if is_zero(gains.k_1) and is_zero(gains.k_2) and not gains.signals:
+        raise ConfigError("k_1", "must not be zero with k_2 and without signals: nothing would be fed back")
     return gains
+
+
+def tunable(gains: FeedbackGains) -> tuple[str, ...]:
+    """The gains that feed something back."""
+    return tuple(name for name in ("k_1", "k_2") if not is_zero(getattr(gains, name)))
 
 
 def feedback_within_limits(gains: FeedbackGains) -> tuple[Controller, FeedbackGains]:
@@ -89,7 +108,8 @@ STATE_FEEDBACK: Entry = single(
         prepare,
         transfer,
         limited_smoothness(feedback_within_limits),
-        tunable=("k_1", "k_2"),
+        takes=lambda gains: len(gains.signals),
+        tunable=tunable,
         info=FeedbackInfo,
     ),
     "feedback of output and derivative, with integral action",

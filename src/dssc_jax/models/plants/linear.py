@@ -15,12 +15,14 @@ from typing import Annotated, Any, NamedTuple
 from dssc_jax.core.adapters import linear_derivative
 from dssc_jax.core.contracts import LinearDynamics, Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.named import by_names
 from dssc_jax.core.normal_form import RealisedSystem, relative_degree
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.sampled_linear import Column
-from dssc_jax.core.signals import Measurement, PlantInput, Scalar
+from dssc_jax.core.signals import Info, Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import SMOOTH
+from dssc_jax.models.plants.named import Inputs, Outputs, described, reported, require_named
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -37,7 +39,8 @@ MatrixRows = tuple[tuple[Scalar, ...], ...]
 class StateSpaceParams(NamedTuple):
     """x' = A x + b u + e d, y = c x; the relative degrees of command and disturbance are found before tracing.
 
-    ``disturbance`` is e; absent, the disturbance is matched: e = b.
+    ``disturbance`` is e; absent, the disturbance is matched: e = b. ``outputs`` are signals beside y, and ``inputs``
+    places of disturbances beside e, both by their names in the study.
     """
 
     a: Annotated[MatrixRows, ENTRY]
@@ -45,6 +48,8 @@ class StateSpaceParams(NamedTuple):
     c: Annotated[tuple[Scalar, ...], OUTPUT]
     disturbance: Annotated[tuple[Scalar, ...] | None, DISTURBANCE_INPUT] = None
     x0: Annotated[tuple[Scalar, ...], INITIAL_STATE] = ()
+    outputs: Outputs = None
+    inputs: Inputs = None
     degree: int | None = None
     disturbance_degree: int | None = None
 
@@ -75,16 +80,24 @@ def state_of(x0: tuple[Scalar, ...], order: int) -> LinearState:
 
 
 def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
-    """A, b for the command, and e for the disturbance."""
-    return LinearDynamics(params.a, (params.b,), (params.disturbed,))
+    """A, b for the command, e for the disturbance, and the columns of the named inputs."""
+    columns = tuple(item.column for _, item in by_names(params.inputs))
+    return LinearDynamics(params.a, (params.b,), (params.disturbed,), columns)
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and c A x + c e d."""
+    """y = c x, and c A x + c e d with the named inputs."""
     slope = dot(params.c, tuple(dot(row, state.x) for row in params.a))
     if params.disturbance_degree == 1:
         slope = slope + dot(params.c, params.disturbed) * drive.disturbance
+    for (_, item), value in zip(by_names(params.inputs), drive.inputs, strict=False):  # () stands for zeros
+        slope = slope + dot(params.c, item.column) * value
     return Measurement(dot(params.c, state.x), slope)
+
+
+def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
+    """The named outputs."""
+    return reported(params.outputs, params.inputs, state.x, drive, matched=params.disturbance is None)
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
@@ -107,6 +120,7 @@ def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
         if getattr(params, name) is not None and len(getattr(params, name)) != order:
             raise ConfigError(name, f"must have {order} numbers, one for each state, got {len(getattr(params, name))}")
     require_start(params.x0, order)
+    require_named(params.outputs, params.inputs, order)
     a, b, c, disturbed = (nominal_values(part) for part in (params.a, params.b, params.c, params.disturbed))
     return params._replace(
         degree=required(relative_degree(RealisedSystem(a, b, c)), "c"),
@@ -184,8 +198,11 @@ STATE_SPACE = Plant(
     measure=state_space_measure,
     input_gain=state_space_gain,
     prepare=prepare_state_space,
+    monitor=state_space_report,
     linear=state_space_dynamics,
     smooth=SMOOTH,
+    outputs=lambda params: described(params.outputs),
+    inputs=lambda params: described(params.inputs),
 )
 RATIONAL_PLANT = Plant(
     RationalParams,

@@ -39,7 +39,10 @@ def lag_step(
     def followed(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
         return true - (true - previous) * share / steps + (shown - previous) * (1.0 - share)
 
-    seen = Measurement(*map(followed, measurement, state.true, state.shown))
+    true = state.true
+    shown = state.shown
+    y = followed(measurement.y, true.y, shown.y)
+    seen = Measurement(y, followed(measurement.y_dot, true.y_dot, shown.y_dot))
     return LagState(measurement, seen), seen
 
 

@@ -133,7 +133,8 @@ def noisy_step(
         if params.loss is not None and not is_zero(params.loss):
             arrives = due & (chance >= params.loss)
     fresh = reading(params, true, key)
-    held = Measurement(*(jnp.where(arrives, new, old) for new, old in zip(fresh, state.held, strict=True)))
+    y = jnp.where(arrives, fresh.y, state.held.y)
+    held = Measurement(y, jnp.where(arrives, fresh.y_dot, state.held.y_dot))
     delivered, *queue = (*state.queue, held)
     previous = () if params.jitter is None else (measurement,)
     return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), previous), delivered

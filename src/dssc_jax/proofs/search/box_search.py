@@ -13,9 +13,11 @@ from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search import fixed_point
 from dssc_jax.proofs.search.fixed_point import BoundsStage, from_start, towards_residual
 from dssc_jax.proofs.search.gains import gain_hull, region_of
+from dssc_jax.proofs.search.law_spread import StageRegion
 from dssc_jax.proofs.search.programs import largest_in_set
 from dssc_jax.proofs.search.sampled_loop import box_middle, signal_sizes, step_of
 from dssc_jax.proofs.search.set_stages import (
+    CHANGE,
     ENOUGH,
     INFLATION,
     RATES,
@@ -66,13 +68,15 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     first = from_start(problem, box)
     if not isinstance(first, str):
         stage, allowed = first
-        sigma = stage.bounds[fixed_point.SIGMA]
-        e = stage.bounds[fixed_point.ERROR]
-        proof = Proof(box, [stage, *towards_residual(problem, box, (sigma, e), e, allowed)])
+        limits = StageRegion(*(stage.bounds[i] for i in (fixed_point.SIGMA, fixed_point.ERROR, fixed_point.CHANGE)))
+        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed)])
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
         return Failure(box, "sliding" if first == "sliding" else "gain")
-    return proof_by_sets(problem, box)
+    result = proof_by_sets(problem, box)
+    if isinstance(result, Failure) and first == "sliding":  # bounds imply themselves, but exceed rho
+        return Failure(box, "sliding")
+    return result
 
 
 def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
@@ -131,7 +135,8 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) ->
         p = np.array(stages[-1].p)
         sigma = INFLATION * largest_in_set(p, setting.origin.rows[SIGMA])
         e = INFLATION * largest_in_set(p, setting.origin.rows[E])
-        if residual_stages := towards_residual(problem, box, (sigma, e), e, problem):
+        change = INFLATION * largest_in_set(p, setting.origin.rows[CHANGE])
+        if residual_stages := towards_residual(problem, box, StageRegion(sigma, e, change), e, problem):
             return Proof(box, [*stages, *residual_stages])
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
         if (smaller := smaller_set(setting, sigma, e, shares)) is None:

@@ -4,7 +4,6 @@ The bounds go in through the gains of their region and through what deviates fro
 its responses. :mod:`dssc_jax.proofs.verifier.small_gain` states the inequality and verifies it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
@@ -14,7 +13,14 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from dssc_jax.proofs.problem import Box, ProofProblem
 from dssc_jax.proofs.search.gains import start_ratio
-from dssc_jax.proofs.search.law_spread import Deviation, LawSpread, law_spreads, middle_gains, slide_hull
+from dssc_jax.proofs.search.law_spread import (
+    Deviation,
+    LawSpread,
+    StageRegion,
+    law_spreads,
+    middle_gains,
+    slide_hull,
+)
 from dssc_jax.proofs.search.sampled_loop import (
     INNER_STEPS,
     Step,
@@ -38,7 +44,9 @@ TAIL_LEFT_OUT = 1e-5
 ROUNDS = 16
 """Times that the region may grow from the start's."""
 SHRINKINGS = 6
-"""Times that the region may shrink towards the residual's."""
+"""Times that the region may shrink towards the residual's, even by little."""
+MOST_SHRINKINGS = 40
+"""Times that it may shrink, if every further stage is worth ``FURTHER_WORTH``."""
 GROWTH = 1.1
 """Room of a region around the bounds that led to it."""
 INFLATION = 1.0 + 2e-4
@@ -49,8 +57,12 @@ STATE_ROOM = 1.02
 """Widening of bounds from which those of the disturbance follow, for enclosures of a sample's inside."""
 SMALLEST_BOUND = 1e-15
 """Smallest bound, so that all are positive."""
+SMALLEST_REGION = 1e-12
+"""The same of a region."""
 WORTH = 0.997
 """Improvement of |e| for which another stage is worth its time."""
+FURTHER_WORTH = 0.9
+"""The same after ``SHRINKINGS`` stages."""
 
 
 @dataclass(frozen=True)
@@ -60,24 +72,28 @@ class BoundsStage:
     Args:
         sigma: Bound of |sigma| in which the gains are taken [m/s].
         e: Bound of |e| there [m].
+        change: Bound of the change of sigma in a sample there [m/s].
         level: Bound of |d| [m/s] under the bounds of the signals.
         slope: Bound of |d'| [m/s^2] likewise.
         rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
-        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop; in the conservative form
-            the first is the slope that stands for phi_1.
+        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop; with the coordinate
+            ``phi_1`` the first is the slope that stands for phi_1.
         bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d, and of all states.
         p: P, row by row.
+        coordinate: What z holds, ``u_av`` or ``phi_1`` for q = v - phi_1(s).
         method: The verifier's method.
     """
 
     sigma: float
     e: float
+    change: float
     level: float
     slope: float
     rate: float
     gains: list[float]
     bounds: list[float]
     p: list[list[float]]
+    coordinate: str
     method: str = "small gain"
 
 
@@ -140,7 +156,7 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
 
 def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> Map | None:
     """The map of bounds to bounds for a law with such deviations; None if the middle loop is not stable."""
-    integrated = problem.form == "conservative"
+    integrated = spread.integrated
     point = box_middle(box, spread.gains)
     step = step_of(problem, point, box, integrated=integrated)
     n = step.a.shape[0]
@@ -205,12 +221,23 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     return np.linalg.solve(np.eye(origin.size) - matrix, origin + SMALLEST_BOUND)
 
 
-def bounds_stage(problem: ProofProblem, region: tuple[float, float], by: Map, bounds: np.ndarray) -> BoundsStage:
+def bounds_stage(problem: ProofProblem, region: StageRegion, by: Map, bounds: np.ndarray) -> BoundsStage:
     """The stage of these bounds."""
     falls, p = decay_of(by.step.a)
     rate = falls / problem.sample_time
-    sizes = float(region[0]), float(region[1]), problem.level, problem.slope
-    return BoundsStage(*sizes, rate, middle_gains(by.spread), (INFLATION * bounds).tolist(), p.tolist())
+    inflated = (INFLATION * bounds).tolist()
+    return BoundsStage(
+        sigma=float(region.sigma),
+        e=float(region.e),
+        change=float(region.change),
+        level=problem.level,
+        slope=problem.slope,
+        rate=rate,
+        gains=middle_gains(by.spread),
+        bounds=inflated,
+        p=p.tolist(),
+        coordinate="phi_1" if by.spread.integrated else "u_av",
+    )
 
 
 def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
@@ -254,7 +281,7 @@ def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
     return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
 
 
-def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: tuple[float, float]) -> float:
+def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: StageRegion) -> float:
     """What the equivalent control deviates by from that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
@@ -263,7 +290,7 @@ def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, re
     moved = 0.0
     if by.spread.slide_e:
         moved = problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
-    low, high = slide_hull(problem, region, INFLATION * bounds[CHANGE], moved)
+    low, high = slide_hull(problem, region[:2], INFLATION * bounds[CHANGE], moved)
     centre = middle(by.spread.gains["slide_p"])
     return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
 
@@ -292,24 +319,24 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
 
     The reasons are ``gain``, ``region`` and ``sliding``.
     """
-    sigma = 0.0
-    e = 0.0
+    region = StageRegion(SMALLEST_REGION, SMALLEST_REGION, SMALLEST_REGION)
     disturbed = problem
     for _ in range(ROUNDS):
-        started = implied(disturbed, box, (max(sigma, 1e-12), max(e, 1e-12)), SIGMA, started=True)
+        started = implied(disturbed, box, region, SIGMA, started=True)
         if started is None:
             return "gain"
         result, bounds = started
         allowed = allowed_disturbance(problem, disturbed, box, result, bounds)
         within = allowed.level <= disturbed.level and allowed.slope <= disturbed.slope
-        if within and INFLATION * bounds[SIGMA] <= sigma and INFLATION * bounds[ERROR] <= e:
+        if within and holds(problem, region, result, INFLATION * bounds):
             room = np.inf if problem.rho is None else problem.rho - signal_sizes(disturbed, box).offset
-            slack = slide_slack(disturbed, box, result, bounds, (sigma, e))
+            slack = slide_slack(disturbed, box, result, bounds, region)
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
-            return bounds_stage(disturbed, (sigma, e), result, bounds), allowed
-        sigma = max(sigma, GROWTH * bounds[SIGMA])
-        e = max(e, GROWTH * bounds[ERROR])
+            region = region._replace(change=max(region.change, INFLATION * float(bounds[CHANGE])))
+            return bounds_stage(disturbed, region, result, bounds), allowed
+        sigma, e, change = (GROWTH * bounds[[SIGMA, ERROR, CHANGE]]).tolist()
+        region = StageRegion(max(region.sigma, sigma), max(region.e, e), change)
         if not within:
             level = max(disturbed.level, GROWTH * allowed.level)
             slope = max(disturbed.slope, GROWTH * allowed.slope)
@@ -317,12 +344,19 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
     return "region"
 
 
+def holds(problem: ProofProblem, region: StageRegion, by: Map, bounds: np.ndarray) -> bool:
+    """Whether a region holds these bounds; that of the change of sigma matters where a deviation depends on it."""
+    within = bounds[SIGMA] <= region.sigma and bounds[ERROR] <= region.e
+    depends = problem.form == "implicit" and by.spread.integrated
+    return bool(within and not (depends and bounds[CHANGE] > region.change))
+
+
 def implied(
-    problem: ProofProblem, box: Box, region: tuple[float, float], signal: int, *, started: bool
+    problem: ProofProblem, box: Box, region: StageRegion, signal: int, *, started: bool
 ) -> tuple[Map, np.ndarray] | None:
     """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
     candidates = []
-    for spread in law_spreads(problem, *region):
+    for spread in law_spreads(problem, region):
         if (result := bounds_map(problem, box, spread)) is None:
             continue
         origin = result.forced + result.peaks if started else result.forced
@@ -332,27 +366,25 @@ def implied(
 
 
 def towards_residual(
-    problem: ProofProblem, box: Box, limits: Sequence[float], error: float, allowed: ProofProblem
+    problem: ProofProblem, box: Box, limits: StageRegion, error: float, allowed: ProofProblem
 ) -> list[BoundsStage]:
-    """Stages that follow, from upper limits of |sigma| and |e|, as long as the bound of |e| becomes smaller.
+    """Stages that follow, from upper limits, as long as the bound of |e| becomes smaller.
 
     ``error`` is the bound of |e| so far, ``allowed`` the problem with the largest disturbance that the bounds so far
     allow.
     """
     stages: list[BoundsStage] = []
-    sigma, e = limits
-    for _ in range(SHRINKINGS):
-        sigma = max(ENTERED * INFLATION * sigma, 1e-12)
-        e = max(ENTERED * INFLATION * e, 1e-12)
-        settled = implied(allowed, box, (sigma, e), ERROR, started=False)
+    for number in range(MOST_SHRINKINGS):
+        worth = WORTH if number < SHRINKINGS else FURTHER_WORTH
+        region = StageRegion(*np.maximum(ENTERED * INFLATION * np.array(limits), SMALLEST_REGION).tolist())
+        settled = implied(allowed, box, region, ERROR, started=False)
         if settled is None:
             break
         result, bounds = settled
-        if not bounds[ERROR] < WORTH * error:
+        if not bounds[ERROR] < worth * error:
             break
-        stages.append(bounds_stage(allowed, (sigma, e), result, bounds))
+        stages.append(bounds_stage(allowed, region, result, bounds))
         allowed = allowed_disturbance(problem, allowed, box, result, bounds)
-        sigma = bounds[SIGMA]
-        e = bounds[ERROR]
-        error = e
+        limits = StageRegion(*bounds[[SIGMA, ERROR, CHANGE]].tolist())
+        error = limits.e
     return stages

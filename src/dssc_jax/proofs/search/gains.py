@@ -19,6 +19,8 @@ MOST_PIECES = 12
 """Largest number of pieces of a region."""
 PIECE_RATIO = 1.2
 """Ratio of the largest to the smallest K_P in a piece."""
+KNOWN_INTEGRALS = ("approx_sta_1", "approx_sta_2", "square_root", "field")
+"""Functions of sigma alone with k_o tau_av = alpha (|sigma|^(1/2) + beta), whose integral phi_1 is known."""
 Hull = dict[str, Interval]
 GainArrays = dict[str, jax.Array]
 
@@ -26,8 +28,9 @@ GainArrays = dict[str, jax.Array]
 def gain_hull(problem: ProofProblem, sigma: float, e: float, sigma_from: float = 0.0, e_from: float = 0.0) -> Hull:
     """Intervals of the gains for |sigma| and |e| from their lower ends to a bound.
 
-    Of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s. In the conservative form also of phi_1/sigma
-    (``mean``), and of d phi_1/d e times 1 + tau_av/T_s (``slide_e``).
+    Of K_P, K_I, K_N, and of K_P and T_s K_I times 1 + tau_av/T_s. In the conservative form, and for
+    ``KNOWN_INTEGRALS``, also of phi_1/sigma (``mean``); in the conservative form of d phi_1/d e times 1 + tau_av/T_s
+    (``slide_e``).
     """
     points = gain_points(problem, sigma, e, sigma_from, e_from)
     return {name: with_room(column) for name, column in points.columns.items()}
@@ -66,7 +69,10 @@ def gain_points(
     with jax.enable_x64(True):
         numbers = jnp.float64(problem.l0), jnp.float64(problem.sample_time), jnp.float64(pole)
         gains = conservative_gains if problem.form == "conservative" else implicit_gains
-        columns = gains(functions_of(problem), jnp.asarray(s), jnp.asarray(x), *numbers)
+        functions = functions_of(problem)
+        columns = gains(functions, jnp.asarray(s), jnp.asarray(x), *numbers)
+        if problem.form == "implicit" and problem.functions["kind"] in KNOWN_INTEGRALS:
+            columns["mean"] = mean_gains(functions, jnp.asarray(s), jnp.asarray(x), numbers[0])
     return GainPoints(s, {name: np.asarray(column) for name, column in columns.items()})
 
 
@@ -79,6 +85,31 @@ def implicit_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Sc
     integral = proportional / tau_m
     values = (proportional, integral, pole / tau_m, reach * proportional, reach * t * integral)
     return dict(zip(GAIN_NAMES, jnp.broadcast_arrays(*values, s)[:-1], strict=True))
+
+
+@jax.jit
+def mean_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar) -> jax.Array:
+    """phi_1/sigma at points (sigma, e)."""
+    return jnp.broadcast_to(functions.law(s, e, functions.at(s, e, l0)).gain, s.shape)
+
+
+def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> np.ndarray:
+    """Largest |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| at |sigma| = ``size`` for |sigma - s| <= ``change``.
+
+    K_P falls with |sigma| and is convex in it: near 0 the largest is that of sigma = 0, elsewhere that of s next to 0.
+    """
+    points = np.concatenate([[0.0, change], size, np.maximum(size - change, 0.0)])
+    with jax.enable_x64(True):
+        functions = functions_of(problem)
+        l0 = jnp.float64(problem.l0)
+        mean = mean_gains(functions, jnp.asarray(points), jnp.zeros(points.size), l0)
+        k_o, tau_av, _ = functions.at(jnp.asarray(points), jnp.zeros(points.size), l0)
+        slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), points.size)
+    phi_1 = np.asarray(mean) * points
+    near = slope[0] * change - phi_1[1]
+    reached, before = np.split(phi_1[2:], 2)
+    far = reached - before - slope[2 : 2 + size.size] * change
+    return np.where(size < change, near, far)
 
 
 @jax.jit

@@ -1,8 +1,9 @@
 """How far the control law deviates from a linear one in a region of sigma and e, in floating point.
 
-In the implicit form the gains deviate from those of the middle loop. In the conservative form the functions phi_1,
-phi_2 and the nominal control's n do: either by the spread of their ratios to sigma, or by the largest distance from
-straight lines. The first is smaller near sigma = 0, where it vanishes with sigma; the second over a wide region.
+With the coordinate v the gains deviate from those of the middle loop. With q = v - phi_1 the functions phi_1, phi_2
+and the nominal control's n do: either by the spread of their ratios to sigma, or by the largest distance from straight
+lines. The first is smaller near sigma = 0, where it vanishes with sigma; the second over a wide region. The increment
+of v in the implicit form is not quite that of phi_1, which adds to what deviates.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.proofs.problem import Interval, ProofProblem
-from dssc_jax.proofs.search.gains import GAIN_NAMES, MARGIN, GainPoints, Hull, gain_hull, gain_points, with_room
+from dssc_jax.proofs.search.gains import (
+    GAIN_NAMES,
+    KNOWN_INTEGRALS,
+    MARGIN,
+    GainPoints,
+    Hull,
+    gain_hull,
+    gain_points,
+    increment_errors,
+    with_room,
+)
 from dssc_jax.proofs.search.sampled_loop import functions_of, middle
 
 SLOPE_STEPS = 40
@@ -24,6 +35,14 @@ RATIO_ROOM = 1.05
 """Widening of a ratio of slopes."""
 SLOPE_ROUNDING = 1e-12
 """Widening of a largest distance, in sizes of the function."""
+
+
+class StageRegion(NamedTuple):
+    """Bounds of |sigma| [m/s], |e| [m] and |sigma - s| [m/s] at the samples."""
+
+    sigma: float
+    e: float
+    change: float
 
 
 class Deviation(NamedTuple):
@@ -38,13 +57,15 @@ class LawSpread(NamedTuple):
     """The gains of a middle loop, and what deviates from it.
 
     Args:
-        gains: By name: K_P, in the conservative form phi_1/sigma; K_I, K_N; K_P and T_s K_I times 1 + tau_av/T_s.
+        integrated: Whether the coordinate is q = v - phi_1 in place of v.
+        gains: By name: K_P, with q phi_1/sigma; K_I, K_N; K_P and T_s K_I times 1 + tau_av/T_s.
         integral: Of the increment of v or q.
         command: Of the command besides.
         slide: Of the equivalent control; in the conservative form without what :func:`slide_hull` bounds.
         slide_e: What e adds to the equivalent control, over the change of e in a sample.
     """
 
+    integrated: bool
     gains: Hull
     integral: Deviation
     command: Deviation
@@ -52,47 +73,62 @@ class LawSpread(NamedTuple):
     slide_e: float
 
 
-def law_spreads(problem: ProofProblem, sigma: float, e: float) -> list[LawSpread]:
+def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
     """The deviations of a region, in each way in which they can be bounded."""
-    points = gain_points(problem, sigma, e)
+    points = gain_points(problem, region.sigma, region.e)
     hull = {name: with_room(column) for name, column in points.columns.items()}
     half_width = {name: 0.5 * (high - low) for name, (low, high) in hull.items()}
     t = problem.sample_time
-    if problem.form == "implicit":
-        return [
+    implicit = problem.form == "implicit"
+    by_gains = []
+    if implicit:
+        by_gains.append(
             LawSpread(
+                False,
                 {name: hull[name] for name in GAIN_NAMES},
                 Deviation(half_width["k_p"], t * half_width["k_i"], 0.0),
                 Deviation(0.0, half_width["k_n"], 0.0),
                 Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
                 0.0,
             )
-        ]
+        )
+        if problem.functions["kind"] not in KNOWN_INTEGRALS:
+            return by_gains
+    size = np.abs(points.sigma)
+    errors = increment_errors(problem, size, region.change) if implicit else np.zeros(size.size)
+    falls = (1.0 + MARGIN) * float(errors.max()) / region.change
     by_ratio = LawSpread(
+        True,
         {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(0.0, t * half_width["k_i"], 0.0),
+        Deviation(falls, t * half_width["k_i"], 0.0),
         Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
-        Deviation(0.0, half_width["mean"] + half_width["slide_i"], 0.0),
-        hull["slide_e"][1],
+        Deviation(half_width["slide_p"] * implicit, half_width["mean"] + half_width["slide_i"], 0.0),
+        0.0 if implicit else hull["slide_e"][1],
     )
-    return [by_ratio, function_spread(points, by_ratio, half_width, t)]
+    return [*by_gains, by_ratio, function_spread(points, by_ratio, half_width, t, errors)]
 
 
-def function_spread(points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float) -> LawSpread:
-    """The distances of the functions from the straight lines that are nearest to them."""
+def function_spread(
+    points: GainPoints, by_ratio: LawSpread, half_width: dict[str, float], t: float, errors: np.ndarray
+) -> LawSpread:
+    """The distances of the functions from the straight lines that are nearest to them.
+
+    ``errors`` bounds at each point what the increment of v deviates by from that of phi_1.
+    """
     size = np.abs(points.sigma)
     columns = points.columns
     slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
     ratio_of_command = columns["mean"] + columns["k_n"]
     first = largest_distance(size, columns["mean"], slopes["mean"])
-    second = largest_distance(size, columns["k_i"], slopes["k_i"])
+    second = largest_distance(size, columns["k_i"], slopes["k_i"], errors / t)
     command = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
     gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
     return LawSpread(
+        True,
         gains,
         Deviation(0.0, 0.0, t * second),
         Deviation(0.0, 0.0, command),
-        Deviation(0.0, half_width["slide_i"], first),
+        Deviation(by_ratio.slide.change, half_width["slide_i"], first),
         by_ratio.slide_e,
     )
 
@@ -101,9 +137,9 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 """The gain of the middle loop that each slope becomes."""
 
 
-def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
-    """The largest |ratio - slope| |sigma|, a little widened."""
-    distance = float(np.max(np.abs(ratio - slope) * size))
+def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, added: np.ndarray | float = 0.0) -> float:
+    """The largest |ratio - slope| |sigma| plus what is added, a little widened."""
+    distance = float(np.max(np.abs(ratio - slope) * size + added))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
     return (1.0 + MARGIN) * distance + rounding
 

@@ -16,7 +16,7 @@ class Rejected(Exception):
 
 
 class StageLimits(NamedTuple):
-    """Bounds of |sigma| and |e| at the samples, and of |e(t)| at all times.
+    """Bounds of |sigma|, |e| and |sigma - s| at the samples, and of |e(t)| at all times.
 
     ``level`` and ``slope`` bound what the state adds to |d| and |d'|, with :data:`ENTERED` times these bounds.
     ``moved`` bounds the change of e in a sample, where phi_1 depends on e.
@@ -24,6 +24,7 @@ class StageLimits(NamedTuple):
 
     sigma: arb
     e: arb
+    change: arb
     between: arb
     level: arb
     slope: arb

@@ -48,10 +48,12 @@ class Stage(TypedDict):
 
 
 class SmallGainStage(Stage):
-    """Gains of the middle loop, and bounds of the signals."""
+    """Gains of the middle loop, bounds of the signals and of the change of sigma, and the coordinate of z."""
 
     gains: Sequence[float]
     bounds: Sequence[float]
+    change: float
+    coordinate: str
 
 
 class InvariantStage(Stage):

@@ -5,6 +5,8 @@ sigma|, where n is what the nominal control takes through its term 1/tau_m. The 
 piece exceeds what is reached at points by more than a small share.
 """
 
+import math
+
 import numpy as np
 from flint import arb
 
@@ -25,12 +27,25 @@ DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
 
 
 def function_distances(
-    problem: Problem, sigma: float, e: float, centre: Balls, room: float = DISTANCE_ROOM, sigma_from: float = 0.0
+    problem: Problem,
+    sigma: float,
+    e: float,
+    centre: Balls,
+    room: float = DISTANCE_ROOM,
+    sigma_from: float = 0.0,
+    change: float | None = None,
 ) -> Balls:
     """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
 
-    ``centre`` holds the slopes ``mean``, ``k_i`` and ``k_n``, exact numbers. ``room`` is the largest excess over the
-    distances at points, as a share of them; Table 1's functions have their own.
+    Args:
+        problem: The certificate's problem.
+        sigma: Bound of |sigma|.
+        e: Bound of |e|.
+        centre: The slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
+        room: The largest excess over the distances at points, as a share of them; Table 1's functions have their own.
+        sigma_from: The lower end of |sigma|.
+        change: In the implicit form, a bound of |sigma - s|: the distance of phi_2 then contains
+            :func:`increment_error` over T_s.
     """
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
@@ -42,13 +57,13 @@ def function_distances(
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
-                for name, reached in distances_at(problem, (point, point), centre).items():
+                for name, reached in distances_at(problem, (point, point), centre, change).items():
                     at_points[name] = maximum(at_points[name], reached.lower())
         remaining -= len(pieces)
         halves = []
         for low, high in pieces:
             try:
-                reached = distances_at(problem, (low, high), centre)
+                reached = distances_at(problem, (low, high), centre, change)
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
@@ -63,7 +78,7 @@ def function_distances(
     return result
 
 
-def distances_at(problem: Problem, size: tuple[float, float], centre: Balls) -> Balls:
+def distances_at(problem: Problem, size: tuple[float, float], centre: Balls, change: float | None) -> Balls:
     """Balls of the distances for |sigma| in an interval."""
     gains = gains_at(problem, size)
     largest = arb(size[1])
@@ -71,7 +86,26 @@ def distances_at(problem: Problem, size: tuple[float, float], centre: Balls) -> 
     for name, names in DISTANCES.items():
         difference = total([gains[gain] - centre[gain] for gain in names])
         result[name] = abs(difference) * largest
+    if change is not None:
+        result["phi_2"] = result["phi_2"] + increment_error(problem, size[0], change) / arb(problem["sample_time"])
     return result
+
+
+def increment_error(problem: Problem, low: float, change: float) -> arb:
+    """Ball of a bound of |K_P(sigma) (sigma - s) - phi_1(sigma) + phi_1(s)| for |sigma| >= low, |sigma - s| <= change.
+
+    For functions with k_o tau_av = alpha (|sigma|^(1/2) + beta), whose K_P falls with |sigma| and is convex in it.
+    """
+    if low < change:
+        return gains_at(problem, (0.0, 0.0))["k_p"] * arb(change) - phi_1(problem, change)
+    nearest = max(0.0, math.nextafter(low - change, -math.inf))
+    slope = gains_at(problem, (low, low))["k_p"]
+    return phi_1(problem, low) - phi_1(problem, nearest) - slope * arb(change)
+
+
+def phi_1(problem: Problem, sigma: float) -> arb:
+    """phi_1 of functions of sigma alone, at one point."""
+    return gains_at(problem, (sigma, sigma))["mean"] * arb(sigma)
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:

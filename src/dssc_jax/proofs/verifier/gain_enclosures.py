@@ -158,7 +158,7 @@ def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
     integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
     nominal = problem["nominal"]
     pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    mean = {"mean": mean_gain(problem, size, k_o_tau_av)} if problem["form"] == "conservative" else {}
+    mean = {} if problem["functions"]["kind"] == "sta" else {"mean": mean_gain(problem, size, k_o_tau_av)}
     return mean | {
         "k_p": proportional,
         "k_i": integral,

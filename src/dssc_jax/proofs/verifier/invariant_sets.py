@@ -83,7 +83,8 @@ def invariant_bounds(
     rows = signal_rows(problem)
     sigma = bound_in_set(inverse, rows.sigma)
     e = bound_in_set(inverse, rows.e)
-    return StageLimits(sigma, e, largest_error, arb(0), arb(0), moved)
+    change = bound_in_set(inverse, rows.change)
+    return StageLimits(sigma, e, change, largest_error, arb(0), arb(0), moved)
 
 
 def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:

@@ -38,7 +38,7 @@ from dssc_jax.proofs.verifier.enclosed_loop import (
     start_columns,
     zeta_jump,
 )
-from dssc_jax.proofs.verifier.function_distances import function_distances
+from dssc_jax.proofs.verifier.function_distances import function_distances, increment_error
 from dssc_jax.proofs.verifier.gain_enclosures import depends_on_error, enclosed_start_ratio
 from dssc_jax.proofs.verifier.held_plant import (
     flows,
@@ -52,10 +52,10 @@ from dssc_jax.proofs.verifier.slope_ratios import slide_gain
 from dssc_jax.proofs.verifier.state_dependence import disturbance_by_state, motion_bounds
 
 MIDDLE_GAINS: dict[str, tuple[str, ...]] = {
-    "implicit": ("k_p", "k_i", "k_n", "slide_p", "slide_i"),
-    "conservative": ("mean", "k_i", "k_n", "slide_p", "slide_i"),
+    "u_av": ("k_p", "k_i", "k_n", "slide_p", "slide_i"),
+    "phi_1": ("mean", "k_i", "k_n", "slide_p", "slide_i"),
 }
-"""Gains of the middle loop, by form; in the conservative one the first is that of phi_1, over sigma."""
+"""Gains of the middle loop, by coordinate; with q = v - phi_1 the first is that of phi_1, over sigma."""
 CHANGE, SIGMA, ERROR, COMMAND, EQUIVALENT, STATES = range(6)
 """Places of the signals in a list of bounds; the states follow."""
 
@@ -94,17 +94,17 @@ class LawDeviations(NamedTuple):
     slide: arb
 
 
-def middle_loop(problem: Problem, box: Box, centre: Balls) -> MiddleLoop:
+def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> MiddleLoop:
     """The loop of a box at its middle and at these gains."""
     zeta, _, n = state_places(problem)
     chi = n - 2
     t = arb(problem["sample_time"])
     rows = signal_rows(problem)
-    integrated = problem["form"] == "conservative"
+    integrated = coordinate == "phi_1"
     middle = {name: ((arb(low) + arb(high)) / 2).mid() for name, (low, high) in box.items()}
     k_p = middle["k_p"]
     low, high = map(arb, box["k_p"])
-    gain = [centre[name] for name in MIDDLE_GAINS[problem["form"]][:3]]
+    gain = [centre[name] for name in MIDDLE_GAINS[coordinate][:3]]
     held = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
     a = sampled(problem, held, k_p, gain, integrated=integrated)
     _, command = control_rows(problem, gain, integrated=integrated)
@@ -151,8 +151,9 @@ def implied_bounds(
     """
     t = arb(problem["sample_time"])
     rate = arb(stage["rate"])
-    centre = dict(zip(MIDDLE_GAINS[problem["form"]], map(arb, stage["gains"]), strict=True))
-    loop = middle_loop(problem, box, centre)
+    coordinate = stage["coordinate"]
+    centre = dict(zip(MIDDLE_GAINS[coordinate], map(arb, stage["gains"]), strict=True))
+    loop = middle_loop(problem, box, coordinate, centre)
     p = symmetric_matrix(stage["p"])
     bounds = [arb(bound) for bound in stage["bounds"]]
     states = bounds[STATES:]
@@ -163,7 +164,7 @@ def implied_bounds(
     inputs = side_by_side(loop.w, loop.deviations)
     starts = arb_mat(p.nrows(), 0)
     if started:
-        ratio = enclosed_start_ratio(problem, integrated=problem["form"] == "conservative")
+        ratio = enclosed_start_ratio(problem, integrated=coordinate == "phi_1")
         starts = start_columns(problem, box, ratio)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
     require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
@@ -186,7 +187,7 @@ def implied_bounds(
     bend = bend_between_samples(problem, box, states, command)
     entered = [bound * arb(ENTERED) for bound in (command, *states)]
     level, slope = disturbance_by_state(problem, box, entered)
-    return StageLimits(bounds[SIGMA], bounds[ERROR], (states[0] + bend).upper(), level, slope, moved)
+    return StageLimits(bounds[SIGMA], bounds[ERROR], bounds[CHANGE], (states[0] + bend).upper(), level, slope, moved)
 
 
 def law_deviations(
@@ -194,22 +195,28 @@ def law_deviations(
 ) -> LawDeviations:
     """What the law deviates by, under the stage's bounds.
 
-    In the implicit form the gains K_P, K_I and K_N deviate. In the conservative form the functions phi_1, phi_2 and n
-    of sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
-    less. Both are affine in the bounds, so that either may stand in P7. ``gains`` are those of the stage's region,
-    ``centre`` those of the middle loop.
+    With the coordinate v the gains K_P, K_I and K_N deviate. With q = v - phi_1 the functions phi_1, phi_2 and n of
+    sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
+    less. Both are affine in the bounds, so that either may stand in P7. In the implicit form the increment K_P(sigma)
+    (sigma - s) deviates from that of phi_1, too. ``gains`` are those of the stage's region, ``centre`` those of the
+    middle loop.
     """
     t = arb(problem["sample_time"])
     change = bounds[CHANGE]
     sigma = bounds[SIGMA]
     spread = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
     slide = spread["slide_i"] * sigma
-    if problem["form"] == "implicit":
+    if stage["coordinate"] == "u_av":
         by_v = spread["k_p"] * change + t * spread["k_i"] * sigma
         return LawDeviations(by_v, spread["k_n"] * sigma, slide)
-    distances = function_distances(problem, stage["sigma"], stage["e"], centre)
+    by_ratio = t * spread["k_i"] * sigma
+    change_bound = None
+    if problem["form"] == "implicit":
+        change_bound = stage["change"]
+        by_ratio = by_ratio + increment_error(problem, 0.0, change_bound) / arb(change_bound) * change
+    distances = function_distances(problem, stage["sigma"], stage["e"], centre, change=change_bound)
     return LawDeviations(
-        t * minimum(distances["phi_2"], spread["k_i"] * sigma),
+        minimum(t * distances["phi_2"], by_ratio),
         minimum(distances["both"], (spread["mean"] + spread["k_n"]) * sigma),
         slide + minimum(distances["phi_1"], spread["mean"] * sigma),
     )

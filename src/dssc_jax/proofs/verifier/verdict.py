@@ -169,6 +169,9 @@ def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: s
     e = stage["e"]
     require_premise(limits.sigma * factor <= arb(sigma), f"{subject} leaves |sigma| <= {sigma}")
     require_premise(limits.e * factor <= arb(e), f"{subject} leaves |e| <= {e}")
-    if stage.get("coordinate") == "u_av":
+    if stage["method"] == SMALL_GAIN:
+        change = cast(SmallGainStage, stage)["change"]
+        require_premise(limits.change * factor <= arb(change), f"{subject} lets sigma change by more in a sample")
+    elif stage["coordinate"] == "u_av":
         moved = cast(InvariantStage, stage)["moved"]
         require_premise(limits.moved * factor <= arb(moved), f"{subject} lets e change by more in a sample")

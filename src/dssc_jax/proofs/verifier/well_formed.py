@@ -36,6 +36,8 @@ STAGE_TYPES = {SMALL_GAIN: SmallGainStage, INVARIANT_SET: InvariantStage}
 FORMS = ("implicit", "conservative")
 COORDINATES = ("u_av", "phi_1")
 STARTS = ("zero", "matched", "midpoint")
+KNOWN_INTEGRALS = {"constant", "approx_sta_1", "approx_sta_2", "square_root", "field"}
+"""Functions of sigma alone whose phi_1 is known."""
 MAY_VANISH = {"phi_a", "kappa_a", "kappa_b", "kappa_c", "gamma"}
 SIGNALS = 5
 """Signals besides the states that a bound belongs to."""
@@ -222,17 +224,21 @@ def require_stage(problem: Problem, content: object) -> None:
     for name in ("level", "slope"):
         require_not_negative(stage[name], name)
     require_symmetric(stage["p"], n, "p")
+    coordinate = stage["coordinate"]
+    require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
+    conservative = problem["form"] == "conservative"
     if method == SMALL_GAIN:
+        known = problem["functions"]["kind"] in KNOWN_INTEGRALS
+        fits = conservative or known if coordinate == "phi_1" else not conservative
+        require_shape(fits, "coordinate", "does not belong to form and functions")
+        require_positive(stage["change"], "change")
         require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
         bounds = require_numbers(stage["bounds"], SIGNALS + n, "bounds")
         require_shape(all(bound > 0 for bound in bounds), "bounds", "are not positive")
         return
     require_numbers(stage["multipliers"], 4 + eta, "multipliers")
     require_not_negative(stage["moved"], "moved")
-    coordinate = stage["coordinate"]
-    require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
-    fits = coordinate == "u_av" or problem["form"] == "conservative"
-    require_shape(fits, "coordinate", "does not belong to the form")
+    require_shape(coordinate == "u_av" or conservative, "coordinate", "does not belong to the form")
     require_count(stage["pieces"], MOST_PIECES, "pieces", "is no number of pieces")
     require_count(stage["degree"], MOST_DEGREE, "degree", "is no degree of a polynomial")
 

@@ -59,7 +59,7 @@ DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
 
 
 Slopes = tuple[float, float, float]
-"""k_1, k_2 and k_n of the straight lines in place of a channel's functions."""
+"""k_1, k_2 and k_3 of the straight lines in place of a channel's functions."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class ChannelDeviations:
     """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
 
     Args:
-        slopes: k_1, k_2 and k_n.
-        distance: Of phi_1, phi_2 and phi_1 + n.
+        slopes: k_1, k_2 and k_3.
+        distance: Of phi_1, phi_2 and phi_1 + phi_3.
         ratio: The same over |sigma|.
         steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
     """
@@ -102,7 +102,7 @@ class VehicleBounds:
     """Bounds that imply themselves.
 
     Args:
-        slopes: k_1, k_2, k_n of each channel.
+        slopes: k_1, k_2, k_3 of each channel.
         damping: Damping of drag in the plane and along z [1/s].
         bounds: Bounds of the signals.
         rotors: Bounds of the rotors.
@@ -112,6 +112,31 @@ class VehicleBounds:
     damping: tuple[float, float]
     bounds: Signals
     rotors: Rotors
+
+
+@dataclass(frozen=True)
+class LinearVehicle:
+    """The vehicle with straight lines in place of the functions, and without remainders.
+
+    Args:
+        problem: The vehicle.
+        damping: Damping of drag in the plane and along z [1/s].
+        slopes: k_1, k_2, k_3 of each channel.
+        responses: What inputs of size 1 cause in each channel.
+    """
+
+    problem: VehicleProblem
+    damping: tuple[float, float]
+    slopes: dict[str, Slopes]
+    responses: dict[str, ChannelResponse]
+
+    def deviations(self, y: Signals) -> dict[str, ChannelDeviations]:
+        """What the functions of every channel deviate by under the bounds of its sigma."""
+        found = {}
+        for name in CHANNELS:
+            points = points_of(self.problem, name, y[name]["sigma"])
+            found[name] = deviations_of(points, self.slopes[name])
+        return found
 
 
 def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
@@ -130,7 +155,7 @@ def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
 
 
 def best_slopes(points: GainPoints) -> Slopes:
-    """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2."""
+    """The slopes of the straight lines that are nearest to phi_1 + phi_3, shared between both, and to phi_2."""
     size = np.abs(points.sigma)
     columns = points.columns
     combined = nearest_slope(size, columns["mean"] + columns["k_n"])
@@ -167,11 +192,6 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     return ChannelDeviations(
         slopes, (first, second, combined), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
     )
-
-
-def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]) -> dict[str, ChannelDeviations]:
-    """The deviations of every channel under the bounds of its sigma."""
-    return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
 
 def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, Linear]:
@@ -219,22 +239,19 @@ def seen_bounds(
 
 
 def applied(
-    problem: VehicleProblem,
-    responses: dict[str, ChannelResponse],
-    deviations: dict[str, ChannelDeviations],
-    y: Signals,
-    damping: tuple[float, float],
+    vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals
 ) -> tuple[Signals, Signals, Rotors]:
     """F(Y), the remainders, and the rotors.
 
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
     """
-    remainders, rotors = remainders_of(problem, y, damping)
-    slopes = slopes_of(problem, y, remainders, damping)
+    problem = vehicle.problem
+    remainders, rotors = remainders_of(problem, y, vehicle.damping)
+    slopes = slopes_of(problem, y, remainders, vehicle.damping)
     reached: Signals = {}
     for name in CHANNELS:
-        response = responses[name]
+        response = vehicle.responses[name]
         sizes = input_sizes(response, deviations[name], y[name]["sigma"], remainders[name])
         seen = seen_bounds(problem, name, response, deviations[name], sizes)
         reached[name] = with_slopes(problem, response, seen, slopes[name])
@@ -266,38 +283,31 @@ def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float], room: 
     linear = linear_channels(problem, damping)
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
     regions = {name: max(channel.first_sigma, FIRST_REGION) for name, channel in problem.channels.items()}
-    slopes: dict[str, Slopes] = {}
-    responses: dict[str, ChannelResponse] = {}
+    vehicle = LinearVehicle(problem, damping, {}, {})
     chosen: dict[str, float] = {}
     for _ in range(ROUNDS):
         for name, region in regions.items():
             if name in chosen and abs(region - chosen[name]) <= REGION_KEPT * chosen[name]:
                 continue
             chosen[name] = region
-            slopes[name] = best_slopes(points_of(problem, name, region))
-            response = channel_response(problem, problem.channels[name], linear[name], slopes[name])
+            vehicle.slopes[name] = best_slopes(points_of(problem, name, region))
+            response = channel_response(problem, problem.channels[name], linear[name], vehicle.slopes[name])
             if response is None:
                 return "gain"
-            responses[name] = response
-        found = grown(problem, responses, slopes, y, damping, chosen, room)
+            vehicle.responses[name] = response
+        found = grown(vehicle, y, chosen, room)
         if found is None:
             return "gain"
         reached, closed = found
         regions = {name: reached[name]["sigma"] for name in CHANNELS}
         kept = all(abs(regions[name] - chosen[name]) <= REGION_KEPT * chosen[name] for name in CHANNELS)
         if closed and kept:
-            return accepted(problem, responses, slopes, reached, damping)
+            return accepted(vehicle, reached)
     return "gain"
 
 
 def grown(
-    problem: VehicleProblem,
-    responses: dict[str, ChannelResponse],
-    slopes: dict[str, Slopes],
-    start: Signals,
-    damping: tuple[float, float],
-    regions: dict[str, float],
-    room: float,
+    vehicle: LinearVehicle, start: Signals, regions: dict[str, float], room: float
 ) -> tuple[Signals, bool] | None:
     """The bounds after F is applied from small ones on, and whether they have become a fixed point.
 
@@ -306,9 +316,8 @@ def grown(
     """
     y = start
     for _ in range(ITERATIONS):
-        deviations = all_deviations(problem, y, slopes)
         try:
-            reached, _, _ = applied(problem, responses, deviations, y, damping)
+            reached, _, _ = applied(vehicle, vehicle.deviations(y), y)
         except OutOfRange:
             return None
         wider = {name: {key: inflated(key, value, room) for key, value in reached[name].items()} for name in CHANNELS}
@@ -327,19 +336,13 @@ def inflated(signal: str, bound: float, room: float) -> float:
     return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 
 
-def accepted(
-    problem: VehicleProblem,
-    responses: dict[str, ChannelResponse],
-    slopes: dict[str, Slopes],
-    y: Signals,
-    damping: tuple[float, float],
-) -> VehicleBounds | str:
+def accepted(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | str:
     """The fixed point as a result, if the loop slides under it."""
-    deviations = all_deviations(problem, y, slopes)
-    _, remainders, rotors = applied(problem, responses, deviations, y, damping)
-    if not slides(problem, deviations, y, remainders):
+    deviations = vehicle.deviations(y)
+    _, remainders, rotors = applied(vehicle, deviations, y)
+    if not slides(vehicle.problem, deviations, y, remainders):
         return "sliding"
-    return VehicleBounds(dict(slopes), damping, y, rotors)
+    return VehicleBounds(dict(vehicle.slopes), vehicle.damping, y, rotors)
 
 
 def best_bounds(problem: VehicleProblem, room: float = 1.0) -> VehicleBounds | str:

@@ -13,7 +13,9 @@ GRAVITY = 9.81
 POINTS = (0.125, 0.375, 0.625, 0.875)
 """Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
 PIECES = 4
-"""Pieces of a sample over which integrals are taken by the trapezoidal rule."""
+"""Pieces of each half of the rotors' lag, or of a shorter sample, in integrals by the trapezoidal rule."""
+MOST_PIECES = 32
+"""Largest number of pieces of a sample."""
 ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
 """Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
 MOST_CONSTANT_SAMPLES = 40_000
@@ -27,11 +29,11 @@ Signal: TypeAlias = tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
+    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
-        f: F, (m, m).
-        g: G, (m,).
+        f: A_c, (m, m).
+        g: B_c, (m,).
         b: Columns of the remainders by name, (m,) each.
         signals: Rows C and numbers d by name.
     """
@@ -164,7 +166,7 @@ def yaw_channel(problem: VehicleProblem) -> Linear:
 
 
 def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(F t), and what a command 1 held for this time adds to chi."""
+    """exp(A_c t), and what a command 1 held for this time adds to chi."""
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
@@ -174,8 +176,8 @@ def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
-    """One sample with slopes k_1, k_2, k_n of the functions."""
-    k_1, k_2, k_n = slopes
+    """One sample with slopes k_1, k_2, k_3 of the functions."""
+    k_1, k_2, k_3 = slopes
     t = problem.sample_time
     weights = problem.delay_weights
     m = linear.g.size
@@ -184,7 +186,7 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
     unit = np.eye(n)
     sigma = unit[1] + channel.l0 * unit[0]
     q = unit[n - 1] + t * k_2 * sigma
-    command = -(k_1 + k_n) * sigma - q
+    command = -(k_1 + k_3) * sigma - q
     if channel.nominal:
         a_n, gain, _ = channel.nominal
         command = command - ((a_n - channel.l0) * channel.l0 * unit[0] + (channel.l0 - a_n) * sigma) / gain
@@ -215,7 +217,8 @@ class Seen:
         names: The signals.
         rows: Row of each point and signal over z, (points * signals, n).
         direct: What the inputs of the same sample do, (points, signals, inputs).
-        columns: Columns of omega_u, omega_q, and of the remainders at five times of the sample, (n, 2 + 5 remainders).
+        columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
+        pieces: Number of these pieces.
         held: Column of a constant force, (n,).
         within: What a constant force of the same sample does, (points * signals,).
     """
@@ -225,14 +228,23 @@ class Seen:
     rows: np.ndarray
     direct: np.ndarray
     columns: np.ndarray
+    pieces: int
     held: np.ndarray
     within: np.ndarray
 
 
+def pieces_of(problem: VehicleProblem) -> int:
+    """Number of pieces of a sample."""
+    if not problem.rotor_lag:
+        return PIECES
+    return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
+
+
 def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
-    """A channel with slopes k_1, k_2, k_n, at its samples."""
+    """A channel with slopes k_1, k_2, k_3, at its samples."""
     step = sampled(problem, channel, linear, slopes)
     t = problem.sample_time
+    pieces = pieces_of(problem)
     m, n = linear.g.size, step.a.shape[0]
     names = (*linear.signals, "u_av")
     rows = np.zeros((len(POINTS), len(names), n))
@@ -242,7 +254,7 @@ def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linea
     force = linear.b.get("force", np.zeros(m))
     for place, share in enumerate(POINTS):
         phi, gamma = flow(linear, share * t)
-        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, PIECES + 1)]
+        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, pieces + 1)]
         pushed = integral(linear, force, share * t)
         for row, (c, d) in enumerate(linear.signals.values()):
             by_command = c @ gamma + d
@@ -253,19 +265,19 @@ def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linea
             within[place, row] = c @ pushed
         rows[place, -1] = step.u_av
         direct[place, -1, 1] = t
-    columns = np.zeros((n, 2 + (PIECES + 1) * forces.shape[1]))
+    columns = np.zeros((n, 2 + (pieces + 1) * forces.shape[1]))
     columns[:, 0] = step.u
     columns[:, 1] = step.q
-    moved = [flow(linear, t * part / PIECES)[0] @ forces for part in range(PIECES + 1)]
+    moved = [flow(linear, t * part / pieces)[0] @ forces for part in range(pieces + 1)]
     columns[:m, 2:] = np.concatenate(moved, axis=1)
     held = np.append(integral(linear, force, t), np.zeros(n - m))
-    return Seen(step, names, rows.reshape(-1, n), direct, columns, held, within.ravel())
+    return Seen(step, names, rows.reshape(-1, n), direct, columns, pieces, held, within.ravel())
 
 
-def over_sample(effects: np.ndarray, sample_time: float) -> np.ndarray:
+def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
     """Effects of omega_u, omega_q and each remainder over a whole sample, from those at its times, (..., inputs)."""
-    times = effects[..., 2:].reshape(*effects.shape[:-1], PIECES + 1, -1)
-    integrals = sample_time * trapezoid([times[..., i, :] for i in range(PIECES + 1)])
+    times = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
+    integrals = sample_time * trapezoid([times[..., i, :] for i in range(pieces + 1)])
     return np.concatenate([effects[..., :2], integrals], axis=-1)
 
 
@@ -281,7 +293,7 @@ def channel_response(
     if result is None:
         return None
     shape = (len(POINTS), len(seen.names))
-    gains = over_sample(result.sums, problem.sample_time).reshape(*shape, -1) + seen.direct
+    gains = over_sample(result.sums, seen.pieces, problem.sample_time).reshape(*shape, -1) + seen.direct
     constant = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
         constant = constant_response(a, rows, seen.held, seen.within)
@@ -329,7 +341,7 @@ def channel_series(
         z = a @ z
     effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
     effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
-    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), problem.sample_time)
+    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), seen.pieces, problem.sample_time)
     constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
     if channel is not problem.channels["z"]:
         constant = np.zeros(constant.shape)

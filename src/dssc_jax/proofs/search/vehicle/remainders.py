@@ -40,7 +40,7 @@ class Attitude:
         euler_rate: T, of |(phi', theta')| [rad/s].
         wanted_tilt: H, of |(eta_phi, eta_theta)| [rad/s^2].
         wanted_yaw: N, of |eta_psi| [rad/s^2].
-        frame_h: w_h, of the part of W' times the rates [rad/s^2].
+        frame_h: w_h, of the part of B' times the rates [rad/s^2].
         frame_z: w_z, likewise.
         rate_h: Omega_h [rad/s].
         rate_z: Omega_z [rad/s].
@@ -78,7 +78,7 @@ class Rotors:
         spread: Of the difference of two rotors' speeds [rad/s].
         sum: Of the sum of the speeds [rad/s].
         behind: d, how far a thrust is behind its command [N].
-        defect: rho [N/s].
+        defect: zeta [N/s].
         spin_up: Of the sum of the speeds' rates [rad/s^2].
     """
 

@@ -21,7 +21,7 @@ from dssc_jax.proofs.verifier.impulse_responses import (
 )
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.deviations import float_above
-from dssc_jax.proofs.verifier.vehicle.responses import PIECES, SeenChannel, integral_within, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import SeenChannel, integral_within, seen_channel
 
 OMEGAS = 2
 """The inputs omega_u and omega_q, before the remainders."""
@@ -36,7 +36,7 @@ class CellResponses(NamedTuple):
         signals: The signal of each row.
         remainders: The names of the inputs after omega_u and omega_q.
         most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
-        least: G_(c m - 1), or g_0 for m = 0, of the same g_l, from below, (J, rows, inputs).
+        least: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
         whole: Bound of the limit of G, (rows, inputs).
         starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
@@ -72,14 +72,14 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
     added_error = ROUNDED * magnitudes(seen.offsets)
     summed_tail = float_above((2 / seen.decay).upper())
     first = direct_effects(seen, t)
-    parts = np.zeros((count + 1, *first.shape))  # sums of g_l over l from c m to c m + c - 1, and over all l behind
+    parts = np.zeros((count + 1, *first.shape))  # sums of eps_l over l from c m to c m + c - 1, and over all l behind
     parts[0] = first
     peaks = np.zeros((count + 1, len(seen.sights), 3))
     done = 0
     for block in response_blocks(seen.sampled.a, seen.rows, side_by_side(seen.inputs, seen.starts), seen.p):
         sizes = np.abs(block.response[..., :q]) + (block.error + block.lost)[:, :q]
         sizes = sizes @ weights
-        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # g_(done + 1) is the first
+        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # eps_(done + 1) is the first
         parts[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
         reached, places = cells_of(done, len(sizes), samples, count)
         sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
@@ -116,17 +116,18 @@ def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarr
 
 
 def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
-    """Weights of the columns of ``seen.inputs`` in the bounds of g, rounded up, (columns, inputs).
+    """Weights of the columns of ``seen.inputs`` in the bounds of eps, rounded up, (columns, inputs).
 
-    The integral of |row e^(F r) b| over a sample is at most that of straight lines plus that of the bend.
+    The integral of |row e^(A_c r) b| over a sample is at most that of straight lines plus that of the bend.
     """
-    columns = PIECES + 2
+    pieces = next(iter(seen.curved.values())).pieces
+    columns = pieces + 2
     weights = np.zeros((seen.inputs.ncols(), OMEGAS + len(seen.curved)))
     weights[:OMEGAS, :OMEGAS] = np.eye(OMEGAS)
-    piece = t / PIECES
-    bend = (PIECES * piece**3 / 12).upper()
+    piece = t / pieces
+    bend = (pieces * piece**3 / 12).upper()
     for place, parts in enumerate(seen.curved.values()):
-        of_points = np.full(PIECES + 1, float_above(piece.upper()))
+        of_points = np.full(pieces + 1, float_above(piece.upper()))
         of_points[[0, -1]] = float_above((piece / 2).upper())
         start = OMEGAS + columns * place
         weights[start : start + columns, OMEGAS + place] = [*of_points, float_above(bend)]
@@ -136,10 +137,10 @@ def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
 
 
 def direct_effects(seen: SeenChannel, t: arb) -> np.ndarray:
-    """g_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
+    """eps_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
     rows = []
     for sight in seen.sights:
-        within = [integral_within(seen.channel, sight, parts.points[0]) for parts in seen.curved.values()]
+        within = [integral_within(seen.channel, sight, parts) for parts in seen.curved.values()]
         effects = [sight.direct, sight.direct_integral, *within]
         rows.append([float_above(effect.upper()) for effect in effects])
     return np.array(rows)

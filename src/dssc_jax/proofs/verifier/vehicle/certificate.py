@@ -52,7 +52,7 @@ class VehicleProblem(TypedDict):
 
 
 class MiddleProof(TypedDict):
-    """The linear channel: slopes k_1, k_2, k_n of the functions, the damping c, lambda and P."""
+    """The linear channel: slopes k_1, k_2, k_3 of the functions, the damping c, lambda and P."""
 
     slopes: Sequence[float]
     drag_damping: float

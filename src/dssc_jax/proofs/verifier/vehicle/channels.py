@@ -1,7 +1,7 @@
 """The linear channels of the vehicle, and each as a sampled loop: exact numbers in, balls out.
 
-Between the samples chi' = F chi + G U + sum of b_j r_j. A row over (chi, U) stands for each signal. The samples have
-z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
+Between the samples chi' = A_c chi + B_c U + sum of b_j r_j. A row over (chi, U) stands for each signal. The samples
+have z = (chi, u_(k-1), ..., u_(k-D), q_(k-1)).
 """
 
 import math
@@ -25,7 +25,7 @@ class Channel(NamedTuple):
     """A linear channel.
 
     Args:
-        generator: [F, G], (n, n + 1).
+        generator: [A_c, B_c], (n, n + 1).
         inputs: The columns b_j of the remainders, (n, 1) each.
         signals: The rows [C, d] of the signals without u_av, (1, n + 1) each.
         constant: The column b of the constant o, where it acts.
@@ -168,13 +168,13 @@ def stack(rows: Sequence[arb_mat]) -> arb_mat:
 
 
 def flow(channel: Channel, time: arb) -> arb_mat:
-    """exp of [[F, G], [0, 0]] over a time, (n + 1, n + 1)."""
+    """exp of [[A_c, B_c], [0, 0]] over a time, (n + 1, n + 1)."""
     n = channel.order
     return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
 
 
 def forced(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
-    """The integral of e^(F r) b over a time, (n, 1)."""
+    """The integral of e^(A_c r) b over a time, (n, 1)."""
     n = channel.order
     f = channel.generator.tolist()
     b = column.tolist()

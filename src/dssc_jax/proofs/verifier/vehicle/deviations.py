@@ -23,7 +23,7 @@ class Deviations(NamedTuple):
     Args:
         d_1: D_1, of |phi_1 - k_1 sigma|.
         d_2: D_2, of |phi_2 - k_2 sigma|.
-        d_b: D_b, of |phi_1 + n - (k_1 + k_n) sigma|.
+        d_b: D_b, of |phi_1 + phi_3 - (k_1 + k_3) sigma|.
         share_1: d_1, the first over |sigma|.
         share_2: d_2, the second over |sigma|.
         share_b: d_b, the third over |sigma|.
@@ -92,7 +92,7 @@ def deviations_of(
     Args:
         problem: The certificate's problem.
         name: The channel.
-        proof: Its proof, with the slopes k_1, k_2 and k_n.
+        proof: Its proof, with the slopes k_1, k_2 and k_3.
         sigma: Largest |sigma|.
         sigma_from: Smallest |sigma|.
     """

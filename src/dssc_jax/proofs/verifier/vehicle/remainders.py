@@ -51,12 +51,12 @@ class Rotors(NamedTuple):
 
 
 class Behind(NamedTuple):
-    """What the rotors are behind by: r_mh, r_mz, d, rho and spin-up of the page."""
+    """What the rotors are behind by: r_mh, r_mz, d, zeta and spin-up of the page."""
 
     r_mh: arb
     r_mz: arb
     d: arb
-    rho: arb
+    zeta: arb
     spin_up: arb
 
 
@@ -160,9 +160,9 @@ def behind_of(
 ) -> Behind:
     """What rotors with a lag are behind by; zero without.
 
-    In a later cell the part g of :func:`farthest_behind` begins with what it had before. So d is the larger of its
+    In a later cell the part xi of :func:`farthest_behind` begins with what it had before. So d is the larger of its
     value and of that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger root is not below: then
-    g cannot grow beyond what belongs to d.
+    xi cannot grow beyond what belongs to d.
     """
     if problem["rotor_lag"] == 0:
         return Behind(arb(0), arb(0), arb(0), arb(0), arb(0))
@@ -182,18 +182,19 @@ def behind_of(
         kept = (n - LEAST_ROTORS).sqrt() * earlier.behind_by <= 4 * rotors.smallest
         require_premise(bool(kept), "V3: the rotors may be too far behind their commands")
         d = maximum(d, earlier.behind_by)
-    rho = d * d / (4 * lag * rotors.smallest)
+    zeta = d * d / (4 * lag * rotors.smallest)
     slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
-    return Behind(r_mh, r_mz, d, rho.upper(), (n * d / (2 * lag * slowest)).upper())
+    return Behind(r_mh, r_mz, d, zeta.upper(), (n * d / (2 * lag * slowest)).upper())
 
 
 def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
     """(V3) A bound of |f_ci - f_i|, where ``d_4`` bounds the part of it that belongs to net thrust and moments.
 
-    With more than four rotors f_i has a part g_i in the null space of the allocation, too. f_c has none, so g' = -g/tau
-    - N rho with the orthogonal projection N on that space. Its rows have the norm ((n - 4)/n)^(1/2) and the sum 0, and
-    each rho_i is within rho/2 of rho/2. So |g_i| is at most tau (n - 4)^(1/2) rho/2, where rho is at most d^2/(4 tau
-    f_min). As g is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
+    With more than four rotors f_i has a part xi_i in the null space of the allocation, too. f_c has none, so xi' =
+    -xi/tau - (projection of zeta on that space). The projection's rows have the norm ((n - 4)/n)^(1/2) and the sum 0,
+    and each zeta_i is within zeta/2 of zeta/2. So |xi_i| is at most tau (n - 4)^(1/2) zeta/2, where zeta is at most
+    d^2/(4 tau f_min). As xi is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2)
+    d^2/(8 f_min).
     """
     bent = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
     require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
@@ -269,7 +270,7 @@ def remainders_of(
         plane, yaw = torques_behind(problem, at, bounds, body, drag, delayed)
     by_lift = {"force": (k * body.q + drag.d_z + drag.x_z).upper()}
     if problem["rotor_lag"] > 0:
-        shortfall = arb(problem["rotors"]) * delayed.rho / arb(problem["believed_mass"])
+        shortfall = arb(problem["rotors"]) * delayed.zeta / arb(problem["believed_mass"])
         by_lift["lag"] = (shortfall + (g + body.q) * body.t * body.turning).upper()
     channels = {"x": {"force": force.upper()} | plane, "z": by_lift, "psi": yaw}
     return Remainders(channels, (k * g).upper(), s, rotors, delayed.d)
@@ -303,7 +304,7 @@ def torques_behind(
     yaw = (t * mu_h + (body.secant - 1) * mu_z + t * m_h + body.secant * m_z).upper()
     turned = (mu_z + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
     turned = turned + s * t * mu_h + t * mu_z + (1 + s * t) * m_h + t * m_z
-    shortfall = arb(problem["rotors"]) * delayed.rho / 2
+    shortfall = arb(problem["rotors"]) * delayed.zeta / 2
     by_arm = g * arb(problem["arm"]) * shortfall / at.believed_l
     plane = {
         "torque": (g * turned).upper(),

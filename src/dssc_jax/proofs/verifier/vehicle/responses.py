@@ -1,11 +1,12 @@
 """Upper bounds of what the inputs of a channel do to its signals: sums and integrals of responses, and their peaks.
 
-A signal is seen at the times ``PHASES`` of each sample. With f(r) = rho A^k e^(F r) b the integral of |f| over a time h
-is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex, and
-f is apart from this line. A sample is cut into ``PIECES``. f'' has the column e^(F r) F^2 b, which is enclosed over the
-sample as a middle column plus a radius in each unit column.
+A signal is seen at the times ``PHASES`` of each sample. With f(r) = C_s A^k e^(A_c r) b the integral of |f| over a time
+h is at most h/2 (|f(0)| + |f(h)|) + h^3/12 sup |f''|: the magnitude of the straight line between the ends is convex,
+and f is apart from this line. A sample is cut into pieces. f'' has the column e^(A_c r) A_c^2 b, which is enclosed
+over the sample as a middle column plus a radius in each unit column.
 """
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
@@ -40,7 +41,9 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
 )
 
 PIECES = 4
-"""Pieces of a sample, over each of which a straight line replaces a response."""
+"""Pieces of each half of the rotors' lag, or of a shorter sample; a straight line replaces a response over each."""
+MOST_PIECES = 32
+"""Largest number of pieces of a sample."""
 PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
 """Times within a sample at which the signals are seen, over T_s."""
 
@@ -130,7 +133,7 @@ def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> Seen
     decrease = p * (1 - decay) - sampled.a.transpose() * p * sampled.a
     require_premise(positive_definite(decrease), f"V1: V of {name} does not fall")
     sights = seen_signals(channel, sampled, t)
-    curved = curved_columns(channel, t)
+    curved = curved_columns(channel, t, pieces_of(problem))
     starts, offsets = start_columns(channel, sampled, proof, controller["start"], t, sights)
     columns = [sampled.by_command, sampled.by_integral]
     for parts in curved.values():
@@ -173,14 +176,27 @@ def seen_signals(channel: Channel, sampled: SampledChannel, t: arb) -> list[Sigh
 
 
 class CurvedColumn(NamedTuple):
-    """e^(F r) b at the ends of all pieces, and its second derivative: a middle column and the radii about it."""
+    """e^(A_c r) b at the ends of all pieces, and its second derivative: a middle column and the radii about it."""
 
     points: list[arb_mat]
     bend: arb_mat
     radii: list[arb]
 
+    @property
+    def pieces(self) -> int:
+        """Number of pieces."""
+        return len(self.points) - 1
 
-def curved_columns(channel: Channel, t: arb) -> dict[str, CurvedColumn]:
+
+def pieces_of(problem: VehicleProblem) -> int:
+    """Number of pieces of a sample; any number gives a bound, and more pieces a smaller one."""
+    lag = problem["rotor_lag"]
+    if lag <= 0:
+        return PIECES
+    return min(PIECES * math.ceil(min(2.0 * problem["sample_time"] / lag, MOST_PIECES)), MOST_PIECES)
+
+
+def curved_columns(channel: Channel, t: arb, pieces: int) -> dict[str, CurvedColumn]:
     """The columns of the remainders within a sample."""
     f = dynamics(channel)
     over_sample = (f * (t * interval_ball(0.0, 1.0))).exp()
@@ -188,13 +204,13 @@ def curved_columns(channel: Channel, t: arb) -> dict[str, CurvedColumn]:
     for name, b in channel.inputs.items():
         second = over_sample * (f * (f * b))
         radii = [entry.rad() for (entry,) in second.tolist()]
-        points = [(f * (t * piece / PIECES)).exp() * b for piece in range(PIECES + 1)]
+        points = [(f * (t * piece / pieces)).exp() * b for piece in range(pieces + 1)]
         result[name] = CurvedColumn(points, second.mid(), radii)
     return result
 
 
 def dynamics(channel: Channel) -> arb_mat:
-    """F, (n, n)."""
+    """A_c, (n, n)."""
     return first_columns(channel.generator, channel.order)
 
 
@@ -222,7 +238,7 @@ def start_columns(
 ) -> tuple[arb_mat, arb_mat]:
     """The starts z_0 of e, of e' and of the first sum q, and -z* of the constant; and the offsets of their responses.
 
-    To the constant, z_k = z* + A^k (0 - z*), and the signal at s has the integral of C e^(F r) b up to s besides.
+    To the constant, z_k = z* + A^k (0 - z*), and the signal at s has the integral of C e^(A_c r) b up to s besides.
     """
     m = sampled.a.nrows()
     slope_1, slope_2, _ = map(arb, proof["slopes"])
@@ -260,15 +276,16 @@ def response_of(
 ) -> SignalResponse:
     """The response of one signal at one phase, which is row ``i`` of the sums."""
     command, integral, *sums = [arb(float(value)) for value in reached.sums[i]]
-    count = PIECES + 2
+    pieces = next(iter(curved.values())).pieces
+    count = pieces + 2
     units = sums[count * len(curved) :]
-    piece = t / PIECES
+    piece = t / pieces
     remainders = Balls()
     for place, (name, parts) in enumerate(curved.items()):
         first, *inner, end, middle = sums[count * place : count * (place + 1)]
         bent = middle + total([radius * unit for radius, unit in zip(parts.radii, units, strict=True)])
-        lines = piece * ((first + end) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent
-        remainders[name] = (lines + integral_within(channel, sight, parts.points[0])).upper()
+        lines = piece * ((first + end) / 2 + total(inner)) + pieces * piece**3 / 12 * bent
+        remainders[name] = (lines + integral_within(channel, sight, parts)).upper()
     peaks = [arb(float(value)) for value in reached.peaks[i]]
     return SignalResponse(
         (command + sight.direct).upper(),
@@ -280,14 +297,16 @@ def response_of(
     )
 
 
-def integral_within(channel: Channel, sight: Sight, b: arb_mat) -> arb:
-    """Bound of the integral of |C e^(F r) b| since the sample."""
+def integral_within(channel: Channel, sight: Sight, parts: CurvedColumn) -> arb:
+    """Bound of the integral of |C e^(A_c r) b| since the sample, in as many pieces as a whole one."""
     if sight.signal == EQUIVALENT:
         return arb(0)
+    b = parts.points[0]
+    pieces = parts.pieces
     f = dynamics(channel)
     row = first_columns(channel.signals[sight.signal], channel.order)
     over_time = (f * (sight.time * interval_ball(0.0, 1.0))).exp()
     bent = abs((row * over_time * (f * (f * b)))[0, 0])
-    piece = sight.time / PIECES
-    first, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(PIECES + 1)]
-    return (piece * ((first + end) / 2 + total(inner)) + PIECES * piece**3 / 12 * bent).upper()
+    piece = sight.time / pieces
+    first, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(pieces + 1)]
+    return (piece * ((first + end) / 2 + total(inner)) + pieces * piece**3 / 12 * bent).upper()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dssc_jax.analyses.laws.any_failures import AnyFailures
-from dssc_jax.analyses.laws.changes import Shift, Widening
-from dssc_jax.analyses.laws.worst_changes import LEAST_EFFECTIVE, WeightedDraws, largest_change
 from dssc_jax.statistics import clopper_pearson
+from dssc_jax.statistics.any_failures import AnyFailures
+from dssc_jax.statistics.law_changes import Shift, Widening
+from dssc_jax.statistics.worst_changes import LEAST_EFFECTIVE, WeightedDraws, largest_change
 
 DRAWS = 20_000
 PART = np.array([2.0, -1.0, 0.0]) / np.sqrt(5.0)

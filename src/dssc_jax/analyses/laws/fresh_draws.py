@@ -1,6 +1,6 @@
-"""The scores of a result's draws, and simulations of the draws that a changed law of the scores gives."""
+"""New draws that are simulated under changed laws of the scores."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -8,46 +8,9 @@ from scipy import special
 
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate
-from dssc_jax.engine.sampling import inside, mixing, unit_points, values_at_levels
-from dssc_jax.results.result import Result
+from dssc_jax.engine.sampling import inside, values_at_levels
+from dssc_jax.results.scored_draws import scores_of
 from dssc_jax.study import Study
-
-
-def scores_of(study: Study, indices: np.ndarray) -> np.ndarray:
-    """The scores of draws, correlated as the study says, shape (n, laws)."""
-    return special.ndtri(unit_points(study, indices)) @ mixing(study).T
-
-
-@dataclass
-class ScoredDraws:
-    """The draws of a result in the space of scores.
-
-    Args:
-        result: The result, without a sweep.
-    """
-
-    result: Result
-    scores: np.ndarray = field(init=False)
-    failed: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scores = scores_of(self.result.study, self.result.dataset["draw"].values)
-        self.failed = self.result.failed.values
-
-    @property
-    def names(self) -> list[str]:
-        """The numbers whose laws can be changed: those with a location and a width."""
-        return [name for name, law in self.result.study.laws.items() if law.movable]
-
-    @cached_property
-    def precision(self) -> np.ndarray:
-        """The inverse of the scores' correlation matrix, shape (laws, laws)."""
-        matrix = mixing(self.result.study)
-        return np.linalg.inv(matrix @ matrix.T)
-
-    def free(self, names: list[str]) -> np.ndarray:
-        """Which of the laws have these names, shape (laws,)."""
-        return np.isin(list(self.result.study.laws), names)
 
 
 @dataclass

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from dssc_jax.analyses.laws.changes import Shift, Widening
+from dssc_jax.statistics.law_changes import Shift, Widening
 
 CORRELATION = np.array([[1.0, 0.4, 0.0], [0.4, 1.0, -0.2], [0.0, -0.2, 1.0]])
 PRECISION = np.linalg.inv(CORRELATION)

@@ -17,8 +17,8 @@ from functools import lru_cache
 import numpy as np
 from scipy import optimize
 
-from dssc_jax.analyses.laws.changes import Change
 from dssc_jax.core.bisection import bisect
+from dssc_jax.statistics.law_changes import Change
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
 LEAST_EFFECTIVE = 100.0
@@ -95,6 +95,12 @@ class WeightedDraws:
     def best(self, size: float) -> WeightedChange:
         """The change of at most this size with the smallest weighted failure probability."""
         return self.at(self.extreme(size, -1.0))
+
+    def interval_within(self, size: float) -> tuple[float, float] | None:
+        """From the lower limit of the best change to the upper limit of the worst; None if the weights say nothing."""
+        if not self.trusted(size):
+            return None
+        return self.best(size).interval[0], self.worst(size).interval[1]
 
     def extreme(self, size: float, sign: float) -> np.ndarray:
         """The amounts that make the failure probability largest (sign 1) or smallest (sign -1) within a size."""

@@ -1,0 +1,303 @@
+"""Lowest and highest failure probability over all laws whose arguments lie within ranges: a probability box.
+
+The draws come from a mixture of the laws of the box, and are simulated once. Their weights give the failure probability
+under every law of the box, so that a search finds the best and the worst of them. New draws of these two laws check it.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.defaults import LIMIT
+from dssc_jax.analyses.laws.ranged_draws import RangedDraws, WeightedLaws, mixture_values
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.engine.batching import BLOCK, Engine, evaluate
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.sampling import draw, unit_points
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.worst_changes import LEAST_EFFECTIVE
+from dssc_jax.study import Study, takes_file
+from dssc_jax.study.laws import LAWS
+
+TABLE = "argument"
+MOST_DOUBLINGS = 4
+"""How often the draws are doubled while their weights are too uneven."""
+
+
+@dataclass(frozen=True)
+class ExtremeLaws:
+    """The laws of the box with the smallest lower, or the largest upper limit of the failure probability."""
+
+    laws: Annotated[dict[str, dict[str, list[float]]], Quantity("", "the laws, as a study file gives them")]
+    probability: Annotated[float, Quantity("1", "failure probability by the weights")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval by the weights")]
+    effective: Annotated[float, Quantity("1", "effective number of draws")]
+    fresh_failures: Annotated[int, Quantity("1", "new draws of these laws that fail")]
+    fresh_interval: Annotated[tuple[float, float], Quantity("1", "exact interval from the new draws")]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the intervals by the weights and from the new draws have a value in common."""
+        return self.interval[0] <= self.fresh_interval[1] and self.fresh_interval[0] <= self.interval[1]
+
+
+@dataclass(frozen=True)
+class LawRangesAnswer:
+    """Lowest and highest failure probability over all laws within their ranges."""
+
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    limit: Annotated[float, Quantity("1", "largest failure probability allowed")]
+    draws: Annotated[int, Quantity("1", "number of draws of the mixture")]
+    confidence: Annotated[float, Quantity("1", "confidence of the interval")]
+    probability: Annotated[tuple[float, float], Quantity("1", "lowest and highest failure probability, estimates")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval that holds the failure probability of every law")]
+    verdict: Annotated[str, Quantity("", "limit kept by all laws, exceeded by all laws, or not decided")]
+    verified: Annotated[bool, Quantity("", "whether new draws of the two laws agree with the weights")]
+    least_effective: Annotated[float, Quantity("1", "least effective number of draws over the corners of the box")]
+    lowest: ExtremeLaws
+    highest: ExtremeLaws
+    fresh_draws: Annotated[int, Quantity("1", "number of new draws of each of the two laws")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+@dataclass(eq=False)
+class LawRanges(Analysis):
+    """Lowest and highest failure probability over all laws within their ranges.
+
+    The dataset has along ``argument``, the arguments that are ranges: ``low`` and ``high``, the range, and
+    ``at_lowest`` and ``at_highest``, the argument of the law with the lowest and with the highest failure probability.
+
+    Args:
+        limit: Largest failure probability allowed.
+        draws: Number of draws of the mixture.
+        least_effective: Least effective number of draws over the corners of the box.
+        lowest: The law with the smallest lower limit of the failure probability.
+        highest: The law with the largest upper limit.
+        fresh_draws: Number of new draws of each of them.
+        seconds: Computing time.
+    """
+
+    kind = "law-ranges"
+    title = "The failure probability over ranges of laws"
+    table = (TABLE,)
+
+    limit: float
+    draws: int
+    least_effective: float
+    lowest: ExtremeLaws
+    highest: ExtremeLaws
+    fresh_draws: int
+    seconds: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval that holds the failure probability of every law; widened where new draws contradict the weights."""
+        low, high = self.lowest.interval[0], self.highest.interval[1]
+        return min(low, self.lowest.fresh_interval[1]), max(high, self.highest.fresh_interval[0])
+
+    @property
+    def verdict(self) -> str:
+        """Whether the limit is kept."""
+        low, high = self.interval
+        if high <= self.limit:
+            return "kept by all laws"
+        return "exceeded by all laws" if low > self.limit else "not decided"
+
+    @property
+    def verified(self) -> bool:
+        """Whether new draws agree with the weights."""
+        return self.lowest.agrees and self.highest.agrees
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        low, high = self.interval
+        checked = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
+        return (
+            f"failure probability in [{low:.3g}, {high:.3g}] for every law within the ranges "
+            f"({100 * CONFIDENCE:g} % confidence; {checked}); a limit of {100 * self.limit:g} % is {self.verdict}"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.law_ranges(self)
+
+    @property
+    def answer(self) -> LawRangesAnswer:
+        """The numbers that summary.json holds."""
+        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        return LawRangesAnswer(
+            requirements=requirements or ("the draw stays finite",),
+            limit=self.limit,
+            draws=self.draws,
+            confidence=CONFIDENCE,
+            probability=(self.lowest.probability, self.highest.probability),
+            interval=self.interval,
+            verdict=self.verdict,
+            verified=self.verified,
+            least_effective=self.least_effective,
+            lowest=self.lowest,
+            highest=self.highest,
+            fresh_draws=self.fresh_draws,
+            seconds=self.seconds,
+        )
+
+
+@takes_file
+def law_ranges(
+    study: Study, *, limit: float = LIMIT, fresh: int | None = None, progress: ProgressCallback | None = None
+) -> LawRanges:
+    """Find the lowest and the highest failure probability over all laws whose arguments lie within ranges.
+
+    Args:
+        study: A study in which the arguments of at least one law are ranges, ``{ normal = [[0.9, 1.1], 0.1] }``; its
+            sweep is ignored. Its draws are doubled, up to four times, while their weights are too uneven.
+        limit: Largest failure probability allowed, in (0, 1).
+        fresh: Number of new draws of each of the two laws found; None: as many as the study has draws.
+        progress: Called with the simulations done.
+
+    Raises:
+        ConfigError: An argument is out of range, no law has ranges, draws are not independent, or the ranges are too
+            wide for the draws.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> ranges = {"draws": 400, "disturbance.value": {"uniform": [[-3.0, -2.0], 3.0]}}
+        >>> study = dj.Study.load("motor").override(ranges)
+        >>> low, high = dj.law_ranges(study).answer.interval
+        >>> 0.0 <= low <= high <= 1.0
+        True
+    """
+    began = time.perf_counter()
+    if not 0.0 < limit < 1.0:
+        raise ConfigError("limit", f"must lie in (0, 1), got {limit:g}")
+    count = study.config.draws if fresh is None else fresh
+    if count < 1:
+        raise ConfigError("fresh", f"must be at least 1, got {count}")
+    study = study.without_sweep()
+    require_independent(study, "an interval over all laws of a range")
+    if not study.ranged_laws:
+        rule = "no argument of a law is a range, as in { normal = [[0.9, 1.1], 0.1] }; `laws` answers for single laws"
+        raise ConfigError(study.source, rule)
+    simulated = Simulated(study, progress)
+    draws = simulated.mixture(study.config.draws)
+    for _ in range(MOST_DOUBLINGS):
+        if draws.trusted:
+            break
+        draws = simulated.mixture(2 * len(draws.failed))
+    require_even(draws, study)
+    lowest = simulated.checked(draws.lowest(), len(draws.failed), count)
+    highest = simulated.checked(draws.highest(), len(draws.failed), count)
+    return LawRanges(
+        study,
+        dataset_of(study, lowest, highest),
+        limit=limit,
+        draws=len(draws.failed),
+        least_effective=draws.least_effective,
+        lowest=lowest,
+        highest=highest,
+        fresh_draws=count,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def require_even(draws: RangedDraws, study: Study) -> None:
+    """Require that the weights answer for the whole box.
+
+    Raises:
+        ConfigError: They are too uneven.
+    """
+    if draws.trusted:
+        return
+    needed = int(np.ceil(len(draws.failed) * LEAST_EFFECTIVE / draws.least_effective))
+    rule = (
+        f"the ranges of its laws are too wide for {len(draws.failed):,} draws: they are worth "
+        f"{draws.least_effective:.0f} draws of some of the laws, and {LEAST_EFFECTIVE:g} are needed; about {needed:,} "
+        "draws would do, or narrower ranges"
+    )
+    raise ConfigError(study.source, rule)
+
+
+class Simulated:
+    """Simulations of the draws of mixtures, and of the laws of a box.
+
+    Args:
+        study: The study with the box.
+        progress: Called with the simulations done.
+    """
+
+    def __init__(self, study: Study, progress: ProgressCallback | None) -> None:
+        self.ranged = study.ranged_laws
+        self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})
+        self.engine = Engine(self.middle, min(BLOCK, study.config.draws))
+        self.progress = progress
+        self.done = 0
+        self.values: dict[str, np.ndarray] = {}
+        self.failed = np.empty(0, dtype=bool)
+
+    def mixture(self, count: int) -> RangedDraws:
+        """So many draws of the mixtures; those that exist are kept."""
+        indices = np.arange(len(self.failed), count)
+        values = draw(self.middle, indices)
+        points = unit_points(self.middle, indices)
+        for column, name in enumerate(self.middle.laws):
+            if name in self.ranged:
+                values[name] = mixture_values(self.ranged[name], points[:, column])
+        self.failed = np.concatenate([self.failed, self.failures(values, indices)])
+        for name in self.ranged:
+            self.values[name] = np.concatenate([self.values.get(name, np.empty(0)), values[name]])
+        return RangedDraws(self.ranged, dict(self.values), self.failed, CONFIDENCE)
+
+    def failures(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
+        """Whether draws fail, shape (n,)."""
+        outcomes = evaluate(self.engine, dict(values), indices)["outcome"]
+        self.done += len(indices)
+        if self.progress:
+            self.progress(self.done, None)
+        return outcomes != Outcome.OK
+
+    def checked(self, found: WeightedLaws, start: int, count: int) -> ExtremeLaws:
+        """Laws of the box with new draws of them, from an index on."""
+        indices = np.arange(start, start + count)
+        failed = self.failures(draw(self.middle.with_laws(found.laws), indices), indices)
+        failures = int(np.count_nonzero(failed))
+        low, high = clopper_pearson(failures, count, CONFIDENCE).tolist()
+        return ExtremeLaws(
+            laws={name: {law.kind: list(law.arguments)} for name, law in found.laws.items()},
+            probability=found.probability,
+            interval=found.interval,
+            effective=found.effective,
+            fresh_failures=failures,
+            fresh_interval=(low, high),
+        )
+
+
+def dataset_of(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) -> xr.Dataset:
+    """The dataset of :class:`LawRanges`."""
+    rows = []
+    for name, law in study.ranged_laws.items():
+        for place, (low, high) in enumerate(law.ranges):
+            if low < high:
+                ends = [found.laws[name][law.kind][place] for found in (lowest, highest)]
+                rows.append((f"{name}: {LAWS[law.kind].argument_names[place]}", low, high, *ends))
+    labels, *columns = zip(*rows, strict=True)
+    meanings = {
+        "low": "lowest value of the argument",
+        "high": "highest value of the argument",
+        "at_lowest": "its value for the lowest failure probability",
+        "at_highest": "its value for the highest failure probability",
+    }
+    data = {}
+    for (name, meaning), column in zip(meanings.items(), columns, strict=True):
+        data[name] = (TABLE, np.array(column), {"units": "that of the argument", "long_name": meaning})
+    coordinates = {TABLE: (TABLE, list(labels), {"long_name": "argument of a law"})}
+    return xr.Dataset(data, coords=coordinates, attrs={"title": study.name})

@@ -1,0 +1,177 @@
+"""Metrics of any signal by its name, which is that of its column in a trajectory."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.metrics import (
+    Instant,
+    Metric,
+    Scope,
+    Span,
+    itself,
+    mean,
+    peak,
+    root_mean,
+    suffixed,
+    total,
+)
+from dssc_jax.closed_loop.window import Window
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.units import ChannelUnits
+
+
+class SampledSignal(NamedTuple):
+    """A signal of the loop: unit, meaning, and its value at a sample."""
+
+    unit: str
+    meaning: str
+    of: Callable[[Instant], Scalar]
+
+
+class Travelled(NamedTuple):
+    """The last value of a signal, the sum of the sizes of its changes, and whether there was a sample, 1 or 0."""
+
+    last: Scalar = 0.0
+    sum: Scalar = 0.0
+    samples: Scalar = 0.0
+
+
+def of_channel(index: int, field: str) -> Callable[[Instant], Scalar]:
+    """A field of a channel's sample."""
+    return lambda instant: getattr(instant.channels[index], field)
+
+
+def of_output(index: int) -> Callable[[Instant], Scalar]:
+    """A channel's output y = e + y_m."""
+    return lambda instant: instant.channels[index].e + instant.channels[index].reference.y
+
+
+def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
+    """What a channel's controller reports."""
+    return lambda instant: getattr(instant.channels[index].info, field)
+
+
+def of_plant(field: str) -> Callable[[Instant], Scalar]:
+    """What the plant reports: one of its named outputs."""
+    return lambda instant: getattr(instant.plant, field)
+
+
+def of_reading(index: int) -> Callable[[Instant], Scalar]:
+    """A measured signal as its sensor shows it."""
+    return lambda instant: instant.measured[index]
+
+
+CHANNEL_SIGNALS = {
+    "e": Quantity("y", "output error e"),
+    "sigma": Quantity("y/s", "sigma"),
+    "y_measured": Quantity("y", "output y as the controller sees it"),
+    "y_dot_measured": Quantity("y/s", "output's derivative y' as the controller sees it"),
+    "sigma_measured": Quantity("y/s", "sigma as the controller sees it"),
+    "u": Quantity("u", "robust command u"),
+    "u_total": Quantity("u", "command u + u_n"),
+}
+"""Fields of a channel's sample that are signals."""
+
+
+def sampled_signals(
+    fields: Mapping[str, Sequence[str]],
+    seen: Sequence[str],
+    units: Sequence[ChannelUnits],
+    reports: Sequence[Mapping[str, Quantity]],
+    outputs: Mapping[str, Quantity],
+    measured: Sequence[NamedSignal] = (),
+) -> dict[str, SampledSignal]:
+    """Every signal of a loop, by the name of its column in a trajectory.
+
+    Args:
+        fields: Field names of each channel's controller info, by channel.
+        seen: Field names of the plant's info.
+        units: Units and meanings of each channel.
+        reports: The quantities that each channel's controller declares.
+        outputs: Those that the plant declares.
+        measured: The measured signals.
+    """
+    signals = {}
+    for index, (channel, infos) in enumerate(fields.items()):
+        sources = {"y": (Quantity("y", "output y"), of_output(index))}
+        for name, quantity in CHANNEL_SIGNALS.items():
+            sources[name] = quantity, of_channel(index, name)
+        for name in infos:
+            sources[name] = reports[index].get(name, Quantity("1", name)), of_controller(index, name)
+        for name, (quantity, of) in sources.items():
+            unit = units[index].of(quantity.unit)
+            column = f"{channel}_{name}" if channel else name
+            signals[column] = SampledSignal(unit, units[index].named(quantity.meaning), of)
+    for index, signal in enumerate(measured):
+        signals[f"measured_{signal.name}"] = SampledSignal(
+            signal.unit or "1", f"measured {signal.quantity.meaning}", of_reading(index)
+        )
+    for name in seen:
+        quantity = outputs.get(name, Quantity("1", name))
+        signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name))
+    return signals
+
+
+def travelled(of: Callable[[Instant], Scalar]) -> Callable[[Travelled, Instant, Window], Travelled]:
+    """The sum of |change| from one sample in the window to the next."""
+
+    def update(acc: Travelled, instant: Instant, window: Window) -> Travelled:
+        value = of(instant)
+        change = jnp.where(acc.samples > 0.0, jnp.abs(value - acc.last), 0.0)
+        return Travelled(value, acc.sum + change, jnp.minimum(acc.samples + 1.0, 1.0))
+
+    return update
+
+
+def travelled_sum(acc: Travelled, window: Window, span: Span) -> Scalar:
+    """The sum."""
+    return acc.sum
+
+
+class SignalMetric(NamedTuple):
+    """A metric of any signal: its meaning before the signal's, and how it is computed.
+
+    Args:
+        meaning: In words before the signal's own.
+        update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
+        value: As in that.
+        start: As in that.
+    """
+
+    meaning: str
+    update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]]
+    value: Callable[..., Scalar] = itself
+    start: object = 0.0
+
+
+SIGNAL_METRICS: dict[str, SignalMetric] = {
+    "rms": SignalMetric("rms of the", lambda of: total(lambda i: jnp.square(of(i))), root_mean),
+    "max_abs": SignalMetric("largest size of the", peak),
+    "highest": SignalMetric("highest", lambda of: lambda acc, i, window: jnp.maximum(acc, of(i)), start=-jnp.inf),
+    "lowest": SignalMetric("lowest", lambda of: lambda acc, i, window: jnp.minimum(acc, of(i)), start=jnp.inf),
+    "mean": SignalMetric("mean", total, mean),
+    "final": SignalMetric("last", lambda of: lambda acc, i, window: of(i)),
+    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled()),
+}
+"""The metrics that a study takes of any signal."""
+
+
+def signal_metric(kind: str, signal: SampledSignal) -> Metric:
+    """The metric of a kind of a signal, in its unit."""
+    form = SIGNAL_METRICS[kind]
+    meaning = f"{form.meaning} {signal.meaning}"
+    return Metric(signal.unit, meaning, form.update(signal.of), form.value, (), Scope.VEHICLE, form.start)
+
+
+def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
+    """The metrics among names such as ``rms_tyre_force``: kind and signal."""
+    found = {}
+    for kind in SIGNAL_METRICS:
+        for name, signal in signals.items():
+            if suffixed(kind, name) in names:
+                found[suffixed(kind, name)] = signal_metric(kind, signal)
+    return found

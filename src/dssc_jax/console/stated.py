@@ -1,0 +1,24 @@
+"""Print intervals of the failure probability if the laws are wrong by stated amounts."""
+
+from collections.abc import Iterable
+
+from dssc_jax.console.terminal import show_table
+from dssc_jax.results.stated_errors import StatedError
+from dssc_jax.statistics import rounded_probability
+
+
+def show_stated(errors: Iterable[StatedError]) -> None:
+    """Print the interval of the failure probability for each stated amount."""
+    rows = []
+    for stated in errors:
+        weighted = interval_text(stated.weighted_interval) if stated.weighted_interval else stated.weights_refused
+        always = interval_text(stated.interval) if stated.interval else "none, correlated"
+        rows.append((stated.text, always, weighted))
+    if rows:
+        show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
+
+
+def interval_text(interval: tuple[float, float]) -> str:
+    """An interval of a probability as text."""
+    low, high = map(rounded_probability, interval)
+    return f"[{low}, {high}]"

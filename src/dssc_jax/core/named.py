@@ -1,0 +1,60 @@
+"""Signals that a study names: words in a model's parameters, and the type of what a plant reports under these names."""
+
+from collections import namedtuple
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple, TypeVar
+
+import jax
+
+from dssc_jax.core.quantities import Quantity
+
+Item = TypeVar("Item")
+
+
+@jax.tree_util.register_static
+class Text(str):
+    """A unit or a meaning in a model's parameters: part of their structure, no number among their leaves."""
+
+    __slots__ = ()
+
+
+class NamedSignal(NamedTuple):
+    """Name, unit and meaning of a signal; a signal without a unit has an empty one."""
+
+    name: str
+    unit: str
+    meaning: str
+
+    @property
+    def quantity(self) -> Quantity:
+        """Unit and meaning; without a meaning, its name."""
+        return Quantity(self.unit, self.meaning or self.name)
+
+
+REPORT = "Report"
+SEPARATOR = "__"
+"""Between the names of a report's fields in the name of its type; no signal has it in its name."""
+
+
+@cache
+def report_type(names: tuple[str, ...]) -> type:
+    """The NamedTuple type of a plant's report with these fields."""
+    return namedtuple(SEPARATOR.join((REPORT, *names)), names, module=__name__)  # type: ignore[return-value]
+
+
+def __getattr__(name: str) -> type:
+    """The type of a report by its name: what was computed with it in another process is restored by that.
+
+    Raises:
+        AttributeError: it is no name of such a type.
+    """
+    first, *names = name.split(SEPARATOR)
+    if first != REPORT or not all(names):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return report_type(tuple(names))
+
+
+def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:
+    """Named items in the order of their names, the order of a mapping's leaves; none of None."""
+    return sorted((items or {}).items())

@@ -1,0 +1,351 @@
+"""What some logged flights say of the next one, and of the study, if flights are exchangeable and nothing else.
+
+Half of the draws give the middle and the spread by which curves are measured; they are compared with nothing. The
+departure of a flight is then a number of this flight alone, and so is every metric. Ranks do the rest
+(:mod:`dssc_jax.statistics.conformal`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, TypeAlias
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.flight_logs.comparison import MOST_NUMBERS, Signal, drawn_curves
+from dssc_jax.flight_logs.figure import next_flight_figure
+from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
+from dssc_jax.flight_logs.replay import ChannelCurves, study_references
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.statistics import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.conformal import (
+    FEWEST_DRAWS,
+    beyond_p_value,
+    conformal_rank,
+    flights_to_confirm,
+    flights_to_refute,
+    least_flights,
+    line_rank,
+)
+from dssc_jax.statistics.exchangeable import Yardstick
+from dssc_jax.study import Study
+
+PROBABILITY = 0.9
+SHARES = (0.1, 0.2, 0.5)
+"""Shares of flights beyond the draws' line for which the number of flights is told."""
+
+
+Column: TypeAlias = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
+"""Dimensions, values and attributes of a variable."""
+
+
+@dataclass(frozen=True)
+class MetricLimit:
+    """The limit of a metric that the next flight keeps with the stated probability."""
+
+    unit: Annotated[str, Quantity("", "unit of the metric")]
+    limit: Annotated[float | None, Quantity("that of the metric", "limit for the next flight; None: too few flights")]
+    largest: Annotated[float, Quantity("that of the metric", "largest value of the flights")]
+    median_of_draws: Annotated[float, Quantity("that of the metric", "median of the study's draws")]
+    draws_beyond: Annotated[float | None, Quantity("1", "share of the study's draws beyond the limit")]
+
+
+@dataclass(frozen=True)
+class StudyTest:
+    """Whether the flights refute the study."""
+
+    beyond: Annotated[int, Quantity("1", "flights that depart farther than 95 % of the draws")]
+    p_value: Annotated[float, Quantity("1", "probability of so many of them, or more, if the study is right")]
+    refuted: Annotated[bool, Quantity("", "whether this is at most 5 %")]
+    share_interval: Annotated[tuple[float, float], Quantity("1", "interval of the share of flights beyond")]
+    flights_to_refute: Annotated[
+        dict[str, int | None],
+        Quantity("1", "flights that refute the study in 95 % of all cases if this share is beyond; None: too many"),
+    ]
+    flights_to_confirm: Annotated[
+        dict[str, int | None],
+        Quantity("1", "flights that show a smaller share, in 95 % of all cases if the study is right; None: too many"),
+    ]
+
+
+@dataclass(frozen=True)
+class NextFlightAnswer:
+    """A set in which the next flight lies with a stated probability, and what the flights say of the study."""
+
+    logs: Annotated[tuple[str, ...], Quantity("", "names of the logs")]
+    flights: Annotated[int, Quantity("1", "number of flights")]
+    draws: Annotated[int, Quantity("1", "number of draws that are compared; as many more give middle and spread")]
+    samples: Annotated[int, Quantity("1", "compared samples")]
+    probability: Annotated[float, Quantity("1", "least probability that the next flight lies in the set")]
+    rank: Annotated[int | None, Quantity("1", "rank of the flight that gives the limits; None: too few flights")]
+    least_flights: Annotated[int, Quantity("1", "fewest flights that have a limit with this probability")]
+    departure: Annotated[
+        float | None, Quantity("1", "largest departure of the next flight from the draws' middle, in their spreads")
+    ]
+    without_spread: Annotated[tuple[str, ...], Quantity("", "signals that are the same in all draws, and left out")]
+    metrics: dict[str, MetricLimit]
+    study_test: StudyTest
+
+
+@dataclass(eq=False)
+class NextFlight(Analysis):
+    """A set in which the next flight lies with a stated probability, if flights are exchangeable.
+
+    The dataset has along ``signal`` and ``t``: ``lower`` and ``upper``, the band in which all signals of the next
+    flight lie at all times together, NaN without one; ``middle`` and ``spread`` of the draws; ``lowest`` and
+    ``highest`` of the flights. Along ``flight`` it has the ``departure`` of each flight and along ``draw`` that of the
+    draws compared, ``departure_of_draw``; and for each metric ``NAME`` the values of the flights, and ``NAME_of_draw``.
+
+    Args:
+        logs: Names of the logs.
+        probability: Least probability that the next flight lies in the set.
+    """
+
+    kind = "next-flight"
+    title = "What logged flights say of the next one"
+    table = ("signal", "t")
+
+    logs: tuple[str, ...]
+    probability: float
+
+    @property
+    def rank(self) -> int | None:
+        """The rank of the flight that gives the limits."""
+        return conformal_rank(len(self.logs), self.probability)
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        answer = self.answer
+        test = answer.study_test
+        verdict = "refute the study" if test.refuted else "do not refute the study"
+        flights = f"{answer.flights} flights {verdict}: p = {test.p_value:.3g}"
+        if answer.departure is None:
+            return f"{flights}; a set for the next one with {100 * self.probability:g} % needs {answer.least_flights}"
+        return (
+            f"the next flight departs by at most {answer.departure:.3g} spreads from the middle of the draws with a "
+            f"probability of at least {100 * self.probability:g} %, whatever its law; {flights}"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return next_flight_figure(self)
+
+    @property
+    def metric_names(self) -> list[str]:
+        """The metrics of the flights."""
+        names = map(str, self.dataset.data_vars)
+        return [name for name in names if f"{name}_of_draw" in self.dataset and name != "departure"]
+
+    def limit(self, name: str) -> float | None:
+        """The limit of a number of the flights that the next one keeps; None: too few flights, or it is infinite."""
+        if self.rank is None:
+            return None
+        limit = float(np.sort(self.dataset[name].values)[self.rank - 1])
+        return limit if np.isfinite(limit) else None
+
+    @property
+    def answer(self) -> NextFlightAnswer:
+        """The numbers that summary.json holds."""
+        metrics = {}
+        for name in self.metric_names:
+            values = self.dataset[name].values
+            of_draws = self.dataset[f"{name}_of_draw"].values
+            limit = self.limit(name)
+            beyond = None if limit is None else float(np.mean(~(of_draws <= limit)))
+            unit = str(self.dataset[name].attrs["units"])
+            metrics[name] = MetricLimit(unit, limit, float(values.max()), float(np.nanmedian(of_draws)), beyond)
+        spread = self.dataset["spread"].values
+        signals = self.dataset["signal"].values
+        return NextFlightAnswer(
+            logs=self.logs,
+            flights=len(self.logs),
+            draws=self.dataset.sizes["draw"],
+            samples=self.dataset.sizes["t"],
+            probability=self.probability,
+            rank=self.rank,
+            least_flights=least_flights(self.probability),
+            departure=self.limit("departure"),
+            without_spread=tuple(str(name) for name in signals[np.isnan(spread).all(axis=1)]),
+            metrics=metrics,
+            study_test=self.study_test(),
+        )
+
+    def study_test(self) -> StudyTest:
+        """Whether so many flights depart farther than 95 % of the draws that the study is refuted."""
+        of_draws = self.dataset["departure_of_draw"].values
+        draws = len(of_draws)
+        line = np.sort(of_draws)[draws - line_rank(draws)]
+        beyond = int(np.count_nonzero(self.dataset["departure"].values > line))
+        p_value = beyond_p_value(beyond, len(self.logs), draws)
+        low, high = clopper_pearson(beyond, len(self.logs), CONFIDENCE).tolist()
+        return StudyTest(
+            beyond=beyond,
+            p_value=p_value,
+            refuted=p_value <= 1.0 - CONFIDENCE,
+            share_interval=(low, high),
+            flights_to_refute={f"{share:g}": flights_to_refute(share, draws) for share in SHARES},
+            flights_to_confirm={f"{share:g}": flights_to_confirm(share, draws) for share in SHARES},
+        )
+
+
+def next_flight(
+    study: Study,
+    logs: Sequence[FlightLog],
+    *,
+    probability: float = PROBABILITY,
+    progress: ProgressCallback | None = None,
+) -> NextFlight:
+    """A set in which the next flight lies with a stated probability, and whether the flights refute the study.
+
+    Nothing is assumed of the flights but that they and the next one are exchangeable. The study's draws only give the
+    yardstick by which departures are measured, and the law that is tested. Values may be missing in a log only for
+    reasons that have nothing to do with the flight; a sample that one log lacks is left out of all.
+
+    Args:
+        study: The study that describes the flights; its sweep is ignored, and its draws are independent.
+        logs: The flights, see :func:`dssc_jax.read_log`; at least one.
+        probability: Least probability that the next flight lies in the set, in (0, 1). It needs at least p/(1 - p)
+            flights.
+        progress: Called with the draws done.
+
+    Raises:
+        ConfigError: An argument is out of range, draws are not independent or too few, or the logs have no signal in
+            common that differs between the draws.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ConfigError("probability", f"must lie in (0, 1), got {probability:g}")
+    if not logs:
+        raise ConfigError("logs", "needs at least one flight")
+    require_independent(study, "a rank among the draws")
+    study = study.without_sweep()
+    half = study.config.draws // 2
+    if half < FEWEST_DRAWS:
+        raise ConfigError("draws", f"must be at least {2 * FEWEST_DRAWS} to compare flights, got {study.config.draws}")
+    loop = study.loop
+    samples = min(samples_within(log, loop.sample_time, loop.steps) for log in logs)
+    references = study_references(study, max(samples, 1))
+    signals, flights, desired = logged_curves(study, logs, references)
+    stride = max(1, -(-samples * study.config.draws * len(signals) // MOST_NUMBERS))
+    flights = flights[..., ::stride]
+    desired = desired[..., ::stride]
+    known = np.all(np.isfinite(flights), axis=0)
+    if samples < 1 or not known.any():
+        raise ConfigError("logs", "the flights have no sample of any signal in common within the study's duration")
+    curves = drawn_curves(study, signals, samples, stride, progress)
+    yardstick = Yardstick.of(curves[:half])
+    if not (known & np.isfinite(yardstick.spread)).any():
+        raise ConfigError("logs", "no logged signal differs between the draws, which gives no spread to measure by")
+    compared = curves[half:]
+    data = band_columns(yardstick, flights, known)
+    departures = np.array([yardstick.largest_departure(flight, known) for flight in flights])
+    of_draws = np.array([yardstick.largest_departure(curve, known) for curve in compared])
+    data |= number_columns("departure", "1", "largest departure", departures, of_draws)
+    times = loop.sample_time * stride * np.arange(flights.shape[-1])
+    measured = measured_samples(study, times)
+    for row, signal in enumerate(signals):
+        if signal.quantity != "y":
+            continue
+        inside = known[row] & measured
+        if not inside.any():
+            continue
+        unit = study.units[signal.channel].output
+        own = (flights[:, row] - desired[:, signal.channel])[:, inside]
+        drawn = (compared[:, row] - references[signal.channel, 0, ::stride])[:, inside]
+        for name, of, meaning in (("error_max", largest, "largest"), ("error_rms", rms, "root mean square of the")):
+            place = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
+            data |= number_columns(place, unit, f"{meaning} measured error", of(own), of(drawn))
+    coords = {
+        "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
+        "t": ("t", times, {"long_name": "time", "units": "s"}),
+    }
+    dataset = xr.Dataset(data, coords=coords, attrs={"title": study.name})
+    analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability)
+    departure = analysis.limit("departure")
+    return analysis if departure is None else with_band(analysis, departure)
+
+
+def logged_curves(
+    study: Study, logs: Sequence[FlightLog], references: np.ndarray
+) -> tuple[list[Signal], np.ndarray, np.ndarray]:
+    """The signals that all logs have, their values, and the desired outputs of each flight.
+
+    The values have the shape (flights, signals, times). The desired outputs, as logged or else those of the study, have
+    the shape (flights, channels, times).
+    """
+    channels = study.loop.channels
+    by_flight = []
+    desired = np.repeat(references[None, :, 0], len(logs), axis=0)
+    for flight, log in enumerate(logs):
+        found = {}
+        for index, channel in enumerate(channels):
+            logged = channel_signals(study, log, index, references[index, 0])
+            if "y_ref" in logged:
+                desired[flight, index] = np.where(np.isfinite(logged["y_ref"]), logged["y_ref"], desired[flight, index])
+            found |= {signal_name(channel, name): values for name, values in logged.items()}
+        by_flight.append(found)
+    signals = []
+    for index, channel in enumerate(channels):
+        for quantity in ChannelCurves._fields:
+            name = signal_name(channel, quantity)
+            if all(name in found for found in by_flight):
+                signals.append(Signal(index, quantity, name))
+    values = np.array([[found[signal.name] for signal in signals] for found in by_flight])
+    return signals, values.reshape(len(logs), len(signals), references.shape[-1]), desired
+
+
+def band_columns(yardstick: Yardstick, flights: np.ndarray, known: np.ndarray) -> dict[str, Column]:
+    """The columns of the dataset along signals and times; the band is filled in by :func:`with_band`."""
+    absent = np.full(known.shape, np.nan)
+    lowest = np.where(known, flights.min(axis=0), np.nan)
+    highest = np.where(known, flights.max(axis=0), np.nan)
+    columns = {
+        "middle": (yardstick.middle, "median of the draws"),
+        "spread": (yardstick.spread, "spread of the draws"),
+        "lowest": (lowest, "lowest value of the flights"),
+        "highest": (highest, "highest value of the flights"),
+        "lower": (absent, "lower end of the band of the next flight"),
+        "upper": (absent, "upper end of the band of the next flight"),
+    }
+    described = {}
+    for name, (values, meaning) in columns.items():
+        described[name] = (NextFlight.table, values, {"long_name": meaning, "units": "that of the signal"})
+    return described
+
+
+def with_band(analysis: NextFlight, departure: float) -> NextFlight:
+    """The analysis with the band in which the next flight lies, which departs by no more than so many spreads."""
+    data = analysis.dataset
+    reach = departure * data["spread"]
+    lower = (data["middle"] - reach).assign_attrs(data["lower"].attrs)
+    upper = (data["middle"] + reach).assign_attrs(data["upper"].attrs)
+    return NextFlight(analysis.study, data.assign(lower=lower, upper=upper), analysis.logs, analysis.probability)
+
+
+def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draws: np.ndarray) -> dict[str, Column]:
+    """The columns of a number of each flight, and of each draw compared."""
+    return {
+        name: (("flight",), flights, {"long_name": f"{meaning} of each flight", "units": unit}),
+        f"{name}_of_draw": (("draw",), draws, {"long_name": f"{meaning} of each draw", "units": unit}),
+    }
+
+
+def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
+    """Which samples lie in the window of the study's metrics; all of them if the logs end before it."""
+    inside = times >= study.config.metrics.window.after - 1e-9
+    return inside if inside.any() else np.ones_like(inside)
+
+
+def largest(errors: np.ndarray) -> np.ndarray:
+    """The largest absolute error along the last axis; infinite if a draw has ended."""
+    return np.nan_to_num(np.abs(errors), nan=np.inf).max(axis=-1)
+
+
+def rms(errors: np.ndarray) -> np.ndarray:
+    """The root mean square along the last axis; infinite if a draw has ended."""
+    return np.sqrt(np.mean(np.nan_to_num(np.abs(errors), nan=np.inf) ** 2, axis=-1))

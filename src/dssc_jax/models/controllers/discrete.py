@@ -1,0 +1,213 @@
+"""Controllers that are given in discrete time: a transfer function of z, and a state space.
+
+The transfer function is u = C(z) (y_m - y), in the transposed direct form II. Between its limits it is linear; at a
+limit the limited command is what its denominator works on, so that it does not wind up.
+
+The state space is x(k+1) = A x + B w, u = C x + D w within its limits, where w holds y_m - y and then the measured
+signals, in the order of the study's ``measures``. Whether its state winds up at a limit is its designer's business.
+
+References:
+    K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), sections 9.4 and 9.5.
+"""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.registry import Entry, single
+from dssc_jax.core.setting import LoopSetting
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.nominal import L0
+from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits
+
+MOST_STATES = 40
+NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of z first")
+DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of z first")
+ENTRY = Quantity("SI", "entry of A, row by row")
+INPUTS = Quantity("SI", "entry of B, row by row: columns of y_m - y, then of each measured signal")
+OUTPUTS = Quantity("SI", "entry of the row C")
+THROUGH = Quantity("SI", "entry of the row D: of y_m - y, then of each measured signal")
+DESIGNED = Quantity("s", "T_s that it was designed for, to be compared with the loop's", above=0.0, law=False)
+
+Row = tuple[Scalar, ...]
+Rows = tuple[Row, ...]
+
+
+class FractionGains(NamedTuple):
+    """C(z); ``l0`` defines sigma of the metrics and is not used by the controller."""
+
+    numerator: Annotated[Row, NUMERATOR]
+    denominator: Annotated[Row, DENOMINATOR]
+    low: Annotated[Scalar | None, LOW] = None
+    high: Annotated[Scalar | None, HIGH] = None
+    sample_time: Annotated[Scalar | None, DESIGNED] = None
+    l0: Annotated[Scalar, L0] = 1.0
+
+
+class MatrixGains(NamedTuple):
+    """A, B, C and D; ``l0`` defines sigma of the metrics and is not used by the controller."""
+
+    a: Annotated[Rows, ENTRY]
+    b: Annotated[Rows, INPUTS]
+    c: Annotated[Row, OUTPUTS]
+    d: Annotated[Row, THROUGH]
+    low: Annotated[Scalar | None, LOW] = None
+    high: Annotated[Scalar | None, HIGH] = None
+    sample_time: Annotated[Scalar | None, DESIGNED] = None
+    l0: Annotated[Scalar, L0] = 1.0
+
+
+class DiscreteState(NamedTuple):
+    """The controller's state."""
+
+    x: Row
+
+
+class DiscreteInfo(NamedTuple):
+    """The command before its limits."""
+
+    unlimited: Annotated[Scalar, Quantity("u", "command u before its limits")]
+
+
+def padded(gains: FractionGains) -> Row:
+    """The numerator with a leading zero for each power that it lacks."""
+    return (*(0.0,) * (len(gains.denominator) - len(gains.numerator)), *gains.numerator)
+
+
+def fraction_init(gains: FractionGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
+    """At rest."""
+    return DiscreteState((0.0,) * (len(gains.denominator) - 1))
+
+
+def fraction_step(
+    gains: FractionGains, state: DiscreteState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+) -> tuple[DiscreteState, Command, DiscreteInfo]:
+    """One sample of the transposed direct form II."""
+    error = reference.y - measurement.y
+    leading, *lower = gains.denominator
+    first, *following = padded(gains)
+    v = (first * error + (state.x[0] if state.x else 0.0)) / leading
+    u = within_limits(v, gains.low, gains.high)
+    after = []
+    for i, (b, a) in enumerate(zip(following, lower, strict=True)):
+        above = state.x[i + 1] if i + 1 < len(state.x) else 0.0
+        after.append(b * error - a * u + above)
+    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+
+
+def prepare_fraction(gains: FractionGains) -> FractionGains:
+    """Require a proper transfer function and limits in order; raises ConfigError."""
+    require_order(gains.low, gains.high)
+    if not 1 <= len(gains.denominator) <= MOST_STATES + 1:
+        rule = f"must have 1 to {MOST_STATES + 1} coefficients, got {len(gains.denominator)}"
+        raise ConfigError("denominator", rule)
+    if not 1 <= len(gains.numerator) <= len(gains.denominator):
+        rule = f"must have 1 to {len(gains.denominator)} coefficients, so that C(z) is proper"
+        raise ConfigError("numerator", f"{rule}; got {len(gains.numerator)}")
+    low, high = extent(gains.denominator[0])
+    if low <= 0.0 <= high:
+        raise ConfigError("denominator.0", "is the coefficient of the highest power and must not be zero; leave it out")
+    return gains
+
+
+def fit_fraction(gains: FractionGains, setting: LoopSetting) -> FractionGains:
+    """Require the sample time of its design; raises ConfigError."""
+    require_sample_time(gains.sample_time, setting)
+    return gains
+
+
+def matrix_init(gains: MatrixGains, measurement: Measurement, reference: ReferencePoint) -> DiscreteState:
+    """At rest."""
+    return DiscreteState((0.0,) * len(gains.a))
+
+
+def matrix_step(
+    gains: MatrixGains, state: DiscreteState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+) -> tuple[DiscreteState, Command, DiscreteInfo]:
+    """One sample."""
+    signals = (reference.y - measurement.y, *measurement.signals[: len(gains.d) - 1])
+    v = dot((*gains.c, *gains.d), (*state.x, *signals))
+    after = []
+    for row, entries in zip(gains.a, gains.b, strict=True):
+        after.append(dot((*row, *entries), (*state.x, *signals)))
+    u = within_limits(v, gains.low, gains.high)
+    return DiscreteState(tuple(after)), Command(u, 0.0), DiscreteInfo(v)
+
+
+def prepare_matrix(gains: MatrixGains) -> MatrixGains:
+    """Require matrices that fit and limits in order; raises ConfigError."""
+    require_order(gains.low, gains.high)
+    order = len(gains.a)
+    if order > MOST_STATES:
+        raise ConfigError("a", f"must have at most {MOST_STATES} rows, got {order}")
+    if not gains.d:
+        raise ConfigError("d", "must have a number for y_m - y, then one for each measured signal; got none")
+    for name, rows, count in (("a", gains.a, order), ("b", gains.b, len(gains.d))):
+        if len(rows) != order:
+            raise ConfigError(name, f"must have {order} rows, one for each state, got {len(rows)}")
+        for i, row in enumerate(rows):
+            if len(row) != count:
+                raise ConfigError(f"{name}.{i}", f"must have {count} numbers, got {len(row)}")
+    if len(gains.c) != order:
+        raise ConfigError("c", f"must have {order} numbers, one for each state, got {len(gains.c)}")
+    return gains
+
+
+def fit_matrix(gains: MatrixGains, setting: LoopSetting) -> MatrixGains:
+    """Require the sample time of its design; raises ConfigError."""
+    require_sample_time(gains.sample_time, setting)
+    return gains
+
+
+def require_sample_time(designed: Scalar | None, setting: LoopSetting) -> None:
+    """Require that a controller runs at the T_s it was designed for, if it says so; raises ConfigError."""
+    if designed is not None and abs(float(designed) - setting.sample_time) > 1e-9 * setting.sample_time:
+        rule = f"must be the loop's sample_time = {setting.sample_time:g} s, got {float(designed):g}"
+        raise ConfigError("sample_time", f"{rule}; design the controller for that, or change the loop")
+
+
+def fraction_within_limits(gains: FractionGains) -> tuple[Controller, FractionGains]:
+    """The controller within its limits."""
+    return Controller(FractionGains, fraction_init, fraction_step), gains._replace(low=None, high=None)
+
+
+def matrix_within_limits(gains: MatrixGains) -> tuple[Controller, MatrixGains]:
+    """The controller within its limits."""
+    return Controller(MatrixGains, matrix_init, matrix_step), gains._replace(low=None, high=None)
+
+
+DISCRETE_TRANSFER_FUNCTION: Entry = single(
+    Controller(
+        FractionGains,
+        fraction_init,
+        fraction_step,
+        prepare_fraction,
+        smooth=limited_smoothness(fraction_within_limits),
+        fit=fit_fraction,
+        info=DiscreteInfo,
+    ),
+    "u = C(z) (y_m - y), by the coefficients of C",
+    numerator=[2.0, -1.8],
+    denominator=[1.0, -0.7],
+    low=-9.0,
+)
+DISCRETE_STATE_SPACE: Entry = single(
+    Controller(
+        MatrixGains,
+        matrix_init,
+        matrix_step,
+        prepare_matrix,
+        smooth=limited_smoothness(matrix_within_limits),
+        takes=lambda gains: len(gains.d) - 1,
+        fit=fit_matrix,
+        info=DiscreteInfo,
+    ),
+    "x(k+1) = A x + B w, u = C x + D w, where w is y_m - y and the measured signals",
+    a=[[0.9, 0.1], [0.0, 0.7]],
+    b=[[0.1], [0.3]],
+    c=[1.0, 0.5],
+    d=[2.0],
+    high=9.0,
+)

@@ -1,0 +1,281 @@
+"""LQG: a steady-state Kalman filter and a linear-quadratic regulator, both of the sampled nominal plant.
+
+With the command held, the plant is x(k+1) = A x(k) + B u(k) + w, and the measured signals are s = C x + D u(k-1) + v,
+because they are taken just before the new command acts. Per sample,
+
+    x^ = x- + L (s - C x- - D u(k-1)),   u = -K x^ - k_i z + N y_m within its limits,
+    x-(k+1) = A x^ + B u,                z(k+1) = z + T_s (y - y_m).
+
+K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2; L is the filter of least
+variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati equation when the
+study is built, with the median in place of each law: the controller of every draw is that of the nominal plant. N makes
+the gain from y_m to y one at rest; where the plant has none, N is 0. z stands still while the command is at a limit and
+the error drives it further.
+
+References:
+    G. F. Franklin, J. D. Powell, M. Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), chapters 8 and 9.
+    K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), chapter 11.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import LinAlgError, expm, solve_discrete_are
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry, single
+from dssc_jax.core.setting import LoopSetting
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.nominal import L0
+from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits
+
+STATE_WEIGHTS = Quantity("SI", "weight q_i of each state's square; absent: 0", at_least=0.0, law=False)
+OUTPUT_WEIGHT = Quantity("1/y^2", "weight q_y of y^2", at_least=0.0, law=False)
+COMMAND_WEIGHT = Quantity("1/u^2", "weight r of u^2", above=0.0, law=False)
+INTEGRAL_WEIGHT = Quantity("1/(y^2 s^2)", "weight q_z of z^2; 0: no integral action", at_least=0.0, law=False)
+DISTURBANCE_STD = Quantity(
+    "SI",
+    "standard deviation of the disturbance, then of that at each named input; absent: 0",
+    at_least=0.0,
+    law=False,
+)
+STATE_STD = Quantity("SI", "standard deviation of each state's noise in a sample; absent: 0", at_least=0.0, law=False)
+SIGNAL_STD = Quantity(
+    "SI", "standard deviation of each measured signal's noise; of y without any", above=0.0, law=False
+)
+
+Row = tuple[Scalar, ...]
+Rows = tuple[Row, ...]
+
+
+class LqgGains(NamedTuple):
+    """Weights and standard deviations; the other fields follow from them and from the nominal plant.
+
+    ``l0`` defines sigma of the metrics and is not used by the controller.
+    """
+
+    command_weight: Annotated[Scalar, COMMAND_WEIGHT]
+    signal_std: Annotated[Row, SIGNAL_STD]
+    output_weight: Annotated[Scalar, OUTPUT_WEIGHT] = 0.0
+    state_weights: Annotated[Row, STATE_WEIGHTS] = ()
+    integral_weight: Annotated[Scalar, INTEGRAL_WEIGHT] = 0.0
+    disturbance_std: Annotated[Row, DISTURBANCE_STD] = ()
+    state_std: Annotated[Row, STATE_STD] = ()
+    low: Annotated[Scalar | None, LOW] = None
+    high: Annotated[Scalar | None, HIGH] = None
+    l0: Annotated[Scalar, L0] = 1.0
+    transition: Rows = ()
+    input: Row = ()
+    signals: Rows = ()
+    through: Row = ()
+    feedback: Row = ()
+    correction: Rows = ()
+    integral_gain: Scalar = 0.0
+    feedforward: Scalar = 0.0
+    taken: int = 0
+
+
+class LqgState(NamedTuple):
+    """The predicted state x-, the integral z of the error, and the last command."""
+
+    predicted: Row
+    integral: Scalar
+    command: Scalar
+
+
+class LqgInfo(NamedTuple):
+    """The integral part of the command, and the first innovation s - C x- - D u(k-1)."""
+
+    integral: Annotated[Scalar, Quantity("u", "integral term of u")]
+    innovation: Annotated[Scalar, Quantity("SI", "innovation of the first measured signal")]
+
+
+class SampledPlant(NamedTuple):
+    """The nominal plant with its inputs held over a sample: A, B, and the columns of the disturbances."""
+
+    a: np.ndarray
+    b: np.ndarray
+    disturbances: np.ndarray
+
+
+def sampled_system(a: np.ndarray, columns: np.ndarray, sample_time: float) -> SampledPlant:
+    """The exact solution over a sample (Van Loan); the first column is that of the command."""
+    order = len(a)
+    block = np.zeros((order + columns.shape[1],) * 2)
+    block[:order, :order] = a
+    block[:order, order:] = columns
+    whole = expm(block * sample_time)
+    return SampledPlant(whole[:order, :order], whole[:order, order], whole[:order, order + 1 :])
+
+
+def regulator(plant: SampledPlant, output: np.ndarray, gains: LqgGains, sample_time: float) -> np.ndarray:
+    """K, followed by k_i if the error is integrated; shape (n,) or (n + 1,)."""
+    order = len(plant.a)
+    a, b = plant.a, plant.b[:, None]
+    q = np.diag(filled("state_weights", gains.state_weights, order)) + gains.output_weight * np.outer(output, output)
+    if gains.integral_weight:
+        a = np.block([[a, np.zeros((order, 1))], [sample_time * output[None, :], np.ones((1, 1))]])
+        b = np.vstack([b, [[0.0]]])
+        q = np.block([[q, np.zeros((order, 1))], [np.zeros((1, order)), gains.integral_weight * np.ones((1, 1))]])
+    return regulator_gain(a, b, q, float(gains.command_weight))
+
+
+def regulator_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, weight: float) -> np.ndarray:
+    """The row K that minimises the sum of x' Q x + weight u^2; raises ConfigError."""
+    p = solution(a, b, q, weight * np.ones((1, 1)), "regulator", "the command does not stabilise it")
+    return (np.linalg.solve(weight + b.T @ p @ b, b.T @ p @ a))[0]
+
+
+def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndarray:
+    """L, shape (n, m)."""
+    count = plant.disturbances.shape[1]
+    missing = (0.0,) * (count - len(gains.disturbance_std))  # the named inputs that are left out
+    deviations = np.array(filled("disturbance_std", (*gains.disturbance_std, *missing), count))
+    own = np.diag(np.square(filled("state_std", gains.state_std, len(plant.a))))
+    w = plant.disturbances @ np.diag(deviations**2) @ plant.disturbances.T + own
+    return filter_gain(plant.a, rows, w, np.diag(np.square(filled("signal_std", gains.signal_std, len(rows)))))
+
+
+def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """L of the filter of least variance for noise of the covariances w of the state and v of the signals."""
+    p = solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
+    return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T
+
+
+def solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray, part: str, cause: str) -> np.ndarray:
+    """The stabilising solution of a discrete Riccati equation; raises ConfigError."""
+    try:
+        return solve_discrete_are(a, b, q, r)
+    except (LinAlgError, ValueError) as error:
+        rule = f"has no {part}: the Riccati equation has no stabilising solution ({error}); a mode without weight or "
+        raise ConfigError("kind", f"{rule}noise lies on the unit circle, or {cause}") from None
+
+
+def filled(name: str, values: Row, count: int) -> tuple[float, ...]:
+    """Plain numbers, zeros where none are given; raises ConfigError for a wrong number of them."""
+    if values and len(values) != count:
+        raise ConfigError(name, f"must have {count} numbers, got {len(values)}")
+    return tuple(map(float, values)) or (0.0,) * count
+
+
+def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) -> float:
+    """N = N_u + K N_x with y = y_m at rest; 0 where the plant has a zero there."""
+    order = len(plant.a)
+    block = np.block([[plant.a - np.eye(order), plant.b[:, None]], [output[None, :], np.zeros((1, 1))]])
+    if np.linalg.cond(block) > 1e12:
+        return 0.0
+    rest = np.linalg.solve(block, np.append(np.zeros(order), 1.0))
+    return float(rest[order] + feedback @ rest[:order])
+
+
+def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
+    """Regulator and filter of the nominal plant; raises ConfigError."""
+    if setting.plant is None:
+        raise ConfigError("kind", "'lqg' needs a linear plant with one command, such as kind = 'state_space'")
+    plant = setting.plant
+    by_output = not setting.measures
+    rows = plant.output[None, :] if by_output else plant.signals
+    through = np.zeros(1) if by_output else plant.through
+    if len(gains.signal_std) != len(rows):
+        named = "y" if by_output else ", ".join(setting.measures)
+        rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
+        raise ConfigError("signal_std", rule)
+    columns = np.column_stack([plant.command, plant.disturbances])
+    discrete = sampled_system(plant.a, columns, setting.sample_time)
+    order = len(discrete.a)
+    feedback = regulator(discrete, plant.output, gains, setting.sample_time)
+    return gains._replace(
+        transition=plain_rows(discrete.a),
+        input=tuple(map(float, discrete.b)),
+        signals=plain_rows(rows),
+        through=tuple(map(float, through)),
+        feedback=tuple(map(float, feedback[:order])),
+        correction=plain_rows(estimator(discrete, rows, gains)),
+        integral_gain=float(feedback[order]) if len(feedback) > order else 0.0,
+        feedforward=gain_at_rest(discrete, plant.output, feedback[:order]),
+        taken=len(setting.measures),
+    )
+
+
+def plain_rows(matrix: np.ndarray) -> Rows:
+    """A matrix as rows of plain numbers."""
+    return tuple(tuple(map(float, row)) for row in matrix)
+
+
+def init(gains: LqgGains, measurement: Measurement, reference: ReferencePoint) -> LqgState:
+    """No estimate, no integral, no command."""
+    return LqgState((0.0,) * len(gains.input), 0.0, 0.0)
+
+
+def step(
+    gains: LqgGains, state: LqgState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
+) -> tuple[LqgState, Command, LqgInfo]:
+    """One sample: correct, command, predict."""
+    shown = measurement.signals or (measurement.y,)
+    innovations = []
+    for row, through, signal in zip(gains.signals, gains.through, shown, strict=True):
+        innovations.append(signal - dot((*row, through), (*state.predicted, state.command)))
+    estimate = []
+    for x, row in zip(state.predicted, gains.correction, strict=True):
+        estimate.append(x + dot(row, innovations))
+    error = measurement.y - reference.y
+    integral_part = -gains.integral_gain * state.integral
+    v = integral_part + gains.feedforward * reference.y - dot(gains.feedback, estimate)
+    u = within_limits(v, gains.low, gains.high)
+    change = dt * error
+    if gains.low is not None or gains.high is not None:
+        drives_further = gains.integral_gain * error * (u - v) > 0.0
+        change = jnp.where(drives_further, 0.0, change)
+    predicted = []
+    for row, entry in zip(gains.transition, gains.input, strict=True):
+        predicted.append(dot((*row, entry), (*estimate, u)))
+    after = LqgState(tuple(predicted), state.integral + change, u)
+    return after, Command(u, 0.0), LqgInfo(integral_part, innovations[0])
+
+
+def transfer(
+    gains: LqgGains, measurement: Measurement, reference: ReferencePoint, command: Scalar, dt: Scalar
+) -> LqgState:
+    """The integral that gives a command, with a state that the measurement does not correct; 0 without integral."""
+    start = init(gains, measurement, reference)
+    _, without, _ = step(gains._replace(low=None, high=None), start, measurement, reference, dt)
+    acts = gains.integral_gain != 0.0
+    gain = jnp.where(acts, gains.integral_gain, 1.0)
+    return start._replace(integral=jnp.where(acts, (without.robust - command) / gain, 0.0))
+
+
+def prepare(gains: LqgGains) -> LqgGains:
+    """Require limits in order; raises ConfigError."""
+    require_order(gains.low, gains.high)
+    return gains
+
+
+def lqg_within_limits(gains: LqgGains) -> tuple[Controller, LqgGains]:
+    """The controller within its limits."""
+    return Controller(LqgGains, init, step), gains._replace(low=None, high=None)
+
+
+LQG: Entry = single(
+    Controller(
+        LqgGains,
+        init,
+        step,
+        prepare,
+        transfer,
+        limited_smoothness(lqg_within_limits),
+        takes=lambda gains: gains.taken,
+        fit=fit,
+        info=LqgInfo,
+    ),
+    "Kalman filter and linear-quadratic regulator of the sampled nominal plant",
+    command_weight=1.0,
+    output_weight=4.0,
+    integral_weight=2.0,
+    signal_std=[0.01],
+    disturbance_std=[0.5],
+    low=-9.0,
+)

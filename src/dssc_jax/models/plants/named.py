@@ -1,0 +1,95 @@
+"""Outputs and disturbance inputs that a study names: rows of C and D, and columns beside that of the command."""
+
+from collections.abc import Mapping
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.named import NamedSignal, Text, by_names, report_type
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Info, PlantInput, Scalar
+from dssc_jax.core.units import parse_unit
+
+ROW = Quantity("SI", "entry of the output's row of C")
+THROUGH = Quantity("SI", "feedthrough of the command")
+INPUT_THROUGH = Quantity("SI", "feedthrough of the disturbance at this input")
+COLUMN = Quantity("SI", "entry of the input's column")
+
+
+class OutputRow(NamedTuple):
+    """A named output c x + d u_p + the sum of ``inputs`` times the disturbances at these inputs."""
+
+    c: Annotated[tuple[Scalar, ...], ROW]
+    d: Annotated[Scalar, THROUGH] = 0.0
+    inputs: Annotated[dict[str, Scalar] | None, INPUT_THROUGH] = None
+    unit: Text = Text("")
+    meaning: Text = Text("")
+
+
+class InputColumn(NamedTuple):
+    """The column of a named disturbance input."""
+
+    column: Annotated[tuple[Scalar, ...], COLUMN]
+    unit: Text = Text("")
+    meaning: Text = Text("")
+
+
+Outputs = dict[str, OutputRow] | None
+Inputs = dict[str, InputColumn] | None
+
+
+def described(items: Mapping[str, OutputRow] | Mapping[str, InputColumn] | None) -> tuple[NamedSignal, ...]:
+    """Name, unit and meaning of each output or input, in the order of their names."""
+    return tuple(NamedSignal(name, str(item.unit), str(item.meaning)) for name, item in by_names(items))
+
+
+def reported(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: PlantInput, matched: bool) -> Info:
+    """The named outputs; () without any.
+
+    Args:
+        outputs: Their rows.
+        inputs: The named inputs.
+        x: The state.
+        drive: The plant's input.
+        matched: Whether the disturbance beside the command acts as the command does, and passes through as it does.
+    """
+    if not outputs:
+        return ()
+    disturbances = dict(zip([name for name, _ in by_names(inputs)], drive.inputs, strict=False))
+    command = drive.command + drive.disturbance if matched else drive.command
+    values = []
+    for _, row in by_names(outputs):
+        value = dot((*row.c, row.d), (*x, command))
+        for name, through in by_names(row.inputs):
+            value = value + through * disturbances.get(name, 0.0)
+        values.append(value)
+    return report_type(tuple(name for name, _ in by_names(outputs)))(*values)
+
+
+def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
+    """Check the sizes, names and units of outputs and inputs; raises ConfigError."""
+    for name, column in by_names(inputs):
+        with errors_under(f"inputs.{name}"):
+            require_length("column", column.column, order)
+            require_unit(column.unit)
+    for name, row in by_names(outputs):
+        with errors_under(f"outputs.{name}"):
+            require_length("c", row.c, order)
+            require_unit(row.unit)
+            for other, _ in by_names(row.inputs):
+                if other not in (inputs or {}):
+                    raise ConfigError(f"inputs.{other}", f"is no input of the plant; {nearest(other, inputs or ())}")
+
+
+def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:
+    """Require one number for each state; raises ConfigError."""
+    if len(numbers) != order:
+        raise ConfigError(place, f"must have {order} numbers, one for each state, got {len(numbers)}")
+
+
+def require_unit(unit: str) -> None:
+    """Require a unit that is a product of powers, or none; raises ConfigError."""
+    try:
+        parse_unit(unit or "1")
+    except ValueError as error:
+        raise ConfigError("unit", str(error)) from None

@@ -1,0 +1,139 @@
+"""The interval of the failure probability if the laws are wrong by a stated amount."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.results.scored_draws import ScoredDraws
+from dssc_jax.statistics import CONFIDENCE, Method, Replicated
+from dssc_jax.statistics.divergence_balls import BALLS
+from dssc_jax.statistics.law_changes import Shift, Widening
+from dssc_jax.study import Study
+
+NO_LAW = "no law can be changed; give at least one number a law that is not a choice"
+STATED = "stated"
+"""The manifest's entry with the amounts by which the laws may be wrong."""
+
+
+@dataclass(frozen=True)
+class StatedError:
+    """An amount by which the laws may be wrong, and what follows for the failure probability."""
+
+    kind: Annotated[str, Quantity("", "total_variation, kl, chi_square, mean_shift or widening")]
+    amount: Annotated[float, Quantity("that of the kind", "how wrong the laws may be")]
+    interval: Annotated[
+        tuple[float, float] | None,
+        Quantity("1", "interval of the failure probability, whatever draws fail; None: laws are correlated"),
+    ]
+    weighted_interval: Annotated[
+        tuple[float, float] | None,
+        Quantity("1", "the same from the draws' weights; None: they say nothing, or are not needed"),
+    ]
+
+    @property
+    def text(self) -> str:
+        """Kind and amount in words."""
+        return f"{self.kind.replace('_', ' ')} up to {self.amount:g}"
+
+    @property
+    def weights_refused(self) -> str:
+        """Why the draws' weights give no interval."""
+        if self.weighted_interval is not None or self.kind in BALLS:
+            return ""
+        return "the weights are too uneven, or too few draws fail"
+
+
+@dataclass(frozen=True)
+class StatedAmounts:
+    """Amounts by which the laws may be wrong.
+
+    Args:
+        within: Radii by the names of :data:`dssc_jax.statistics.divergence_balls.BALLS`.
+        shift: Of all means [standard deviations].
+        widening: Relative width of all laws.
+
+    Raises:
+        ConfigError: An amount is out of range.
+    """
+
+    within: Mapping[str, float]
+    shift: float | None
+    widening: float | None
+
+    def __post_init__(self) -> None:
+        for name, radius in self.within.items():
+            if name not in BALLS:
+                raise ConfigError("within", f"'{name}' is no divergence; {nearest(name, BALLS)}")
+            if not 0.0 <= radius < math.inf:
+                raise ConfigError("within", f"the radius of {name} must be finite and 0 or more, got {radius:g}")
+        if self.shift is not None and not 0.0 <= self.shift < math.inf:
+            raise ConfigError("shift", f"must be finite and 0 or more, got {self.shift:g}")
+        if self.widening is not None and not 1.0 <= self.widening < math.inf:
+            raise ConfigError("widening", f"must be finite and 1 or more, got {self.widening:g}")
+
+    def __bool__(self) -> bool:
+        return bool(self.within) or self.shift is not None or self.widening is not None
+
+    @property
+    def entry(self) -> dict[str, object]:
+        """The amounts for the manifest, from which :meth:`of` restores them."""
+        return {"within": dict(self.within), "shift": self.shift, "widening": self.widening}
+
+    @classmethod
+    def of(cls, entry: JsonObject) -> "StatedAmounts":
+        """The amounts of a manifest's entry.
+
+        Raises:
+            ConfigError: The entry is damaged.
+        """
+        try:
+            within = {str(name): float(radius) for name, radius in entry["within"].items()}
+            shift, widening = (None if entry[name] is None else float(entry[name]) for name in ("shift", "widening"))
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise ConfigError("stated", f"must be the amounts by which laws may be wrong, got {entry!r}") from None
+        return cls(within, shift, widening)
+
+    def require(self, study: Study) -> None:
+        """Require a study whose failure probability has an interval if its laws are wrong by these amounts.
+
+        Raises:
+            ConfigError: It has a sweep, its draws are not independent, or no law can be shifted or widened.
+        """
+        if study.axes:
+            rule = f"has a sweep over {', '.join(study.axes)}; how wrong its laws may be is a question about one point"
+            raise ConfigError(study.source, rule)
+        require_independent(study, "an interval for wrong laws")
+        moved = self.shift is not None or self.widening is not None
+        if moved and not any(law.movable for law in study.laws.values()):
+            raise ConfigError(study.source, NO_LAW)
+
+    def errors(self, draws: ScoredDraws, interval: tuple[float, float], confidence: float) -> list[StatedError]:
+        """What follows from each amount.
+
+        Args:
+            draws: The draws.
+            interval: Of the failure probability.
+            confidence: Of the intervals by the weights.
+        """
+        bounds = draws.bounds(interval)
+        free = draws.free(draws.names)
+        found = []
+        for name, radius in self.within.items():
+            found.append(StatedError(name, radius, BALLS[name].interval(interval, radius), None))
+        if self.shift is not None:
+            weighted = draws.weighted(Shift, confidence).interval_within(self.shift)
+            found.append(StatedError("mean_shift", self.shift, bounds.shifted(free, self.shift), weighted))
+        if self.widening is not None:
+            weighted = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
+            found.append(StatedError("widening", self.widening, bounds.widened(free, self.widening), weighted))
+        return found
+
+
+def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:
+    """The confidence of a single statement about independent draws, which a stopping rule increases."""
+    return confidence if isinstance(method, Replicated) else method.level(confidence)

@@ -1,0 +1,97 @@
+"""Controllers fitted to the nominal plant when a study is built: with the median in place of each law."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.errors import errors_under
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.setting import LoopSetting, NominalPlant
+from dssc_jax.core.signals import Params, PlantInput, Scalar
+from dssc_jax.study.components import Component
+from dssc_jax.study.laws import Uncertain
+from dssc_jax.study.numbers import dotted
+
+MATCHED = "disturbance"
+"""Name of the disturbance beside the command."""
+
+
+def medians(params: Params) -> Params:
+    """Parameters with the median in place of each law."""
+    return jax.tree.map(lambda leaf: leaf.median if isinstance(leaf, Uncertain) else leaf, params)
+
+
+def setting_of(plant: Plant, params: Params, sample_time: float, measures: Sequence[NamedSignal]) -> LoopSetting:
+    """What a controller of this loop is fitted to.
+
+    Args:
+        plant: The plant.
+        params: Its parameters, in plain numbers.
+        sample_time: T_s [s].
+        measures: The measured signals.
+    """
+    names = tuple(signal.name for signal in measures)
+    linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2
+    return LoopSetting(sample_time, names, nominal_plant(plant, params, names) if linear else None)
+
+
+def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> NominalPlant:
+    """A linear plant of one channel in plain numbers; rows of outputs by differentiating what it reports."""
+    assert plant.linear is not None  # held by setting_of
+    dynamics = plant.linear(params)
+    inputs = plant.inputs(params) if plant.inputs else ()
+    leaves, structure = jax.tree.flatten(plant.init(params))
+    order = len(leaves)
+    quiet = (0.0,) * len(inputs)
+
+    def signals(x: jax.Array, command: Scalar) -> jax.Array:
+        state = structure.unflatten(list(x))
+        drive = PlantInput(command, 0.0, None, quiet)
+        measurement = plant.measure(params, state, drive)
+        report = plant.monitor(params, state, drive)
+        values = {"y": measurement.y, "y_dot": measurement.y_dot} | (report._asdict() if report else {})
+        values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(x, start=1)}
+        return jnp.stack([jnp.asarray(values[name]) for name in ("y", *measures)])
+
+    with arithmetic():
+        rows, through = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
+    columns = [*dynamics.disturbance, *dynamics.inputs]
+    return NominalPlant(
+        np.asarray(dynamics.a, float),
+        np.asarray(dynamics.command[0], float),
+        np.asarray(columns, float).T,
+        rows[0],
+        rows[1:],
+        through[1:],
+        (MATCHED, *(signal.name for signal in inputs)),
+    )
+
+
+def fitted(
+    controllers: Sequence[Component],
+    plant: Component,
+    channels: Sequence[str],
+    sample_time: float,
+    measures: Sequence[NamedSignal],
+) -> list[Component]:
+    """The controllers with gains that follow from the nominal plant and the sample time.
+
+    Raises:
+        ConfigError: one cannot be fitted.
+    """
+    if all(component.model.fit is None for component in controllers):
+        return list(controllers)
+    setting = setting_of(plant.model, medians(plant.params), sample_time, measures)
+    found = []
+    for name, component in zip(channels, controllers, strict=True):
+        if component.model.fit is not None:
+            with errors_under(dotted("controller", name)):
+                component = replace(component, params=component.model.fit(component.params, setting))
+        found.append(component)
+    return found

@@ -1,0 +1,116 @@
+"""Parsing of ``[sensor] measures``: the signals that are measured beside y and y', and a sensor for each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.contracts import Controller, Plant
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.signals import Params
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.core.units import ChannelUnits
+from dssc_jax.models.sensors import SENSORS
+from dssc_jax.study.components import Component, as_table, parse_component
+
+MEASURES = "measures"
+WHOLE_STATE = "state"
+OF_RATE = ("velocity", "jitter")
+"""Beginnings of a sensor's fields that need the measured signal's derivative."""
+
+
+class SensorTables(NamedTuple):
+    """``[sensor]`` in two parts.
+
+    Args:
+        channels: The sensors of y and y'.
+        measures: Names of the other measured signals.
+        signals: The table of each that has one.
+    """
+
+    channels: TomlTable
+    measures: tuple[str, ...]
+    signals: dict[str, TomlTable]
+
+
+def measurable(
+    plant: Plant, params: Params, outputs: Sequence[NamedSignal], channels: Sequence[str], units: Sequence[ChannelUnits]
+) -> dict[str, NamedSignal]:
+    """Every signal that can be measured, by name: the plant's outputs, y and y', and the state if it is linear."""
+    found = {}
+    if plant.linear is not None:
+        for i in range(1, len(plant.linear(params).a) + 1):
+            found[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
+    for channel, named in zip(channels, units, strict=True):
+        prefix = f"{channel}_" if channel else ""
+        found[f"{prefix}y"] = NamedSignal(f"{prefix}y", named.output, named.output_meaning)
+        rate = named.of("y/s")
+        found[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {named.output_meaning}")
+    return found | {signal.name: signal for signal in outputs}
+
+
+def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorTables:
+    """Split ``[sensor]``.
+
+    Args:
+        table: The section.
+        known: The signals that can be measured.
+
+    Raises:
+        ConfigError: ``measures`` is neither a list of such signals nor the word for the whole state.
+    """
+    named = table.get(MEASURES, [])
+    if named == WHOLE_STATE:
+        named = [name for name, signal in known.items() if signal.meaning.startswith(f"{WHOLE_STATE} ")]
+        if not named:
+            raise ConfigError(f"sensor.{MEASURES}", "the plant has no linear part, so its state has no names")
+    if not isinstance(named, list | tuple) or not all(isinstance(name, str) for name in named):
+        raise ConfigError(f"sensor.{MEASURES}", f"must be a list of signals, or '{WHOLE_STATE}', got {named!r}")
+    for index, name in enumerate(named):
+        if name not in known:
+            raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' cannot be measured; {nearest(name, known)}")
+        if name in named[:index]:
+            raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
+    signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
+    channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
+    default = {"kind": "ideal"} if named else {}
+    return SensorTables(default | channels, tuple(named), signals)
+
+
+def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal]) -> list[Component]:
+    """The sensor of each measured signal; one without a table shows it exactly.
+
+    Raises:
+        ConfigError: A table is not valid, or its sensor needs the signal's derivative.
+    """
+    sensors = []
+    for index, name in enumerate(tables.measures):
+        table = tables.signals.get(name, {"kind": "ideal"})
+        path = f"sensor.{name}"
+        component = parse_component(table, SENSORS, path)
+        for field in table:
+            if field.startswith(OF_RATE):
+                rule = "needs the signal's derivative, which is measured of y alone; leave it out"
+                raise ConfigError(f"{path}.{field}", rule)
+        units = ChannelUnits(output=known[name].unit or "1")
+        numbers = []
+        for number in component.numbers:
+            if not number.name.startswith(OF_RATE):
+                quantity = replace(number.quantity, unit=units.of(number.quantity.unit))
+                numbers.append(replace(number.under(f"signal_sensor.{index}", path), quantity=quantity))
+        sensors.append(replace(component, numbers=tuple(numbers)))
+    return sensors
+
+
+def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
+    """Require that a controller gets as many measured signals as it takes.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    count = controller.takes(gains)
+    if count and count != len(measures):
+        names = ", ".join(signal.name for signal in measures) or "none"
+        rule = f"takes {count} measured signals, and {len(measures)} are measured: {names}; list them in [sensor]"
+        raise ConfigError("controller", f"{rule} {MEASURES}")
