@@ -75,7 +75,9 @@ def axis_problem_of(study: Study) -> ProofProblem:
     ends = ends_of(study)
     for name, law in study.written_laws.items():
         if name in study.parameter_names:
-            followers = ", ".join(study.followers(name)) or "nothing"
+            followers = ", ".join(study.followers(name))
+            if not followers:
+                raise NotCovered(f"{name} is uncertain, and nothing follows from it; leave it out")
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
         covered = set(study.numbers[name].paths) & set(UNCERTAIN)
         if not covered and not name.startswith(BOUNDED_SIGNALS):
