@@ -19,7 +19,7 @@ NAMED = {
 
 def parsed(text, sample_time, steps):
     """The formula of a text that names e and u."""
-    return FormulaParser(text, NAMED, float, sample_time, steps).parsed().formula
+    return FormulaParser(text, NAMED, float, sample_time, steps).parse().formula
 
 
 def lane_of(formula, signals, width=0.0):

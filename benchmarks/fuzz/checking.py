@@ -14,9 +14,9 @@ from benchmarks.fuzz.program import Kind, Program, abstract, scalars, text
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import column
 from dssc_jax.engine import forms
+from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.lanes import CompiledLanes
-from dssc_jax.lanes.program import Builder
 from dssc_jax.lanes.tracing.translate import Translator, traced_program
 from dssc_jax.lanes.unsupported import Unsupported
 

@@ -1,4 +1,4 @@
-"""``make vehicle``: bounds beside worst winds, adversarial flights, falsified certificates, integration.
+"""``make vehicle``: bounds beside worst winds, adversarial flights, falsified certificates, integration, the mission.
 
 ``python -m benchmarks.vehicle_proofs PART ..`` measures some of them.
 """
@@ -18,6 +18,7 @@ from benchmarks.page import put
 from benchmarks.vehicle_proofs.designs import GAINS, SPREAD, Design, bounds_of, designs
 from benchmarks.vehicle_proofs.falsified import CHANGES, Falsified, falsified
 from benchmarks.vehicle_proofs.flights import ROUNDED, Columns, fly
+from benchmarks.vehicle_proofs.missions import mission_text
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.models.uav.vehicle import alternating, ring
 from dssc_jax.proofs.prove_vehicle import VehicleProved, prove_vehicle
@@ -267,6 +268,7 @@ def main() -> None:
         "flights": flights_text,
         "falsified": falsified_text,
         "integration": integration_text,
+        "mission": mission_text,
     }
     for name in sys.argv[1:] or parts:
         began = time.perf_counter()

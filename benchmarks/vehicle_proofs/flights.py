@@ -183,7 +183,7 @@ def lane_of(study: dj.Study) -> Lane:
         params = tree.unflatten([values.get(path, leaves[path]) for path in paths])
         gust = gust_of(values)
         key = draw_key(study.config.seed, index)
-        sample = sampler(loop, params, key, measures, freeze=False)
+        sample = sampler(loop, params, key, measures, (), freeze=False)
 
         def advance(at: Any) -> Any:
             t = at.k * loop.sample_time

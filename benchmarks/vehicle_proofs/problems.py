@@ -4,6 +4,7 @@ The way back is a check of its own: :func:`dssc_jax.proofs.vehicle_coverage.vehi
 problem again.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 import dssc_jax as dj
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.references.sine import MISSION
 from dssc_jax.models.uav.vehicle import QUADROTOR, alternating, ring
 
 MEMORY = 8.0
@@ -21,14 +23,14 @@ Columns = dict[str, np.ndarray]
 
 
 def study_of(problem: JsonObject, duration: float, substeps: int = 1) -> dj.Study:
-    """The study that flies a vehicle's problem, at the middle of its intervals and from the hover point."""
+    """The study that flies a vehicle's problem, at the middle of its intervals and from where its reference begins."""
     delay = {"kind": "delay", "samples": problem["delay"], "memory": MEMORY}
     table = {
         "name": "vehicle-flights",
         "draws": 1,
         "loop": {"duration": duration, "sample_time": problem["sample_time"], "substeps": substeps},
         "plant": plant_table(problem),
-        "reference": {"kind": "hover"},
+        "reference": {"kind": "hover" if problem["reference"] is None else "mission"},
         "controller": controller_table(problem),
         "unmodelled": delay if problem["delay"] > 0.0 else {"kind": "none"},
         "wind": {"kind": "bounded", "speed": problem["wind"][0], "vertical": problem["wind"][1]},
@@ -71,7 +73,21 @@ def plant_table(problem: JsonObject) -> dict[str, Any]:
         "attitude": "plain",
     }
     believed["thrust_coefficient"] = problem["thrust_coefficient"]
-    return {"kind": "uav", "vehicle": vehicle, "believed": believed, "inner_loop": inner}
+    plant = {"kind": "uav", "vehicle": vehicle, "believed": believed, "inner_loop": inner}
+    places, speeds, yaw = first_points(problem)
+    return plant | {"position": places, "velocity": speeds, "yaw": yaw}
+
+
+def first_points(problem: JsonObject) -> tuple[list[float], list[float], float]:
+    """Position, velocity and yaw with which the reference begins."""
+    if problem["reference"] is None:
+        return [0.0] * 3, [0.0] * 3, 0.0
+    points = {}
+    for axis, sine in MISSION.items():
+        swing = sine.amplitude * complex(math.cos(sine.phase), math.sin(sine.phase))
+        points[str(axis)] = sine.offset + swing.imag, 2.0 * math.pi / sine.period * swing.real
+    moving = [points[axis] for axis in ("x", "y", "z")]
+    return [place for place, _ in moving], [speed for _, speed in moving], points["psi"][0]
 
 
 def controller_table(problem: JsonObject) -> dict[str, Any]:
@@ -142,13 +158,14 @@ def at_ends_or_within(interval: tuple[float, float], count: int, rng: np.random.
 def random_starts(problem: JsonObject, count: int, rng: np.random.Generator) -> Columns:
     """Where the flights begin: within the problem's bounds, one half as far away as they allow."""
     channels = problem["channels"]
-    columns = {"plant.yaw": signs(rng, count) * sizes(rng, count, channels["psi"]["initial"][0])}
-    for place, name in enumerate(("position", "velocity")):
+    places, speeds, yaw = first_points(problem)
+    columns = {"plant.yaw": yaw + signs(rng, count) * sizes(rng, count, channels["psi"]["initial"][0])}
+    for place, (name, origin) in enumerate((("position", places), ("velocity", speeds))):
         angle = rng.uniform(0.0, 2.0 * np.pi, count)
         length = sizes(rng, count, channels["x"]["initial"][place])
-        columns[f"plant.{name}.0"] = length * np.cos(angle)
-        columns[f"plant.{name}.1"] = length * np.sin(angle)
-        columns[f"plant.{name}.2"] = signs(rng, count) * sizes(rng, count, channels["z"]["initial"][place])
+        columns[f"plant.{name}.0"] = origin[0] + length * np.cos(angle)
+        columns[f"plant.{name}.1"] = origin[1] + length * np.sin(angle)
+        columns[f"plant.{name}.2"] = origin[2] + signs(rng, count) * sizes(rng, count, channels["z"]["initial"][place])
     return columns
 
 

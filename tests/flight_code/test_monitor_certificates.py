@@ -52,7 +52,7 @@ def tampered(content):
     ("study", "change", "reason"),
     [
         ("hover_wind", tampered, "is rejected by the verifier: V4: the bound of x.e does not imply itself"),
-        ("hover_wind", lambda content: content | {"version": 99}, "version: is not 1"),
+        ("hover_wind", lambda content: content | {"version": 99}, "version: is not 2"),
         ("hover_wind_tuned", lambda content: content, "is the certificate of another loop than the study's"),
         ("mu_robustness", lambda content: content, "is outside of what a proof covers|another loop than the study's"),
         ("hover_wind", lambda content: [1, 2], "version"),

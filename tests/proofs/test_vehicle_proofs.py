@@ -119,7 +119,8 @@ def test_a_yaw_beyond_half_a_turn_starts_the_shorter_way_round() -> None:
 
 
 REFUSALS: list[tuple[dict[str, object], str]] = [
-    ({"reference.kind": "mission"}, "the reference moves"),
+    ({"reference.kind": "steps"}, "takes reference.kind = 'hover' or 'mission'"),
+    ({"reference.kind": "mission", "plant.vehicle.motor_lag": 0.02}, "the rotors have a lag, and the reference moves"),
     ({"wind": {"kind": "dryden", "speed": 5.0, "altitude": 10.0, "airspeed": 5.0}}, "the wind has no known bound"),
     ({"plant.inner_loop.thrust": "norm"}, "thrust is not 'projection'"),
     ({"plant.inner_loop.attitude": "rate_feed_forward"}, "attitude is not 'plain'"),
@@ -130,7 +131,7 @@ REFUSALS: list[tuple[dict[str, object], str]] = [
     ({"plant.vehicle.spins": [1.0, 1.0, -1.0, -1.0], "plant.vehicle.rotor_angles": [0.0, 3.2, 1.6, 4.7]}, "spins"),
     ({"controller.discretisation": "implicit"}, "conservative form"),
     ({"controller.y.l0": 0.7}, "the controllers of x and y differ"),
-    ({"unmodelled": {"kind": "lag", "mu": 0.01}}, "no delay"),
+    ({"unmodelled": {"kind": "lag", "mu": 0.01}}, "no single delay"),
     ({"unmodelled": {"kind": "delay", "samples": {"uniform": [1.0, 2.0]}}}, "unmodelled.samples is uncertain"),
     ({"sensor": {"kind": "lag", "mu": 0.01}}, "a sensor is not ideal"),
 ]  # fmt: skip

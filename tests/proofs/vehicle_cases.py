@@ -48,4 +48,5 @@ def problem(rotor_lag=0.0, delay=0.0):
             "z": controller(0.35, 14.0, 3.3, "midpoint", [0.02, 0.01]),
             "psi": controller(2.9, 11.5, 3.2, "zero", [1e-3, 0.0]),
         },
+        "reference": None,
     }

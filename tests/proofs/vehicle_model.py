@@ -227,3 +227,22 @@ def signals_and_remainders(
     }
     rests["psi"] = {"torque": abs(angles_dd[2] - mu_z), "lag": abs(mu_z_dot - (at.eta_psi - mu_z) / craft.lag)}
     return signals, rests
+
+
+def plane_remainders(craft: Multirotor, at: Motion, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """The remainders of the force and of the torque in the plane as vectors, without a rotor lag.
+
+    Args:
+        craft: The vehicle.
+        at: Its state; the speeds follow from the commanded thrusts.
+        damping: c of the plane.
+    """
+    speeds = np.sqrt(commanded(craft, at) / craft.k_n)
+    at = Motion(at.velocity, at.angles, at.rates, speeds, at.wanted, at.eta_psi, at.wind)
+    v_dot, angles_dd = accelerations(craft, at, np.zeros(craft.rotors))
+    alpha = GRAVITY * turned(at.angles[2], at.angles)
+    alpha_dot = GRAVITY * tilt_slope(at.angles, at.rates)
+    step = 1j * STEP
+    alpha_dd = GRAVITY * tilt_slope(at.angles + step * at.rates, at.rates + step * angles_dd).imag / STEP
+    turn = craft.a_0 * (at.wanted[:2] - alpha) - craft.a_1 * alpha_dot
+    return v_dot[:2] - alpha + damping * at.velocity[:2], alpha_dd - turn

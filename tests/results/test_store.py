@@ -190,7 +190,7 @@ def metadata(name, change):
     return lambda f: edited(f / "data.zarr" / name / "zarr.json", change)
 
 
-LOOK = {"draws": 24, "few": 2, "many": 22, "failures": 1}
+LOOK = {"draws": 24, "lower": 2, "upper": 22, "failures": 1}
 STOPPED = {"data_driven": True, "rule": "r", "most": 24, "verdict": "narrow", "stops": 9, "looks": [LOOK]}
 ALTERATIONS = {
     "a chunk copied over another": lambda f: shutil.copy(

@@ -119,7 +119,7 @@ def test_a_margin_that_is_no_number_is_a_violation(swept):
 
 def test_the_interval_is_that_of_the_draws(swept, replicated):
     """A requirement's interval is made as that of the joint failure is, at every point."""
-    look = {"draws": swept.study.config.draws, "few": -1, "many": 1000}
+    look = {"draws": swept.study.config.draws, "lower": -1, "upper": 1000}
     stopped = dj.Result(swept.study, swept.dataset, {"stopping": {"looks": [look | {"failures": 0}], "stops": 3}})
     assert stopped.method == DataDriven((Look(**look),), 3)
     for result in (stopped, replicated):

@@ -49,7 +49,7 @@ def probability_of_stops(looks, p):
                 spread[count + more] = spread.get(count + more, 0.0) + probability * step
         draws = look.draws
         last = index == len(looks) - 1
-        stopped = {count for count in spread if last or count <= look.few or count >= look.many}
+        stopped = {count for count in spread if last or count <= look.lower or count >= look.upper}
         found |= {(index, count): spread[count] for count in stopped}
         running = {count: probability for count, probability in spread.items() if count not in stopped}
     return found
@@ -72,7 +72,7 @@ def test_the_interval_of_a_small_test_covers_by_enumeration(p):
 def test_failures_and_successes_are_treated_alike():
     for index, failures in ((0, 0), (1, 2), (2, 7), (1, 12), (0, 9)):
         low, high = multistage_interval(PLAN[: index + 1], failures, 0.95)
-        other = [Look(look.draws, look.draws - look.many, look.draws - look.few) for look in PLAN[: index + 1]]
+        other = [Look(look.draws, look.draws - look.upper, look.draws - look.lower) for look in PLAN[: index + 1]]
         mirror = multistage_interval(other, other[-1].draws - failures, 0.95)
         assert (low, high) == pytest.approx((1.0 - mirror[1], 1.0 - mirror[0]), abs=1e-8)
 
@@ -81,11 +81,11 @@ def test_no_interval_is_wider_than_asked_whatever_the_stop():
     plan = list(UntilWidth(0.1).looks(100_000))
     possible = 0
     for index, look in enumerate(plan):
-        for failures in range(possible, look.few + 1):
+        for failures in range(possible, look.lower + 1):
             low, high = multistage_interval(plan[: index + 1], failures, 0.95)
             assert high - low <= 0.1
-        possible = look.few + 1
-    assert plan[-1].many <= plan[-1].few + 1  # the last look stops everything
+        possible = look.lower + 1
+    assert plan[-1].upper <= plan[-1].lower + 1  # the last look stops everything
 
 
 @pytest.mark.parametrize("p", [0.003, 0.01, 0.2])

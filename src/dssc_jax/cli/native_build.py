@@ -1,4 +1,4 @@
-"""Builds a shared object of a user's own C with the compiler that is found."""
+"""Builds a shared object from a user's C files with the first compiler found."""
 
 import subprocess
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ FLAGS = (
     *("-O2", "-ffp-contract=off", "-shared", "-fPIC", "-DDSSC_JAX_LIBRARY"),
     *("-Wall", "-Werror=implicit-function-declaration"),
 )
-"""Without contraction the bits are the same on every machine. The macro asks for the description."""
+"""Without contraction the bits are the same on every machine. The macro includes the description."""
 
 
 def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
@@ -28,7 +28,7 @@ def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
         raise ConfigError("library", f"needs a C compiler, and none is found ({', '.join(COMPILERS)})")
     for source in sources:
         if not source.is_file():
-            raise ConfigError(str(source), "is no file")
+            raise ConfigError(str(source), "is not a file")
     folders = [f"-I{folder}" for folder in (*include, FOLDER)]
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         library = Path(folder) / "library.so"

@@ -17,28 +17,28 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Not:
-    """The contrary of a formula."""
+    """The negation of a formula."""
 
     inner: "Formula"
 
 
 @dataclass(frozen=True)
-class Every:
-    """All of some formulas: ``and``."""
+class And:
+    """The conjunction of formulas."""
 
     parts: tuple["Formula", ...]
 
 
 @dataclass(frozen=True)
-class Any:
-    """At least one of some formulas: ``or``."""
+class Or:
+    """The disjunction of formulas."""
 
     parts: tuple["Formula", ...]
 
 
 @dataclass(frozen=True)
 class Always:
-    """A formula at every sample from ``begin`` to ``end``, both relative and included."""
+    """A formula holds at every sample from ``begin`` to ``end``, counted from the instant, both included."""
 
     begin: int
     end: int
@@ -47,7 +47,7 @@ class Always:
 
 @dataclass(frozen=True)
 class Eventually:
-    """A formula at one of the samples from ``begin`` to ``end`` at least."""
+    """A formula holds at one or more samples from ``begin`` to ``end``."""
 
     begin: int
     end: int
@@ -56,7 +56,7 @@ class Eventually:
 
 @dataclass(frozen=True)
 class Until:
-    """``goal`` at a sample from ``begin`` to ``end``, and ``before`` at all samples from now until just before."""
+    """``goal`` holds at a sample from ``begin`` to ``end``, and ``before`` at all samples from the instant until it."""
 
     begin: int
     end: int
@@ -64,16 +64,16 @@ class Until:
     goal: "Formula"
 
 
-Formula: TypeAlias = Comparison | Not | Every | Any | Always | Eventually | Until
+Formula: TypeAlias = Comparison | Not | And | Or | Always | Eventually | Until
 Timed: TypeAlias = Always | Eventually | Until
 
 
 def parts_of(formula: Formula) -> tuple[Formula, ...]:
-    """The formulas within a formula."""
+    """The operands of a formula."""
     match formula:
         case Comparison():
             return ()
-        case Every() | Any():
+        case And() | Or():
             return formula.parts
         case Until():
             return formula.before, formula.goal
@@ -82,6 +82,6 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 
 def horizon(formula: Formula) -> int:
-    """Samples after an instant that decide the formula there."""
+    """How many samples after an instant the value of a formula at that instant depends on."""
     inside = max((horizon(part) for part in parts_of(formula)), default=0)
     return inside + formula.end if isinstance(formula, Timed) else inside

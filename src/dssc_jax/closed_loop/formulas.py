@@ -1,16 +1,17 @@
 """Formulas of signal temporal logic over the samples of a flight: their robustness, with memory of a fixed size.
 
-A formula is true or false of a flight, and its robustness says by how much: positive if it is true, negative if it is
-false. With times in samples, and comparisons as margins that are positive where they hold,
+A flight satisfies a formula or violates it. The robustness rho tells by how much: it is positive if the flight
+satisfies the formula, and negative if it does not. With times in samples, and comparisons as margins that are positive
+where they hold,
 
     rho(not p, k) = -rho(p, k),   rho(p and q, k) = min(rho(p, k), rho(q, k)),   rho(p or q, k) = max(...),
     rho(always[a,b] p, k) = min of rho(p, j) over k + a <= j <= k + b,   eventually: the max,
     rho(p until[a,b] q, k) = max over the same j of min(rho(q, j), min of rho(p, i) over k <= i < j).
 
-The value of a flight is rho(formula, 0). An operator whose value is needed at one instant only, as the outermost ones,
-keeps the smallest or largest value so far (:class:`Latch`). One that is needed at many instants takes the smallest
-value of a sliding window: windows of 2, 4, 8, ... samples are each made of two of half the size, the older of which
-comes out of a delay line. Windows that overlap do no harm, since minimum, maximum and ``until`` count no sample twice.
+The value of a flight is rho(formula, 0). An outermost operator is needed at one instant only, and keeps the smallest or
+largest value so far (:class:`Latch`). An operator within another one is needed at many instants, and takes the smallest
+or largest value of a sliding window. A window of 2, 4, 8, ... samples combines two windows of half its size, the older
+of which comes out of a delay line. The two may overlap, since minimum, maximum and ``until`` are idempotent.
 
 References:
     A. Donze, O. Maler, "Robust satisfaction of temporal logic over real-valued signals", FORMATS 2010, definition 3.
@@ -28,12 +29,12 @@ import numpy as np
 
 from dssc_jax.closed_loop.formula_tree import (
     Always,
-    Any,
+    And,
     Comparison,
     Eventually,
-    Every,
     Formula,
     Not,
+    Or,
     Timed,
     Until,
     horizon,
@@ -44,34 +45,35 @@ from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.signals import Scalar
 
 FAR = 1e30
-"""Beyond every robustness; a finite number, since differences of infinities are none."""
+"""A robustness larger than any other; finite, since the difference of two infinities is not a number."""
 
 
 Combination: TypeAlias = Callable[[Scalar, Scalar], Scalar]
 
 
 class Extremes(NamedTuple):
-    """The smaller and the larger of two numbers."""
+    """Minimum and maximum of two numbers, exact or smooth."""
 
-    smaller: Combination
-    larger: Combination
+    minimum: Combination
+    maximum: Combination
 
 
 EXACT = Extremes(jnp.minimum, jnp.maximum)
 
 
-def softly_smaller(width: float, a: Scalar, b: Scalar) -> Scalar:
-    """-w ln(exp(-a/w) + exp(-b/w)): smooth, and below the smaller number by at most w ln 2."""
+def smooth_minimum(width: float, a: Scalar, b: Scalar) -> Scalar:
+    """-w ln(exp(-a/w) + exp(-b/w)), which is smooth, and below min(a, b) by at most w ln 2."""
     return jnp.minimum(a, b) - width * jnp.log1p(jnp.exp(-jnp.abs(a - b) / width))
 
 
 def smooth(width: float) -> Extremes:
     """Extremes with derivatives everywhere, for a width > 0."""
-    smaller = partial(softly_smaller, width)
-    return Extremes(smaller, lambda a, b: -smaller(-a, -b))
+    minimum = partial(smooth_minimum, width)
+    return Extremes(minimum, lambda a, b: -minimum(-a, -b))
 
 
-Pair: TypeAlias = tuple[Scalar, ...]
+Aggregate: TypeAlias = tuple[Scalar, ...]
+"""What a window accumulates: one number, or two for ``until``."""
 
 
 class DelayLines:
@@ -103,7 +105,7 @@ class DelayLines:
 
 @dataclass
 class Stream:
-    """Values of formulas at every sample, each as soon as it is decided: ``horizon`` samples later.
+    """Values of formulas at every sample, each ``horizon`` samples later, when all that it depends on is known.
 
     Args:
         margin: Margin of a comparison at the present sample.
@@ -122,25 +124,25 @@ class Stream:
                 return self.margin(formula)
             case Not():
                 return -self.value(formula.inner)
-            case Every():
-                return reduce(self.extremes.smaller, self.aligned(formula.parts))
-            case Any():
-                return reduce(self.extremes.larger, self.aligned(formula.parts))
+            case And():
+                return reduce(self.extremes.minimum, self.aligned(formula.parts))
+            case Or():
+                return reduce(self.extremes.maximum, self.aligned(formula.parts))
             case Until():
                 return self.until(formula)
-        smaller, larger = self.extremes
-        combine = smaller if isinstance(formula, Always) else larger
+        minimum, maximum = self.extremes
+        combine = minimum if isinstance(formula, Always) else maximum
         width = formula.end - formula.begin + 1
         (value,) = self.window((self.value(formula.inner),), width, lambda old, new: (combine(old[0], new[0]),))
         return value
 
     def aligned(self, formulas: Sequence[Formula]) -> list[Scalar]:
-        """The values of several formulas at one instant: those that are decided earlier wait."""
+        """The values of several formulas at one instant; those with a shorter horizon are delayed."""
         latest = max(map(horizon, formulas))
         return [self.lines.delayed(self.value(formula), latest - horizon(formula)) for formula in formulas]
 
-    def window(self, value: Pair, width: int, combine: Callable[[Pair, Pair], Pair]) -> Pair:
-        """The combination of the last ``width`` values, the older one as the first argument."""
+    def window(self, value: Aggregate, width: int, combine: Callable[[Aggregate, Aggregate], Aggregate]) -> Aggregate:
+        """The last ``width`` values, combined; ``combine`` takes the older one first."""
         span = 1
         while span < width:
             step = min(span, width - span)
@@ -151,22 +153,22 @@ class Stream:
 
     def until(self, formula: Until) -> Scalar:
         """The robustness of ``until``: over a window, the pair of its value and the smallest value of ``before``."""
-        smaller, larger = self.extremes
+        minimum, maximum = self.extremes
         before, goal = self.aligned(parts_of(formula))
 
-        def combine(old: Pair, new: Pair) -> Pair:
-            return larger(old[0], smaller(old[1], new[0])), smaller(old[1], new[1])
+        def combine(old: Aggregate, new: Aggregate) -> Aggregate:
+            return maximum(old[0], minimum(old[1], new[0])), minimum(old[1], new[1])
 
         width = formula.end - formula.begin + 1
         value, _ = self.window((goal, before), width, combine)
         if not formula.begin:
             return value
-        (held,) = self.window((before,), formula.begin, lambda old, new: (smaller(old[0], new[0]),))
-        return smaller(self.lines.delayed(held, width), value)
+        (held,) = self.window((before,), formula.begin, lambda old, new: (minimum(old[0], new[0]),))
+        return minimum(self.lines.delayed(held, width), value)
 
 
 class Latch(NamedTuple):
-    """What is kept of a formula that is needed at one instant.
+    """State of a formula that is needed at one instant.
 
     Args:
         value: Its robustness so far.
@@ -179,47 +181,47 @@ class Latch(NamedTuple):
     decided: Scalar
 
 
-class Required(NamedTuple):
+class LatchedFormula(NamedTuple):
     """A formula that is needed at one instant, the sample ``at``."""
 
     formula: Formula
     at: int
 
 
-def required(formula: Formula, at: int = 0) -> Iterator[Required]:
-    """The formulas with a latch: the outermost operators in time, and comparisons outside of such."""
+def latched_formulas(formula: Formula, at: int = 0) -> Iterator[LatchedFormula]:
+    """The parts of a formula that need a latch: its outermost temporal operators, and comparisons outside of them."""
     match formula:
-        case Not() | Every() | Any():
+        case Not() | And() | Or():
             for part in parts_of(formula):
-                yield from required(part, at)
+                yield from latched_formulas(part, at)
         case Always() | Eventually() if formula.begin == formula.end:
-            yield from required(formula.inner, at + formula.begin)
+            yield from latched_formulas(formula.inner, at + formula.begin)
         case _:
-            yield Required(formula, at)
+            yield LatchedFormula(formula, at)
 
 
-def first_latch(of: Required) -> Latch:
+def initial_latch(latched: LatchedFormula) -> Latch:
     """The latch before the first sample."""
-    return Latch(-FAR if isinstance(of.formula, Eventually | Until) else FAR, FAR, 0.0)
+    return Latch(-FAR if isinstance(latched.formula, Eventually | Until) else FAR, FAR, 0.0)
 
 
-def next_latch(of: Required, latch: Latch, stream: Stream, k: Scalar) -> Latch:
+def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar) -> Latch:
     """The latch after sample ``k``."""
-    formula = of.formula
-    smaller, larger = stream.extremes
+    formula = latched.formula
+    minimum, maximum = stream.extremes
     if isinstance(formula, Comparison):
-        return latch._replace(value=jnp.where(k == of.at, stream.margin(formula), latch.value))
+        return latch._replace(value=jnp.where(k == latched.at, stream.margin(formula), latch.value))
     assert isinstance(formula, Timed)
     parts = parts_of(formula)
     instant = k - max(map(horizon, parts))
     *before, value = stream.aligned(parts)
-    inside = (instant >= of.at + formula.begin) & (instant <= of.at + formula.end)
+    inside = (instant >= latched.at + formula.begin) & (instant <= latched.at + formula.end)
     held = latch.held
     if before:
-        value = smaller(held, value)
-        waits = (instant >= of.at) & (instant < of.at + formula.end)
-        held = jnp.where(waits, smaller(held, before[0]), held)
-    combine = smaller if isinstance(formula, Always) else larger
+        value = minimum(held, value)
+        waits = (instant >= latched.at) & (instant < latched.at + formula.end)
+        held = jnp.where(waits, minimum(held, before[0]), held)
+    combine = minimum if isinstance(formula, Always) else maximum
     value = jnp.where(inside, combine(latch.value, value), latch.value)
     certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
     if before:
@@ -236,15 +238,15 @@ class Judgement(NamedTuple):
 
 
 def judged(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
-    """A formula at the end of a flight, from its latches in the order of :func:`required`."""
+    """The judgement of a formula at the end of a flight, from its latches in the order of :func:`latched_formulas`."""
     match formula:
         case Not():
             inner = judged(formula.inner, latches, extremes, at)
             return Judgement(-inner.value, inner.certain)
-        case Every() | Any():
-            combine = extremes.smaller if isinstance(formula, Every) else extremes.larger
+        case And() | Or():
+            combine = extremes.minimum if isinstance(formula, And) else extremes.maximum
             parts = [judged(part, latches, extremes, at) for part in formula.parts]
-            return reduce(partial(together, combine, isinstance(formula, Every)), parts)
+            return reduce(partial(joint_judgement, combine, isinstance(formula, And)), parts)
         case Always() | Eventually() if formula.begin == formula.end:
             return judged(formula.inner, latches, extremes, at + formula.begin)
     latch = next(latches)
@@ -252,52 +254,52 @@ def judged(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: i
     return Judgement(latch.value, jnp.where(latch.decided > 0.0, latch.decided, end))
 
 
-def together(combine: Combination, every: bool, first: Judgement, second: Judgement) -> Judgement:
-    """The conjunction of two judgements, or their disjunction: one part may decide it, or both must be certain."""
-    decisive = [jnp.where((part.value < 0.0) == every, part.certain, FAR) for part in (first, second)]
+def joint_judgement(combine: Combination, conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
+    """The judgement of a conjunction or disjunction: it is certain once one part decides it, or both are certain."""
+    decisive = [jnp.where((part.value < 0.0) == conjunction, part.certain, FAR) for part in (first, second)]
     early = jnp.minimum(*decisive)
     late = jnp.maximum(first.certain, second.certain)
     return Judgement(combine(first.value, second.value), jnp.where(early < FAR, early, late))
 
 
-class Machine(NamedTuple):
-    """All that is kept of a formula during a flight."""
+class Evaluation(NamedTuple):
+    """State of a formula's evaluation during a flight: latches, and the array of its delay lines; () without any."""
 
     latches: tuple[Latch, ...]
     memory: jax.Array | np.ndarray | tuple[()]
 
 
 class FormulaState(NamedTuple):
-    """The exact robustness, and the smooth one whose derivatives it has; () without."""
+    """State of a formula's metric: evaluations of the exact robustness and of the smooth one; () without the latter."""
 
-    exact: Machine
-    smooth: Machine | tuple[()] = ()
+    exact: Evaluation
+    smooth: Evaluation | tuple[()] = ()
 
 
-def first_machine(formula: Formula) -> Machine:
+def initial_evaluation(formula: Formula) -> Evaluation:
     """The state before the first sample."""
-    latches = tuple(map(first_latch, required(formula)))
+    latches = tuple(map(initial_latch, latched_formulas(formula)))
     size = memory_size(formula)
-    return Machine(latches, np.zeros(size) if size else ())
+    return Evaluation(latches, np.zeros(size) if size else ())
 
 
 def memory_size(formula: Formula) -> int:
-    """Numbers that the delay lines of a formula hold."""
+    """How many numbers the delay lines of a formula hold."""
     stream = Stream(lambda comparison: 0.0, DelayLines(), Extremes(min, max))
-    for of in required(formula):
-        if isinstance(of.formula, Timed):
-            stream.aligned(parts_of(of.formula))
+    for latched in latched_formulas(formula):
+        if isinstance(latched.formula, Timed):
+            stream.aligned(parts_of(latched.formula))
     return stream.lines.size
 
 
-def next_machine(formula: Formula, extremes: Extremes, machine: Machine, instant: Instant) -> Machine:
+def next_evaluation(formula: Formula, extremes: Extremes, state: Evaluation, instant: Instant) -> Evaluation:
     """The state after a sample."""
     k = instant.channels[0].k
-    lines = DelayLines(None if isinstance(machine.memory, tuple) else machine.memory, k)
+    lines = DelayLines(None if isinstance(state.memory, tuple) else state.memory, k)
     stream = Stream(lambda comparison: comparison.margin(instant), lines, extremes)
-    pairs = zip(required(formula), machine.latches, strict=True)
-    latches = tuple(next_latch(of, latch, stream, k) for of, latch in pairs)
-    return Machine(latches, machine.memory if lines.memory is None else lines.memory)
+    pairs = zip(latched_formulas(formula), state.latches, strict=True)
+    latches = tuple(next_latch(latched, latch, stream, k) for latched, latch in pairs)
+    return Evaluation(latches, state.memory if lines.memory is None else lines.memory)
 
 
 @jax.custom_jvp
@@ -321,10 +323,10 @@ class RobustnessUpdate:
 
     def __call__(self, state: FormulaState, instant: Instant, window: Window) -> FormulaState:
         """The state after a sample."""
-        exact = next_machine(self.formula, EXACT, state.exact, instant)
-        if not isinstance(state.smooth, Machine):
+        exact = next_evaluation(self.formula, EXACT, state.exact, instant)
+        if not isinstance(state.smooth, Evaluation):
             return FormulaState(exact)
-        return FormulaState(exact, next_machine(self.formula, smooth(self.width), state.smooth, instant))
+        return FormulaState(exact, next_evaluation(self.formula, smooth(self.width), state.smooth, instant))
 
 
 @dataclass(frozen=True)
@@ -335,9 +337,9 @@ class RobustnessValue:
     width: float
 
     def __call__(self, state: FormulaState, window: Window, span: Span) -> Scalar:
-        """The robustness, with derivatives of the smooth one."""
+        """The exact robustness, with the derivatives of the smooth one."""
         value = judged(self.formula, iter(state.exact.latches), EXACT).value
-        if not isinstance(state.smooth, Machine):
+        if not isinstance(state.smooth, Evaluation):
             return value
         return with_slope_of(value, judged(self.formula, iter(state.smooth.latches), smooth(self.width)).value)
 
@@ -360,10 +362,10 @@ def formula_metric(formula: Formula, unit: str, meaning: str, width: float) -> M
         formula: The formula.
         unit: Unit of its comparisons.
         meaning: The formula in words.
-        width: Width of the smooth minimum whose derivatives it has, in that unit; 0: the exact one.
+        width: Width of the smooth minimum from which its derivatives come, in that unit; 0: the exact minimum.
     """
-    machine = first_machine(formula)
-    start = FormulaState(machine, machine if width else ())
+    evaluation = initial_evaluation(formula)
+    start = FormulaState(evaluation, evaluation if width else ())
     update = RobustnessUpdate(formula, width)
     return Metric(unit, meaning, update, RobustnessValue(formula, width), scope=Scope.VEHICLE, start=start,
                   certain_after=Certainty(formula))  # fmt: skip

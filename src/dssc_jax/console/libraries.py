@@ -1,4 +1,4 @@
-"""What a library of controllers in C exports: controllers, their parameters and telemetry, and the study's lines."""
+"""Print what a library of controllers in C exports, and the lines with which a study names it."""
 
 from functools import partial
 from pathlib import Path
@@ -66,7 +66,6 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
 def show_library(library: NativeLibrary, file: Path) -> None:
     """Print every controller of a library, and how a study names it."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    several = len(library.controllers) > 1
     for name, summary in library_summary(library)["controllers"].items():
         memory = f"{summary['bytes']} bytes a flight"
         say(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
@@ -79,5 +78,5 @@ def show_library(library: NativeLibrary, file: Path) -> None:
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
         say(f"telemetry: {reported or 'none'}")
     say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
-    if several:
+    if len(library.controllers) > 1:
         say(f"name = '{library.controllers[0].name}'")

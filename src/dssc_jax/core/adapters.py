@@ -30,7 +30,7 @@ from dssc_jax.core.signals import (
     Signals,
     State,
 )
-from dssc_jax.core.smoothness import SMOOTH, Declaration
+from dssc_jax.core.smoothness import SMOOTH, Declaration, Substitution
 from dssc_jax.core.vectors import Vec3
 
 
@@ -196,6 +196,12 @@ def static_unmodelled(
         smooth=smooth,
         continuous=continuous,
     )
+
+
+def unit_gain(params: type) -> Substitution:
+    """The substitution of a static element, with parameters of a type, by a gain of 1."""
+    model = static_unmodelled(params, lambda params, command: command, smooth=SMOOTH, continuous=True)
+    return lambda params: (model, params)
 
 
 def linear_unmodelled(

@@ -3,10 +3,11 @@
 The elements act on the command in their order. Those before the first one that moves between the samples act on the
 sampled command, so their output is constant. Delays commute with everything that does not depend on time, and act
 there, too, wherever they stand. The linear elements at the end are one linear system, which the loop holds exactly
-together with the plant. Whatever stands between is advanced from Gauss node to Gauss node of a step: linear elements by
-their exact solution for an input that is the straight line with the same mean and first moment, all others as if their
-input were straight between the nodes. Behind a static element the error is of order 4 in the step where signals are
-smooth, of order 2 where one passes a corner such as a limit or behind an element with a state, of order 1 at jumps.
+together with the plant. The elements between these two groups are integrated from Gauss node to Gauss node of a step:
+linear ones by their exact solution for the straight line with the mean and the first moment of their input, all others
+as if their input were straight between the nodes. Behind a static element the error is of order 4 in the step where
+signals are smooth. It is of order 2 where a signal passes a corner such as a limit, and behind an element with a state.
+It is of order 1 at jumps.
 """
 
 import math
@@ -34,13 +35,13 @@ from dssc_jax.core.smoothness import (
 
 HALF_DISTANCE = math.sqrt(3.0) / 6.0
 NODES = (0.0, 0.5 - HALF_DISTANCE, 0.5 + HALF_DISTANCE, 1.0)
-"""The start of a step, its Gauss nodes, and its end, as shares of it."""
+"""The start of a step, its Gauss nodes, and its end, in units of the step."""
 ORDER = 2
 """Order of the error of elements that are not linear, behind elements that move between the samples."""
 
 
 class Element(NamedTuple):
-    """An element of a chain: the kind that it has in messages, and the model."""
+    """An element of a chain: its kind, by which messages name it, and its model."""
 
     kind: str
     model: Unmodelled
@@ -71,26 +72,26 @@ class Arrangement(NamedTuple):
 
     Args:
         sampled: Those that act on the sampled command.
-        between: Those between.
+        integrated: Those between, which move between the samples.
         linear: The linear ones before the plant.
     """
 
     sampled: tuple[int, ...]
-    between: tuple[int, ...]
+    integrated: tuple[int, ...]
     linear: tuple[int, ...]
 
     @property
     def head(self) -> tuple[int, ...]:
         """All but the linear ones before the plant."""
-        return self.sampled + self.between
+        return self.sampled + self.integrated
 
 
 def arrange(elements: Sequence[Element]) -> Arrangement:
     """The order in which the elements act.
 
     Raises:
-        ConfigError: One acts on the sampled command, and stands behind one that moves between the samples; or one does
-            both.
+        ConfigError: An element that acts on the sampled command stands behind one that moves between the samples; or an
+            element does both.
     """
     sampled = []
     moving = []
@@ -117,11 +118,11 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
     """The elements in series; parameters and state are tuples with those of each element, in the order given.
 
     Raises:
-        ConfigError: As :func:`arrange` says.
+        ConfigError: As for :func:`arrange`.
     """
-    places = arrange(elements)
+    arrangement = arrange(elements)
     models = tuple(element.model for element in elements)
-    moving = bool(places.between)
+    moving = bool(arrangement.integrated)
 
     def init(params: Values) -> States:
         return tuple(model.init(p) for model, p in zip(models, params, strict=True))
@@ -129,9 +130,9 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
     def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
         after = list(states)
         value = command
-        for index in places.sampled:
-            fresh = jax.random.fold_in(key, index)
-            after[index] = models[index].sample(params[index], states[index], value, fresh, dt)
+        for index in arrangement.sampled:
+            element_key = jax.random.fold_in(key, index)
+            after[index] = models[index].sample(params[index], states[index], value, element_key, dt)
             value = models[index].output(params[index], after[index], value)
         return tuple(after)
 
@@ -142,22 +143,22 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         return value
 
     def output(params: Values, states: States, command: Scalar) -> Scalar:
-        return output_of(places.head + places.linear, params, states, command)
+        return output_of(arrangement.head + arrangement.linear, params, states, command)
 
     def linear(params: Values) -> LinearSystem:
-        return merged(models, places.linear, params)
+        return in_series(models, arrangement.linear, params)
 
     def linear_among_all(params: Values) -> LinearSystem:
         leaves = [len(jax.tree.leaves(state)) for state in init(params)]
         starts = [sum(leaves[:index]) for index in range(len(leaves))]
-        linear_leaves = [starts[index] + i for index in places.linear for i in range(leaves[index])]
+        linear_leaves = [starts[index] + i for index in arrangement.linear for i in range(leaves[index])]
         return spread(linear(params), linear_leaves, sum(leaves))
 
     def advance(params: Values, dt: Scalar) -> Mover:
-        stages = stages_of(models, places.between, params, dt)
+        stages = stages_of(models, arrangement.integrated, params, dt)
 
         def move(states: States, command: Scalar) -> tuple[States, Moments]:
-            value = output_of(places.sampled, params, states, command)
+            value = output_of(arrangement.sampled, params, states, command)
             course = Course((value,) * len(NODES), Moments(value, 0.0))
             after = dict(enumerate(states))
             for stage in stages:
@@ -169,9 +170,9 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
 
     def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
         after, line = advance(params, dt)(states, command)
-        if not places.linear:
+        if not arrangement.linear:
             return after
-        stage = linear_stage(models, places.linear, params, dt, constant=not moving)
+        stage = linear_stage(models, arrangement.linear, params, dt, constant=not moving)
         changed, _ = stage(after, Course((command,) * len(NODES), line))
         return tuple(changed.get(index, state) for index, state in enumerate(after))
 
@@ -181,22 +182,22 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         step,
         output,
         sample=sample,
-        linear=linear_among_all if places.linear else None,
-        held=not moving and bool(places.sampled),
+        linear=linear_among_all if arrangement.linear else None,
+        held=not moving and bool(arrangement.sampled),
         smooth=lambda params: smoothness_of(elements, params),
         continuous=all(model.continuous for model in models),
-        time_constant=scale_of(models),
-        advance=advance if moving or (places.sampled and places.linear) else None,
+        time_constant=time_constant_path(models),
+        advance=advance if moving or (arrangement.sampled and arrangement.linear) else None,
         order=ORDER if moving else None,
     )
 
 
-def merged(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
+def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Values) -> LinearSystem:
     """Linear elements in series as one system, whose state lists theirs."""
     systems = []
     for index in indices:
         system = models[index].linear
-        assert system is not None  # held by the arrangement
+        assert system is not None  # by the arrangement
         systems.append(system(params[index]))
     total = systems[0]
     for system in systems[1:]:
@@ -204,7 +205,7 @@ def merged(models: Sequence[Unmodelled], indices: Sequence[int], params: Values)
     return total
 
 
-def scale_of(models: Sequence[Unmodelled]) -> str:
+def time_constant_path(models: Sequence[Unmodelled]) -> str:
     """Path of the parameter that scales the chain's time; empty unless exactly one element has one."""
     names = [f"{index}.{model.time_constant}" for index, model in enumerate(models) if model.time_constant]
     return names[0] if len(names) == 1 else ""
@@ -225,8 +226,16 @@ def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
 def linear_stage(
     models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar, constant: bool
 ) -> Stage:
-    """Linear elements over a step by their exact solution at the nodes; ``constant`` tells that their input is."""
-    system = merged(models, indices, params)
+    """The stage of linear elements: their exact solution at the nodes.
+
+    Args:
+        models: The models of the chain.
+        indices: The linear elements.
+        params: The parameters of each element.
+        dt: The step [s].
+        constant: Whether the input is constant over the step.
+    """
+    system = in_series(models, indices, params)
     forcing = Forcing(system.b, 1 if constant else 2)
     transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
@@ -246,7 +255,7 @@ def linear_stage(
 
 
 def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, constant: bool) -> Stage:
-    """Another element over a step, from node to node; by its own moments where its input is constant."""
+    """The stage of another element: from node to node; if its input is constant, with its moments."""
     follow = model.follow or follow_mean(model)
 
     def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
@@ -270,7 +279,7 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
 
 
 def follow_mean(model: Unmodelled) -> Callable[[Params, State, Scalar, Scalar, Scalar], State]:
-    """The ``follow`` of a model that has none: its step with the mean of its command, which is of order 2."""
+    """A ``follow`` for a model without one: its step with the mean of the command, which is of order 2."""
     return lambda params, state, start, end, dt: model.step(params, state, 0.5 * (start + end), dt)
 
 
@@ -318,7 +327,7 @@ def substitution(elements: tuple[Element, ...], declared: Sequence[Smoothness], 
         values = list(params)
         for index in indices:
             replacing = declared[index].substitute
-            assert replacing is not None  # held by the caller
+            assert replacing is not None  # by the caller
             model, values[index] = replacing(params[index])
             replaced[index] = Element(elements[index].kind, model)
         return chain(tuple(replaced)), tuple(values)

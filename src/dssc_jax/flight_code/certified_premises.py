@@ -47,6 +47,8 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
             source, f"is the certificate of another loop than the study's: `{entry}` differs; prove the study as it is"
         )
     if isinstance(verdict, VehicleVerdict):
+        if verdict.nominal:
+            raise ConfigError(source, "is that of a moving reference; a monitor watches a vehicle that hovers")
         return vehicle_premises(study, content, verdict)
     return axis_premises(study, content, verdict)
 

@@ -1,20 +1,26 @@
-"""The description of generated controllers, with which ``dssc-jax library`` makes a library of their source."""
+"""The description of generated controllers, from which ``dssc-jax library`` builds a library."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from dssc_jax.core.quantities import Quantity, quantities_of
-from dssc_jax.flight_code.controller import FlightCode, SampledController
+from dssc_jax.flight_code.controller import FlightCode, SampledController, takes_signals
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_literal
 
 DOUBLE = np.dtype(float)
+NO_LIBRARY = """#ifdef DSSC_JAX_LIBRARY
+#error "a library takes y and y_dot only, and this controller takes other measured signals, too"
+#endif
+"""
 
 
 def description_text(code: FlightCode) -> str:
-    """The end of the source, which is compiled for a library only."""
+    """The end of the source, which only the build of a library compiles: a refusal, if a controller takes signals."""
+    if takes_signals(code.study):
+        return NO_LIBRARY
     return fill(
         "description.c",
         channels="\n".join(channel_text(code, controller) for controller in code.controllers),
@@ -61,7 +67,7 @@ def table_argument(name: str, rows: Sequence[str]) -> str:
 
 
 def limits(quantity: Quantity, real: np.dtype) -> tuple[str, str]:
-    """The least and the greatest admissible value in C's notation; an excluded end by its neighbour."""
+    """The least and the greatest admissible value in C's notation; for an excluded end its neighbour."""
     low = -np.inf if quantity.at_least is None else quantity.at_least
     high = np.inf if quantity.at_most is None else quantity.at_most
     if quantity.above is not None:

@@ -1,6 +1,6 @@
 """Functions of C within a lane: ``void function(void *memory)`` as a pure function of scalars.
 
-A call gets memory that is zero but for its operands, which stand at fixed places, and leaves its results at others.
+A call gets memory that holds its operands at fixed places and zeros elsewhere, and leaves its results at other places.
 Nothing else goes in or out, so a function whose state is part of that memory is pure: the loop carries the state. As
 machine code a call is one call a lane; in plain XLA it is a callback of the host.
 """
@@ -78,24 +78,24 @@ def call(function: ForeignFunction, *operands: Operand) -> list[jax.Array]:
     return PRIMITIVE.bind(*arrays, function=function)
 
 
-def call_batch(function: ForeignFunction, given: np.ndarray) -> np.ndarray:
+def call_batch(function: ForeignFunction, operands: np.ndarray) -> np.ndarray:
     """Call a function on the host for each row of operands.
 
     Args:
         function: The function.
-        given: Words of 32 bits of the operands, one after another, shape (..., words).
+        operands: Words of 32 bits of the operands, one after another, shape (..., words).
 
     Returns:
-        Those of the results, shape (..., words).
+        Words of the results, shape (..., words).
     """
-    called = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
-    rows = given.reshape(-1, given.shape[-1])
+    native = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(ADDRESSES[function.symbol])
+    rows = operands.reshape(-1, operands.shape[-1])
     memory = np.zeros((len(rows), -(-function.size // ALIGNMENT) * ALIGNMENT // WORD), np.uint32)
     memory[:, words_of(function.operands)] = rows
     for lane in range(len(memory)):
-        called(memory[lane].ctypes.data)
-    found = memory[:, words_of(function.results)]
-    return found.reshape(*given.shape[:-1], found.shape[-1])
+        native(memory[lane].ctypes.data)
+    results = memory[:, words_of(function.results)]
+    return results.reshape(*operands.shape[:-1], results.shape[-1])
 
 
 def words_of(places: Sequence[MemoryPlace]) -> np.ndarray:
@@ -114,22 +114,22 @@ def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Arr
     truncate longer numbers. So all of them travel as words of 32 bits.
     """
     shape = operands[0].shape
-    given = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
+    operand_words = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
     count = len(words_of(function.results))
     words = jax.ShapeDtypeStruct((*shape, count), np.uint32)
-    found = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words, given)
+    result_words = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words, operand_words)
     results = []
     first = 0
     for place in function.results:
         size = place.dtype.itemsize // WORD
-        part = found[..., first] if size == 1 else found[..., first : first + size]
+        part = result_words[..., first] if size == 1 else result_words[..., first : first + size]
         results.append(jax.lax.bitcast_convert_type(part, place.dtype))
         first += size
     return results
 
 
 def as_words(operand: jax.Array) -> jax.Array:
-    """The words of 32 bits of each number, along one more axis, the last."""
+    """The words of 32 bits of each number, along a new last axis."""
     words = jax.lax.bitcast_convert_type(operand, jnp.uint32)
     return words[..., None] if operand.dtype.itemsize == WORD else words
 
@@ -142,7 +142,7 @@ def abstract(*operands: ShapedArray, function: ForeignFunction) -> list[ShapedAr
 def batched(
     operands: Sequence[jax.Array], axes: Sequence[int | None], *, function: ForeignFunction
 ) -> tuple[list[jax.Array], list[int]]:
-    """The call over one more axis, which comes first."""
+    """The call over a batch, whose axis comes first in the results."""
     pairs = list(zip(operands, axes, strict=True))
     (size, *_) = [operand.shape[axis] for operand, axis in pairs if axis is not None]
     columns = []
@@ -154,10 +154,10 @@ def batched(
 
 
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
-    """Refuse a derivative: C has none.
+    """Refuse a derivative: a function of C has none.
 
     Raises:
-        NotImplementedError: always.
+        NotImplementedError: Always.
     """
     raise NotImplementedError(f"a derivative of native code: {function.symbol} has none")
 

@@ -1,4 +1,4 @@
-"""Prove a hovering vehicle: search, then verify. docs/vehicle_proofs.md has the theorem."""
+"""Prove a vehicle that hovers or flies the mission: search, then verify. docs/vehicle_proofs.md has the theorem."""
 
 import json
 import math
@@ -14,10 +14,12 @@ from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 from dssc_jax.proofs.vehicle_words import digits_above, digits_below, stated_bounds
 from dssc_jax.proofs.verifier.vehicle.verdict import VehicleVerdict, verify_vehicle
 
-VEHICLE_VERSION = 1
+VEHICLE_VERSION = 2
 VEHICLE_KIND = "vehicle"
 ROOMS = (1.0, 10.0)
 """Multiples of the usual room for the verifier, of which the next is tried where it rejects."""
+ROUNDED_START = 1e-9
+"""Bounds of a start [m], [m/s], [rad] that are only there for rounding."""
 VEHICLE_REASONS = {
     "gain": "no bounds of the signals imply themselves",
     "sliding": "the equivalent control may exceed rho",
@@ -116,6 +118,8 @@ class VehicleProved:
 def vehicle_words(problem: VehicleProblem) -> list[str]:
     """The vehicle's intervals, its lag and its delay, in words."""
     words = []
+    if problem.reference is not None:
+        words.append("a flight of the mission from where it begins")
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
     if problem.turn_deviation:
@@ -126,7 +130,7 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
         words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
     for name, of, unit in (("x", "in the plane", "m"), ("z", "along z", "m"), ("psi", "of yaw", "rad")):
         e, e_dot = problem.channels[name].initial
-        if e or e_dot:
+        if max(e, e_dot) > ROUNDED_START:
             words.append(f"a start within {e:.4g} {unit} and {e_dot:.4g} {unit}/s {of}")
     return words
 
@@ -156,7 +160,7 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
 
 def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
     """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
-    if any(any(channel.initial) for channel in problem.channels.values()):
+    if problem.starts_away:
         in_cells = cell_bounds(problem, room)
         if not isinstance(in_cells, str):
             return cells_proof_of(problem, in_cells)

@@ -17,13 +17,14 @@ from dssc_jax.models.controllers.gain_functions import GAIN_FUNCTIONS, Vgsta
 from dssc_jax.models.controllers.modulation import ConstantModulation
 from dssc_jax.models.differentiators import NO_DIFFERENTIATOR
 from dssc_jax.models.disturbances import NO_DISTURBANCE
-from dssc_jax.models.references.flights import HOVER
+from dssc_jax.models.references.flights import HOVER, WHOLE_MISSION
+from dssc_jax.models.references.sine import MISSION
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.uav.inner_loop import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.proofs.problem import Interval
-from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, Sine, VehicleProblem
 from dssc_jax.study import Study
 
 UNCERTAIN = ("plant.vehicle.mass", "plant.vehicle.thrust_coefficient", "plant.vehicle.body_inertia")
@@ -31,6 +32,8 @@ UNCERTAIN = ("plant.vehicle.mass", "plant.vehicle.thrust_coefficient", "plant.ve
 ONLY_BOUNDS = ("plant.position", "plant.velocity", "plant.yaw", "wind.")
 """Beginnings of the names of numbers that only bound a start or the wind."""
 TURN = 2.0 * math.pi
+START_ROOM = 1e-12
+"""Room for the rounding of where a moving reference begins [m], [m/s], [rad]."""
 EQUAL_ANGLES = 1e-9
 """Largest difference [rad] of angles that count as equal."""
 AXES = {"x": 0, "z": 2, "psi": 3}
@@ -87,6 +90,7 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
         propeller_drag=float(vehicle.propeller_drag),
         wind=wind_of(study, ends),
         channels=channels_of(study, ends),
+        reference=reference_of(study),
     )
 
 
@@ -104,8 +108,10 @@ def require_laws(study: Study) -> None:
 def require_loop(study: Study) -> None:
     """Refuse a moving reference, and sensors, differentiators and disturbances of the channels."""
     loop = study.loop
-    if loop.reference is not HOVER:
-        raise NotCovered("the reference moves; a proof of the vehicle takes reference.kind = 'hover'")
+    if loop.reference not in (HOVER, WHOLE_MISSION):
+        raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
+    if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
+        raise NotCovered("the rotors have a lag, and the reference moves")
     if any(sensor is not IDEAL for sensor in loop.sensor):
         raise NotCovered("a sensor is not ideal")
     if any(differentiator is not NO_DIFFERENTIATOR for differentiator in loop.differentiator):
@@ -209,7 +215,7 @@ def channels_of(study: Study, ends: Ends) -> dict[str, ChannelProblem]:
     gains = ends.low.controller
     if gains[0] != gains[1] or study.loop.controller[0] is not study.loop.controller[1]:
         raise NotCovered("the controllers of x and y differ")
-    starts = starts_of(ends)
+    starts = starts_of(study, ends)
     return {name: channel_of(study, place, gains[place], starts[name]) for name, place in AXES.items()}
 
 
@@ -243,18 +249,41 @@ def channel_of(study: Study, place: int, gains: object, initial: tuple[float, fl
     )
 
 
-def starts_of(ends: Ends) -> dict[str, tuple[float, float]]:
-    """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms."""
+def reference_of(study: Study) -> dict[str, Sine] | None:
+    """Amplitude, period [s] and phase [rad] of what each axis follows; None where the vehicle hovers."""
+    if study.loop.reference is HOVER:
+        return None
+    return {
+        axis.value: (float(sine.amplitude), float(sine.period), float(sine.phase)) for axis, sine in MISSION.items()
+    }
+
+
+def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
+    """Where the reference of each axis begins, and how fast it moves there, in float64."""
+    if study.loop.reference is HOVER:
+        hover = ends.low.reference
+        return [(float(value), 0.0) for value in (*hover.position, hover.yaw)]
+    points = []
+    for sine in MISSION.values():
+        rate = TURN / sine.period
+        place = sine.offset + sine.amplitude * math.sin(sine.phase)
+        points.append((place, sine.amplitude * rate * math.cos(sine.phase)))
+    return points
+
+
+def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
+    """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms, of psi that of |psi'|."""
     plants: list[UavParams] = [end.plant for end in ends]
-    hover = ends.low.reference
-    distances = [largest_of([end.position[i] - hover.position[i] for end in plants]) for i in range(3)]
-    speeds = [largest_of([end.velocity[i] for end in plants]) for i in range(3)]
-    turned = [float(end.yaw) - float(hover.yaw) for end in plants]
+    *places, yaw = first_points(study, ends)
+    room = 0.0 if study.loop.reference is HOVER else START_ROOM
+    distances = [largest_of([end.position[i] - places[i][0] for end in plants]) for i in range(3)]
+    speeds = [largest_of([end.velocity[i] - places[i][1] for end in plants]) for i in range(3)]
+    turned = [float(end.yaw) - yaw[0] for end in plants]
     turns = TURN * round(sum(turned) / (2.0 * TURN))  # the vehicle takes the shorter way round
     return {
-        "x": (math.hypot(distances[0], distances[1]), math.hypot(speeds[0], speeds[1])),
-        "z": (distances[2], speeds[2]),
-        "psi": (largest_of([angle - turns for angle in turned]), 0.0),
+        "x": (math.hypot(distances[0], distances[1]) + room, math.hypot(speeds[0], speeds[1]) + room),
+        "z": (distances[2] + room, speeds[2] + room),
+        "psi": (largest_of([angle - turns for angle in turned]) + room, 0.0),
     }
 
 

@@ -9,6 +9,8 @@ from dssc_jax.proofs.problem import Interval
 
 CHANNELS = ("x", "z", "psi")
 """Channels with a controller of their own; that of y is that of x."""
+Sine = tuple[float, float, float]
+"""Amplitude, period [s] and phase [rad] of amplitude sin(2 pi t/period + phase)."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,8 @@ class ChannelProblem:
         rho: Bound of the switched control [m/s], [rad/s].
         nominal: a_n, k_n and whether u_n has its term 1/tau_m; None: no nominal control.
         start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
-        initial: Bounds of |e| and |e'| at t = 0, in the plane those of the vectors' norms.
+        initial: Bounds of |e| and |e'| at t = 0, in the plane those of the vectors' norms; of psi those of |e| and
+            |psi'|.
     """
 
     l0: float
@@ -30,12 +33,6 @@ class ChannelProblem:
     nominal: tuple[float, float, bool] | None
     start: str
     initial: tuple[float, float]
-
-    @property
-    def first_sigma(self) -> float:
-        """Sigma_0, the bound of |sigma| at t = 0."""
-        e, e_dot = self.initial
-        return e_dot + self.l0 * e
 
 
 @dataclass(frozen=True)
@@ -67,6 +64,7 @@ class VehicleProblem:
         propeller_drag: Coefficient of a propeller [N s^2/(m rad)].
         wind: Bounds of the horizontal wind's norm and of the vertical wind [m/s].
         channels: Controllers of ``x`` (and y), ``z`` and ``psi``.
+        reference: Amplitude, period [s] and phase [rad] of the sine that each axis follows; None where all are at rest.
     """
 
     sample_time: float
@@ -93,6 +91,7 @@ class VehicleProblem:
     propeller_drag: float
     wind: tuple[float, float]
     channels: dict[str, ChannelProblem]
+    reference: dict[str, Sine] | None
 
     def to_dict(self) -> JsonObject:
         """The problem as JSON's types."""
@@ -107,6 +106,20 @@ class VehicleProblem:
     def turn_deviation(self) -> float:
         """The largest |nu_i - 1|."""
         return max(abs(end - 1.0) for end in self.turn)
+
+    def first_sigma(self, name: str) -> float:
+        """Sigma_0, the bound of |sigma| at t = 0."""
+        channel = self.channels[name]
+        e, e_dot = channel.initial
+        if name == "psi" and self.reference is not None:  # the body does not turn, whereas its reference does
+            amplitude, period, phase = self.reference["psi"]
+            e_dot += abs(2.0 * math.pi * amplitude / period * math.cos(phase))
+        return e_dot + channel.l0 * e
+
+    @property
+    def starts_away(self) -> bool:
+        """Whether the vehicle may start elsewhere than at rest where it hovers."""
+        return self.reference is not None or any(any(channel.initial) for channel in self.channels.values())
 
     @property
     def delay_weights(self) -> tuple[float, ...]:
@@ -129,10 +142,12 @@ def vehicle_problem_from(content: JsonObject) -> VehicleProblem:
         ConfigError: a field is missing or unknown.
     """
     names = ("mass", "thrust", "turn", "believed_inertia", "structure_drag", "wind")
+    reference = content.get("reference")
     try:
         pairs = {name: tuple(content[name]) for name in names}
         inertia = tuple(map(tuple, content["inertia"]))
         channels = {name: channel_from(channel) for name, channel in content["channels"].items()}
-        return VehicleProblem(**{**content, **pairs, "inertia": inertia, "channels": channels})
+        sines = reference and {axis: tuple(sine) for axis, sine in reference.items()}
+        return VehicleProblem(**{**content, **pairs, "inertia": inertia, "channels": channels, "reference": sines})
     except (KeyError, TypeError) as error:
         raise ConfigError("problem", f"is not that of a vehicle's certificate: {error}") from None

@@ -137,7 +137,7 @@ class Result:
         stopping = self.manifest.get("stopping")
         if not stopping:
             return interval_method(self.study)
-        looks = tuple(Look(look["draws"], look["few"], look["many"]) for look in stopping["looks"])
+        looks = tuple(Look(look["draws"], look["lower"], look["upper"]) for look in stopping["looks"])
         return DataDriven(looks, stopping["stops"])
 
     def summary(self, confidence: float = CONFIDENCE) -> Summary:

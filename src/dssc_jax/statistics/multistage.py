@@ -1,12 +1,13 @@
 """Exact intervals of a failure probability after a multistage test.
 
-Draws are counted at looks n_1 < n_2 < ... The test stops at the first look with at most a few or at least many
-failures. These two counts are fixed in advance for every look, so the law of a stop is known for every failure
-probability p, and its inversion gives an exact interval.
+Failures are counted at looks, after n_1 < n_2 < ... draws. The test stops at the first look with at most `lower` or at
+least `upper` failures. These two boundaries are fixed in advance for every look, so the law of a stop is known for
+every failure probability p, and its inversion gives an exact interval.
 
-Stops are ordered from few failures to many: stops with few failures in the order of their looks, then stops with many
-failures in the reverse order; at one look by the number of failures. If fewer draws fail, a path stops no later in
-this order. So the probability of stopping at or before a given stop falls with p, and both limits are unique.
+Stops are ordered from few failures to many: first the stops at the lower boundary in the order of their looks, then
+those at the upper boundary in the reverse order; at one look by the number of failures. If fewer draws fail, a path
+stops no later in this order. So the probability of stopping at or before a given stop falls with p, and both limits are
+unique.
 
 Reference:
     C. Jennison, B. W. Turnbull, "Confidence intervals for a binomial parameter following a multistage test with
@@ -23,21 +24,21 @@ from scipy import optimize, signal, special, stats
 REACH = 10.0  # standard deviations of a count beyond which its probability is below 1e-20
 NEGLIGIBLE = 1e-22  # probability of a count
 RESOLUTION = 1e-9  # relative error of a limit
-NEAR = 0.05  # standard deviations between a limit and that of a test with a single look, at first
+BRACKET = 0.05  # standard deviations on either side of the limit of a test with a single look, at first
 
 
 class Look(NamedTuple):
-    """A number of draws, and the failures at which the test stops there.
+    """A number of draws, and the boundaries at which the test stops there.
 
     Args:
         draws: n.
-        few: The test stops with at most so many failures; -1: with no number.
-        many: It stops with at least so many; n + 1: with no number.
+        lower: The test stops with at most so many failures; -1: it does not stop below.
+        upper: It stops with at least so many failures; n + 1: it does not stop above.
     """
 
     draws: int
-    few: int
-    many: int
+    lower: int
+    upper: int
 
 
 class Counts(NamedTuple):
@@ -82,7 +83,7 @@ def binomial(draws: int, probability: float) -> Counts:
 
 
 def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
-    """Probability of a stop with few failures before the last look, or at it with at most ``failures``.
+    """Probability of a stop at the lower boundary before the last look, or at the last look with at most ``failures``.
 
     Args:
         looks: All looks up to the last.
@@ -95,8 +96,8 @@ def stops_by(looks: Sequence[Look], failures: int, probability: float) -> float:
     for look in looks[:-1]:
         running = running.plus(binomial(look.draws - draws, probability))
         draws = look.draws
-        stopped += running.between(0, look.few).total
-        running = running.between(look.few + 1, look.many - 1)
+        stopped += running.between(0, look.lower).total
+        running = running.between(look.lower + 1, look.upper - 1)
         if not running.probabilities.size:
             return stopped
     running = running.plus(binomial(looks[-1].draws - draws, probability))
@@ -141,14 +142,14 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:
-    """Whether a stop belongs to those with many failures."""
+    """Whether a stop is at the upper boundary."""
     last = looks[-1]
-    return failures >= last.many and failures > last.few
+    return failures >= last.upper and failures > last.lower
 
 
 def mirrored(looks: Sequence[Look]) -> list[Look]:
-    """The looks of the same test that counts successes in the place of failures."""
-    return [Look(look.draws, look.draws - look.many, look.draws - look.few) for look in looks]
+    """The looks of the same test that counts successes in place of failures."""
+    return [Look(look.draws, look.draws - look.upper, look.draws - look.lower) for look in looks]
 
 
 def zero_near(function: Callable[[float], float], probability: float, draws: int) -> float:
@@ -161,11 +162,11 @@ def zero_near(function: Callable[[float], float], probability: float, draws: int
     """
     deviation = math.sqrt(probability * (1.0 - probability) / draws)
     smallest = RESOLUTION / draws
-    step = NEAR * deviation
+    step = BRACKET * deviation
     while probability - step > smallest and function(probability - step) <= 0.0:
         step *= 4.0
     low = max(probability - step, smallest)
-    step = NEAR * deviation
+    step = BRACKET * deviation
     while probability + step < 1.0 - smallest and function(probability + step) >= 0.0:
         step *= 4.0
     high = min(probability + step, 1.0 - smallest)

@@ -1,8 +1,8 @@
 """Sequential stopping rules that preserve the stated confidence.
 
-Checking a fixed-n interval repeatedly until it is narrow reduces its coverage far below the nominal value. Here the
-draws are counted at geometrically growing numbers only, each with fixed numbers of failures at which the rule stops.
-The printed interval accounts for all looks (:mod:`dssc_jax.statistics.multistage`).
+Checking a fixed-n interval repeatedly until it is narrow reduces its coverage far below the nominal value. Here
+failures are counted only at looks, whose numbers of draws grow geometrically, and the boundaries at which the rule
+stops are fixed in advance. The printed interval accounts for all looks (:mod:`dssc_jax.statistics.multistage`).
 """
 
 import math
@@ -33,7 +33,7 @@ def looks(limit: int, ratio: float) -> list[int]:
 class UntilWidth:
     """Stop when the interval of the failure probability is narrow enough.
 
-    The stop costs about as many draws as a fixed number that somebody chose who knew the failure probability.
+    It takes about as many draws as a fixed number chosen with knowledge of the failure probability.
 
     Args:
         width: Upper minus lower bound, in (0, 1).
@@ -64,32 +64,32 @@ class UntilWidth:
         return f"width-{self.width:g}"
 
     def looks(self, most: int) -> Iterator[Look]:
-        """The looks from the first at which an interval can be narrow to the one at which it must be, or ``most``."""
+        """The looks from the first that can stop the run to the one that must, or to ``most`` draws."""
         earlier: list[Look] = []
         for draws in looks(most, RATIO):
-            few = self.few(earlier, draws)
-            if few >= 0 or draws == most:
-                look = Look(draws, few, draws - few)
+            lower = self.lower(earlier, draws)
+            if lower >= 0 or draws == most:
+                look = Look(draws, lower, draws - lower)
                 yield look
                 earlier.append(look)
-            if 2 * few >= draws - 1:
+            if 2 * lower >= draws - 1:
                 break
 
     def stops(self, most: int) -> int:
         """An upper limit of the number of looks."""
         return len(looks(most, RATIO))
 
-    def few(self, earlier: list[Look], draws: int) -> int:
-        """The largest number of failures, up to one half, whose interval is narrow; -1: none is."""
+    def lower(self, earlier: list[Look], draws: int) -> int:
+        """The lower boundary: the most failures, up to half the draws, with a narrow interval; -1: none."""
 
         def wide(failures: int) -> bool:
             low, high = clopper_pearson(min(failures, draws // 2), draws, self.confidence)
             return failures > draws // 2 or bool(high - low > self.width)
 
-        few = first(wide, 0) - 1
-        while few >= 0 and self.length([*earlier, Look(draws, few, draws - few)], few) > self.width:
-            few -= 1
-        return few
+        lower = first(wide, 0) - 1
+        while lower >= 0 and self.length([*earlier, Look(draws, lower, draws - lower)], lower) > self.width:
+            lower -= 1
+        return lower
 
     def length(self, looks: list[Look], failures: int) -> float:
         """Length of the interval after a stop."""
@@ -97,8 +97,8 @@ class UntilWidth:
         return high - low
 
     def verdict(self, look: Look, failures: int) -> str | None:
-        """``narrow`` if the interval is; None: continue."""
-        return "narrow" if failures <= look.few or failures >= look.many else None
+        """``narrow`` if the interval is narrow enough; None: continue."""
+        return "narrow" if failures <= look.lower or failures >= look.upper else None
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,9 @@ class AcceptReject:
         passed = math.log1p(-self.reject) - math.log1p(-self.accept)
         bound = -math.log(1.0 - self.confidence)
         for draws in looks(most, SPARSE_RATIO):
-            few = math.floor((-bound - draws * passed) / (failed - passed))
-            many = math.ceil((bound - draws * passed) / (failed - passed))
-            yield Look(draws, max(few, -1), min(many, draws + 1))
+            lower = math.floor((-bound - draws * passed) / (failed - passed))
+            upper = math.ceil((bound - draws * passed) / (failed - passed))
+            yield Look(draws, max(lower, -1), min(upper, draws + 1))
 
     def stops(self, most: int) -> int:
         """The number of looks."""
@@ -159,9 +159,9 @@ class AcceptReject:
 
     def verdict(self, look: Look, failures: int) -> str | None:
         """``accepted``, ``rejected``, or None: continue."""
-        if failures <= look.few:
+        if failures <= look.lower:
             return "accepted"
-        return "rejected" if failures >= look.many else None
+        return "rejected" if failures >= look.upper else None
 
 
 StoppingRule: TypeAlias = UntilWidth | AcceptReject

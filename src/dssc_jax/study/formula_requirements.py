@@ -58,23 +58,23 @@ def time_of(instant: Instant) -> Scalar:
 
 
 def formula_signals(
-    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], others: Mapping[str, SampledSignal]
+    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], loop_signals: Mapping[str, SampledSignal]
 ) -> dict[str, FormulaSignal]:
     """The signals that a formula can name.
 
     Args:
         channels: Names of the channels.
         units: Their units and meanings.
-        others: Every signal of the loop, by the name of its column in a trajectory.
+        loop_signals: Every signal of the loop, by the name of its column in a trajectory.
     """
-    signals = {name: FormulaSignal(*signal) for name, signal in others.items()}
+    signals = {name: FormulaSignal(*signal) for name, signal in loop_signals.items()}
     signals |= {"t": FormulaSignal("s", "time", time_of)}
     for number, (channel, named) in enumerate(zip(channels, units, strict=True)):
         for name, (unit, meaning, value) in CHANNEL_SIGNALS.items():
             signal = FormulaSignal(named.of(unit), named.named(meaning), partial(of_channel, number, value))
             signals[suffixed(name, channel)] = signal
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
-        if name in others:
+        if name in loop_signals:
             signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))
     return signals
 
@@ -103,7 +103,7 @@ def formula_requirement(
         return parameters(f"={name}", place_of_text)
 
     try:
-        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parsed()
+        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parse()
     except ValueError as error:
         raise ConfigError(place_of_text, str(error)) from None
     size = memory_size(parsed.formula)

@@ -1,11 +1,11 @@
-"""The text of a formula: its grammar, its parts, and the checks of its times and names.
+"""The parser of formulas: their grammar, and the checks of their times and names.
 
-    formula  = implied ["implies" formula]
-    implied  = joined {"or" joined}
-    joined   = held {"and" held}
-    held     = unary ["until" interval unary]
-    unary    = ("not" | "always" [interval] | "eventually" [interval]) unary | "(" formula ")" | comparison
-    interval = "[" seconds "," seconds "]"
+    formula     = disjunction ["implies" formula]
+    disjunction = conjunction {"or" conjunction}
+    conjunction = until {"and" until}
+    until       = unary ["until" interval unary]
+    unary       = ("not" | "always" [interval] | "eventually" [interval]) unary | "(" formula ")" | comparison
+    interval    = "[" seconds "," seconds "]"
 
 A comparison is one of < <= > >= between two expressions of signals, parameters and numbers, whose language is that of
 :mod:`dssc_jax.study.expressions`; ``-1 < e < 1`` is two of them.
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.closed_loop.formula_tree import Always, Any, Comparison, Eventually, Every, Formula, Not, Until, horizon
+from dssc_jax.closed_loop.formula_tree import Always, And, Comparison, Eventually, Formula, Not, Or, Until, horizon
 from dssc_jax.closed_loop.metrics import Instant
 from dssc_jax.core.errors import nearest
 from dssc_jax.core.signals import Scalar
@@ -57,7 +57,7 @@ class Margin:
 
     Args:
         upper: Text of the expression that is to be the larger one.
-        lower: Text of the other.
+        lower: Text of the expression that is to be the smaller one.
         signals: The signals in them, by name.
         numbers: The values of the parameters in them.
     """
@@ -68,13 +68,12 @@ class Margin:
     numbers: tuple[tuple[str, float], ...]
 
     def __call__(self, instant: Instant) -> Scalar:
-        """The difference of both."""
+        """The difference of the two expressions."""
         known: dict[str, Scalar] = dict(self.numbers)
         for name, signal in self.signals:
             known[name] = signal.value(instant)
-        upper, lower = (
-            evaluate_numbers(parse_expression(text), known.__getitem__) for text in (self.upper, self.lower)
-        )
+        upper = evaluate_numbers(parse_expression(self.upper), known.__getitem__)
+        lower = evaluate_numbers(parse_expression(self.lower), known.__getitem__)
         return jnp.subtract(upper, lower)
 
 
@@ -93,12 +92,12 @@ def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
 
 
 class ParsedFormula(NamedTuple):
-    """A formula with what its requirement says of it.
+    """A formula, with the unit and the size of its comparisons.
 
     Args:
         formula: The formula.
-        unit: Unit of its comparisons; SI where they have several, or an unclear one.
-        size: The smallest number other than 0 that something is compared with; None: there is none.
+        unit: Unit of its comparisons; SI if it is not the same for all, or unclear.
+        size: The smallest magnitude other than 0 with which a signal is compared; None: there is none.
     """
 
     formula: Formula
@@ -113,7 +112,7 @@ class FormulaParser:
     Args:
         text: Its text.
         signals: The signals of the loop by name.
-        parameter: Value of a named parameter; it raises ValueError for one that is none.
+        parameter: Returns the value of a named parameter; raises ValueError for an unknown name.
         sample_time: T_s [s].
         steps: Number of samples of a flight.
     """
@@ -129,19 +128,19 @@ class FormulaParser:
     units: dict[str, None] = field(default_factory=dict)
     sizes: list[float] = field(default_factory=list)
 
-    def parsed(self) -> ParsedFormula:
-        """The formula.
+    def parse(self) -> ParsedFormula:
+        """Parse the whole text.
 
         Raises:
-            ValueError: The text is none, or its samples are not those of a flight.
+            ValueError: The text is not a formula, or it needs more time than a flight has.
         """
         if len(self.text) > LONGEST_FORMULA:
             raise ValueError(f"a formula has at most {LONGEST_FORMULA} characters, got {len(self.text)}")
         self.tokens = tokens_of(self.text)
         formula = self.formula()
-        if self.here:
-            raise ValueError(f"{self.place()}: expected the end, got '{self.here}'")
-        formula = Bounded(self.steps).bounded(formula, 0, True)
+        if self.token:
+            raise ValueError(f"{self.place()}: expected the end, got '{self.token}'")
+        formula = with_intervals(formula, self.steps, outermost=True)
         needed = horizon(formula)
         if needed >= self.steps:
             last = (self.steps - 1) * self.sample_time
@@ -149,59 +148,58 @@ class FormulaParser:
                 f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {last:g} s; "
                 "shorten its intervals, or lengthen loop.duration"
             )
-        return ParsedFormula(
-            formula, next(iter(self.units)) if len(self.units) == 1 else UNCLEAR, min(self.sizes, default=None)
-        )
+        unit = next(iter(self.units)) if len(self.units) == 1 else UNCLEAR
+        return ParsedFormula(formula, unit, min(self.sizes, default=None))
 
     # Tokens
 
     @property
-    def here(self) -> str:
+    def token(self) -> str:
         """The next token; empty at the end."""
         return self.tokens[self.position].text if self.position < len(self.tokens) else ""
 
     def place(self) -> str:
-        """Where the next token is, in words."""
+        """The place of the next token, in words."""
         begin = self.tokens[self.position].start if self.position < len(self.tokens) else len(self.text)
         return f"after {self.text[:begin].strip()[-30:]!r}" if self.text[:begin].strip() else "at the beginning"
 
     def take(self, text: str) -> bool:
-        """Whether the next token is this one, which is then taken."""
-        found = self.here == text
-        self.position += found
-        return found
+        """Take the next token if it is this one, and tell whether it was."""
+        matches = self.token == text
+        self.position += matches
+        return matches
 
     def expect(self, text: str) -> None:
         """Take a token.
 
         Raises:
-            ValueError: it is another one.
+            ValueError: The next token is another one.
         """
         if not self.take(text):
-            raise ValueError(f"{self.place()}: expected '{text}', got {self.here!r}")
+            raise ValueError(f"{self.place()}: expected '{text}', got {self.token!r}")
 
     # Grammar
 
     def formula(self) -> Formula:
-        """An implication."""
+        """A disjunction, or an implication."""
         self.depth += 1
         if self.depth > DEEPEST_FORMULA:
             raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
-        first = self.several("or", Any, lambda: self.several("and", Every, self.held))
+        first = self.joined("or", Or, lambda: self.joined("and", And, self.until))
         if self.take("implies") or self.take("->"):
-            first = Any((Not(first), self.formula()))
+            first = Or((Not(first), self.formula()))
         self.depth -= 1
         return first
 
-    def several(self, word: str, kind: type[Every] | type[Any], part: Callable[[], Formula]) -> Formula:
-        """One or more parts with a word between them."""
+    def joined(self, word: str, kind: type[And] | type[Or], part: Callable[[], Formula]) -> Formula:
+        """One or more parts, joined by a word."""
         parts = [part()]
         while self.take(word):
             parts.append(part())
         return parts[0] if len(parts) == 1 else kind(tuple(parts))
 
-    def held(self) -> Formula:
-        """A part with or without ``until``."""
+    def until(self) -> Formula:
+        """An operand, or two joined by ``until``."""
         before = self.unary()
         if not self.take("until"):
             return before
@@ -209,16 +207,16 @@ class FormulaParser:
         return Until(begin, end, before, self.unary())
 
     def unary(self) -> Formula:
-        """What an operator or a parenthesis begins, or a comparison."""
+        """A comparison, a formula in parentheses, or an operator with its operand."""
         self.depth += 1
         if self.depth > DEEPEST_FORMULA:
             raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
-        formula = self.operated()
+        formula = self.operand()
         self.depth -= 1
         return formula
 
-    def operated(self) -> Formula:
-        """See :meth:`unary`."""
+    def operand(self) -> Formula:
+        """As :meth:`unary`, which limits the depth."""
         if self.take("not"):
             return Not(self.unary())
         if self.take("always"):
@@ -227,7 +225,7 @@ class FormulaParser:
         if self.take("eventually"):
             begin, end = self.interval("eventually")
             return Eventually(begin, end, self.unary())
-        if self.here == "(" and self.is_formula_within():
+        if self.token == "(" and self.is_formula_within():
             self.expect("(")
             formula = self.formula()
             self.expect(")")
@@ -236,17 +234,17 @@ class FormulaParser:
 
     def is_formula_within(self) -> bool:
         """Whether the parenthesis here holds a formula, and not a part of an expression."""
-        open_now = 0
+        open_parentheses = 0
         for token in self.tokens[self.position :]:
-            open_now += (token.text == "(") - (token.text == ")")
-            if not open_now:
+            open_parentheses += (token.text == "(") - (token.text == ")")
+            if not open_parentheses:
                 return False
             if token.text in COMPARISONS or token.text in WORDS:
                 return True
         return False
 
     def interval(self, operator: str) -> tuple[int, int]:
-        """The samples of an interval in seconds; without one, to the end of the flight (-1)."""
+        """The first and the last sample of an interval; without one, 0 and -1 for the end of the flight."""
         if not self.take("["):
             return 0, -1
         texts = [self.expression((",",)), ""]
@@ -264,7 +262,7 @@ class FormulaParser:
         return first, last
 
     def seconds(self, text: str) -> float:
-        """A time of numbers and parameters."""
+        """The value of a time that is written with numbers and parameters [s]."""
         tree = parse_expression(text)
         return float(evaluate_numbers(tree, self.parameter))
 
@@ -272,7 +270,7 @@ class FormulaParser:
         """One comparison, or several in a chain."""
         sides = [self.expression(COMPARISONS)]
         parts: list[Formula] = []
-        while self.here in COMPARISONS:
+        while self.token in COMPARISONS:
             sign = self.tokens[self.position].text
             self.position += 1
             sides.append(self.expression(COMPARISONS))
@@ -280,20 +278,22 @@ class FormulaParser:
             parts.append(self.compared(upper, lower))
         if not parts:
             rule = "compare with <, <=, > or >=; equality of real numbers has no robustness"
-            raise ValueError(f"{self.place()}: expected a comparison, got {self.here or 'the end'!r}; {rule}")
-        return parts[0] if len(parts) == 1 else Every(tuple(parts))
+            raise ValueError(f"{self.place()}: expected a comparison, got {self.token or 'the end'!r}; {rule}")
+        return parts[0] if len(parts) == 1 else And(tuple(parts))
 
     def expression(self, ends: tuple[str, ...]) -> str:
         """The text of the expression here, up to one of some tokens, a word of formulas or a closing parenthesis."""
-        open_now, first = 0, self.position
-        while (
-            self.here and self.here not in WORDS and (open_now or self.here not in (*ends, ")", "->", "]", "==", "!="))
-        ):
-            open_now += (self.here == "(") - (self.here == ")")
+        open_parentheses = 0
+        first = self.position
+        stops = (*ends, ")", "->", "]", "==", "!=")
+        while self.token and self.token not in WORDS:
+            if not open_parentheses and self.token in stops:
+                break
+            open_parentheses += (self.token == "(") - (self.token == ")")
             self.position += 1
         taken = self.tokens[first : self.position]
         if not taken:
-            raise ValueError(f"{self.place()}: expected an expression, got {self.here or 'the end'!r}")
+            raise ValueError(f"{self.place()}: expected an expression, got {self.token or 'the end'!r}")
         last = taken[-1]
         return self.text[taken[0].start : last.start + len(last.text)]
 
@@ -332,45 +332,45 @@ class FormulaParser:
             raise ValueError(f"'{name}' is neither a signal nor a parameter; {known}") from None
 
 
-@dataclass(frozen=True)
-class Bounded:
-    """Puts the end of the flight in place of intervals that are not given."""
+def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
+    """The formula in which operators without an interval reach to the end of the flight.
 
-    steps: int
+    Args:
+        formula: A formula.
+        steps: Number of samples of a flight.
+        outermost: Whether no temporal operator surrounds it.
 
-    def bounded(self, formula: Formula, at: int, outermost: bool) -> Formula:
-        """The formula with intervals for all operators.
+    Raises:
+        ValueError: A temporal operator within another one has no interval.
+    """
 
-        Raises:
-            ValueError: An operator without one is within another operator.
-        """
-        match formula:
-            case Comparison():
-                return formula
-            case Not():
-                return Not(self.bounded(formula.inner, at, outermost))
-            case Every() | Any():
-                return type(formula)(tuple(self.bounded(part, at, outermost) for part in formula.parts))
-            case Until():
-                parts = [self.bounded(part, at, False) for part in (formula.before, formula.goal)]
-                return Until(formula.begin, self.end(formula.end, outermost, *parts), *parts)
-        inner = self.bounded(formula.inner, at, False)
-        return type(formula)(formula.begin, self.end(formula.end, outermost, inner), inner)
-
-    def end(self, end: int, outermost: bool, *inner: Formula) -> int:
-        """The last sample of an interval."""
+    def last_sample(end: int, *operands: Formula) -> int:
         if end >= 0:
             return end
         if not outermost:
             raise ValueError("an operator within another one needs an interval, such as always[0,2]")
-        return max(0, self.steps - 1 - max(map(horizon, inner)))
+        return max(0, steps - 1 - max(map(horizon, operands)))
+
+    match formula:
+        case Comparison():
+            return formula
+        case Not():
+            return Not(with_intervals(formula.inner, steps, outermost))
+        case And() | Or():
+            return type(formula)(tuple(with_intervals(part, steps, outermost) for part in formula.parts))
+        case Until():
+            before = with_intervals(formula.before, steps, outermost=False)
+            goal = with_intervals(formula.goal, steps, outermost=False)
+            return Until(formula.begin, last_sample(formula.end, before, goal), before, goal)
+    inner = with_intervals(formula.inner, steps, outermost=False)
+    return type(formula)(formula.begin, last_sample(formula.end, inner), inner)
 
 
 def tokens_of(text: str) -> list[Token]:
     """The tokens of a formula.
 
     Raises:
-        ValueError: a character belongs to none.
+        ValueError: A character belongs to no token.
     """
     tokens: list[Token] = []
     position = 0

@@ -38,11 +38,11 @@ class NativeFile(NamedTuple):
 
 def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
     """The shared objects that a study's tables name, in order; the table need not be valid."""
-    found: list[NativeFile] = []
+    files: list[NativeFile] = []
     for part in library_tables(table):
         digest = part.get("sha256", "")
-        found.append(NativeFile(str(part["file"]), digest if isinstance(digest, str) else ""))
-    return tuple(dict.fromkeys(found))
+        files.append(NativeFile(str(part["file"]), digest if isinstance(digest, str) else ""))
+    return tuple(dict.fromkeys(files))
 
 
 def library_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
@@ -90,14 +90,14 @@ def digested(node: object, naming: Sequence[Mapping[str, object]], folder: Path)
     return inside
 
 
-def with_other_files(changes: Mapping[str, object]) -> dict[str, object]:
-    """Changes of a study by dotted name, in which another shared object does not keep the digest of the old one."""
-    fresh: dict[str, object] = {}
+def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
+    """Changes of a study by dotted name; a change of a shared object's file also clears the digest of the old file."""
+    cleared: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
         if slot in SLOTS and field.rpartition(".")[2] == "file":
-            fresh[f"{name.removesuffix('file')}sha256"] = ""
-    return {**fresh, **changes}
+            cleared[f"{name.removesuffix('file')}sha256"] = ""
+    return {**cleared, **changes}
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
@@ -106,7 +106,7 @@ def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: 
     Args:
         table: The study's table, with digests.
         folders: Where to look for the files; the first that exists is taken, and must have the digest.
-        recorded: What a stored result tells of its code, with the file that the run used.
+        recorded: The native code in a stored result's manifest, with the file that the run used.
 
     Raises:
         ConfigError: A file is not found, has another digest, or cannot be loaded.

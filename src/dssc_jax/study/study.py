@@ -24,7 +24,7 @@ from dssc_jax.study.expressions import Numeric, is_expression
 from dssc_jax.study.formulas import tokens_of
 from dssc_jax.study.laws import Law, RangedLaw, Uncertain
 from dssc_jax.study.library import find
-from dssc_jax.study.native import with_digests, with_other_files
+from dssc_jax.study.native import with_digests, without_old_digests
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
 from dssc_jax.study.parameters import TEXTS, named_in
@@ -124,7 +124,7 @@ class Study:
         Raises:
             ConfigError: A name does not exist, or the changed study is not valid.
         """
-        table = with_files(changed(self.table, with_other_files(changes), self.source), Path(self.source).parent)
+        table = with_files(changed(self.table, without_old_digests(changes), self.source), Path(self.source).parent)
         return Study.from_table(table, self.source)
 
     def without_sweep(self) -> "Study":

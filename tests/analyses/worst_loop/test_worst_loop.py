@@ -150,7 +150,7 @@ def test_an_unstable_box_has_a_counterexample():
         ({}, {"broken_at": ("inputs",)}, "no break point 'inputs'"),
         ({}, {"cells": 0}, "cells"),
         ({}, {"sigma": 0.0}, "sigma"),
-        ({"sensor": {"kind": "noisy", "jitter": 0.01}}, {}, "differs between draws of the same numbers"),
+        ({"sensor": {"kind": "noisy", "jitter": 0.01}}, {}, "differs between draws with the same numbers"),
     ],
 )
 def test_refusals(change, options, message):

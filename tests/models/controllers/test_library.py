@@ -26,6 +26,7 @@ from tests.cli.conftest import last_json
 from tests.conftest import CASE_2, UNCERTAIN
 from tests.flight_code.compiling import require
 from tests.mutations import document
+from tests.study.test_signals import car
 
 SAMPLES = 200
 DRAWS = 48
@@ -141,6 +142,24 @@ def test_what_is_generated_gives_the_same_bits_when_it_is_loaded_again(place, pr
     assert differing_bits(ours, theirs) == 0
     assert float(np.std(ours[2])) > 1e-3
     assert {"sigma_tilde", "flag"} <= set(again.loop.controller[0].info._fields)
+
+
+def test_generated_code_that_takes_measured_signals_is_no_library(place):
+    gains = {"kind": "lqg", "command_weight": 1e-6, "state_weights": [100.0, 1.0, 10000.0, 0.5], "signal_std": [0.001]}
+    gains |= {"disturbance_std": [20.0, 0.1], "state_std": [1e-4, 1e-3, 1e-5, 1e-2]}
+    folder = FlightFolder(car(controller=gains, sensor={"measures": ["travel"]}))
+    for name, text in folder.texts().items():
+        (place / name).write_text(text)
+    (source,) = [text for name, text in folder.texts().items() if name.endswith("_controller.c")]
+    with pytest.raises(ConfigError, match="takes other measured signals"):
+        built(place, "signals", source)
+
+
+def test_a_library_runs_beside_measured_signals(template):
+    gains = {"kind": "library", "file": str(template), "sha256": dj.allow_native(template).sha256}
+    alone = car(controller=gains, loop={"duration": 0.5, "sample_time": 0.01})
+    beside = alone.override({"sensor": {"measures": ["travel"]}})
+    np.testing.assert_array_equal(dj.simulate(alone)["u"].values, dj.simulate(beside)["u"].values)
 
 
 def test_threads_do_not_matter(study):

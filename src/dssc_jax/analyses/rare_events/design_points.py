@@ -1,7 +1,8 @@
 """Design points: the failures nearest to the median draw in standard normal space, and approximations made at them.
 
-Near a design point lie the most probable failures of one kind. A search from several starts finds several of them. FORM
-replaces the border of failure by its tangent there, SORM by a paraboloid. Both are approximations without an interval.
+The most probable failures of one kind lie near a design point. Searches from several starts find several design points.
+FORM replaces the limit state, the border of failure, by its tangent there, and SORM by a paraboloid. Both are
+approximations without an interval.
 
 References:
     R. Rackwitz, B. Fiessler, "Structural reliability under combined random load sequences", Computers and Structures 9
@@ -20,7 +21,8 @@ SlopeFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]
 """Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d) with noise indices (n,)."""
 
 ITERATIONS = 20
-SHORTER, LONGER = 0.4, 2.0  # factors of a step after failure and success
+SHORTER = 0.4  # factor of a step after failure
+LONGER = 2.0  # factor of a step after success
 SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach
 SMALLEST_STEP = 0.02
 SETTLED = 0.02  # length of the last step of a search
@@ -31,7 +33,7 @@ CURVATURE_STEP = 0.05  # of a difference of slopes
 
 
 class DesignPoint(NamedTuple):
-    """A failure nearest to the median draw.
+    """A failure that is, locally, nearest to the median draw.
 
     Args:
         point: In standard normal space, shape (d,).
@@ -59,8 +61,8 @@ class DesignPoint(NamedTuple):
 def find_design_points(slope: SlopeFunction, starts: np.ndarray, noise: np.ndarray) -> list[DesignPoint]:
     """Search for design points from several starts at once.
 
-    Each search steps to the nearest point of the border's tangent, or part of the way if that improves too little the
-    merit |u|^2/2 + c |g| of the point u with slack g.
+    Each search steps to the point of the border's tangent that is nearest to the origin. If this improves the merit
+    |u|^2/2 + c |g| of the point u with slack g too little, the step is shortened.
 
     Args:
         slope: Computes slacks and slopes.
@@ -121,7 +123,7 @@ def distinct(points: np.ndarray, order: Iterable[int], distance: float) -> list[
 
 
 def relevant(found: list[DesignPoint]) -> list[DesignPoint]:
-    """Different design points of several searches, the nearest first, without those far beyond the nearest."""
+    """The distinct design points of several searches, the nearest first, without those far beyond the nearest."""
     ordered = sorted(found, key=lambda candidate: candidate.distance)
     points = np.array([candidate.point for candidate in ordered])
     kept = [ordered[index] for index in distinct(points, range(len(ordered)), SAME)]

@@ -1,4 +1,4 @@
-"""What every estimate of a rare failure's probability has in common, and the plain draws that may contradict it."""
+"""The contract of estimates of a rare failure's probability, and the plain draws that may contradict them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class Counter:
 
 
 class Plain(NamedTuple):
-    """Plain independent draws in addition to the splitting.
+    """Plain independent draws in addition to those of the method.
 
     Args:
         draws: Their number.
@@ -74,7 +74,7 @@ class Estimate(ABC):
         simulations: Number of evaluations of the slack, without those of the plain draws.
         points: Failing points in standard normal space, shape (n, d).
         noise: Their noise indices, shape (n,).
-        weights: Their weights, shape (n,): proportional to their share of the failures.
+        weights: Their weights, shape (n,), proportional to the probability that each stands for.
         plain: The plain draws.
     """
 
@@ -101,7 +101,7 @@ class Estimate(ABC):
     @property
     @abstractmethod
     def reached(self) -> bool:
-        """Whether the search reached failures, such that it says more than plain draws."""
+        """Whether the method reached enough failures for an answer."""
 
     @property
     @abstractmethod

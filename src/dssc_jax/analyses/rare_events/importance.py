@@ -2,9 +2,9 @@
 
 Points are drawn from a mixture of normal laws around the design points, and of a wide normal law around the median.
 Each failing point counts with the ratio of the draws' density to the mixture's. The wide law finds the starts of the
-search, and its points among the others meet failures that the design points do not represent: one that counts for a
-large part of the sum starts another search. Failures of a kind that no wide point and no plain draw met are missed;
-the plain draws bound their probability.
+search. Its points in the mixture meet failures that the design points do not represent: a point that makes up a large
+part of the sum starts another search. The method misses failures of a kind that no point of the wide law and no plain
+draw meets; the plain draws bound their probability.
 
 Reference:
     R. E. Melchers, "Importance sampling in structural systems", Structural Safety 6 (1989) 3-10.
@@ -37,14 +37,14 @@ WIDE_SHARE = 0.1  # of the points
 LEAST_SHARE = 0.05  # of a design point's law
 EXPLORED = 256  # points of the wide law at first
 STARTS = 8  # of the first search
-STARTS_APART = 1.5
+START_DISTANCE = 1.5  # between starts; from all design points, beyond which a failure is not represented
 PILOT = 500  # points that decide whether the mixture fits
 MORE_SEARCHES = 3  # largest number of searches from failures that the design points do not represent
 FITS = 4  # largest number of fits of the mixture
-HEAVY = 0.2  # share of the sum from which a single point is a hint of other failures
+HEAVY = 0.2  # share of the sum from which a single point hints at failures of another kind
 FITTING = 0.12  # effective size of the failing points, relative to all, from which the mixture fits
 LEAST_EFFECTIVE = 20  # effective number of failing points of an answer
-MARGIN = 1.2  # points beyond those that the pilot's variation asks for
+RESERVE = 1.2  # ratio of points to the number that follows from the pilot's variation
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class Search:
         slacks = self.counter(points, noise)
         lengths = np.linalg.norm(points, axis=1)
         order = np.lexsort((np.where(slacks < 0.0, lengths, slacks), slacks >= 0.0))
-        chosen = distinct(points, order, STARTS_APART)[:STARTS]
+        chosen = distinct(points, order, START_DISTANCE)[:STARTS]
         return points[chosen], noise[chosen]
 
     def design_points(self, found: list[DesignPoint], points: np.ndarray, noise: np.ndarray) -> list[DesignPoint]:
@@ -220,15 +220,15 @@ class Search:
 
 
 def unrepresented(sample: Sample, found: list[DesignPoint]) -> np.ndarray:
-    """Indices of points that count for a large part of the sum and lie far from all design points."""
+    """Indices of points that make up a large part of the sum and lie far from all design points."""
     heavy = np.flatnonzero(sample.weights > HEAVY * sample.weights.sum())
     means = np.array([candidate.point for candidate in found])
     distances = np.linalg.norm(sample.points[heavy, None] - means, axis=2).min(axis=1)
-    return heavy[distances > STARTS_APART]
+    return heavy[distances > START_DISTANCE]
 
 
 def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray, wide: Component) -> list[Component]:
-    """A mixture with shares proportional to weights, but not too small ones, and the wide law."""
+    """A mixture of normal laws with shares proportional to weights, none too small, and the wide law."""
     shares = np.maximum(weights / weights.sum(), LEAST_SHARE)
     shares *= (1.0 - WIDE_SHARE) / shares.sum()
     components = [Component(mean, root, float(share)) for mean, root, share in zip(means, roots, shares, strict=True)]
@@ -236,7 +236,7 @@ def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray, 
 
 
 def fitted(components: list[Component], sample: Sample) -> list[Component]:
-    """The mixture whose laws have the mean and, where it is wider, the covariance of the failures around them."""
+    """The mixture whose laws have the mean and, where it is wider, the covariance of the failures near them."""
     *narrow, wide = components
     densities = np.stack([component.log_density(sample.points) for component in narrow])
     responsibilities = np.exp(densities - special.logsumexp(densities, axis=0))
@@ -259,7 +259,7 @@ def fitted(components: list[Component], sample: Sample) -> list[Component]:
 
 
 def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-    """Root of the covariance of weighted points, drawn towards the unit matrix, nowhere narrower than that."""
+    """Root of the covariance of weighted points, shrunk towards the unit matrix, in no direction narrower than that."""
     dimension = deviations.shape[1]
     covariance = (weights[:, None] * deviations).T @ deviations
     doubt = (dimension + 1.0) / (dimension + 1.0 + size)
@@ -306,7 +306,7 @@ def importance_sampling(
         if not pilot.weights.any():
             return "no point of the fitted laws fails"
     single = pilot.weights.std() / pilot.weights.mean()
-    needed = int(np.ceil(MARGIN * (single / settings.variation) ** 2))
+    needed = int(np.ceil(RESERVE * (single / settings.variation) ** 2))
     sample = search.sample(components, min(max(needed, PILOT), settings.most))
     if effective_size(sample.weights) < LEAST_EFFECTIVE:
         return f"few failures carry the sum, as if {effective_size(sample.weights):.0f} points failed"

@@ -39,7 +39,7 @@ USUAL_IMPORTANCE = ImportanceSampling()
 
 @dataclass(frozen=True)
 class MethodProbability:
-    """The failure probability from the method alone, whatever the plain draws say."""
+    """The failure probability from the method alone, without regard to the plain draws."""
 
     probability: Annotated[float, Quantity("1", "failure probability")]
     interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
@@ -62,7 +62,7 @@ class PlainFailures:
     draws: Annotated[int, Quantity("1", "number of plain draws")]
     failures: Annotated[int, Quantity("1", "plain draws that failed")]
     interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability (Clopper-Pearson)")]
-    contradicts: Annotated[bool, Quantity("", "whether this interval and that of the splitting are disjoint")]
+    contradicts: Annotated[bool, Quantity("", "whether this interval and that of the method are disjoint")]
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class RareEvent(Analysis):
         sampled: Number of weighted points; 0 for a splitting.
         scatter: Standard deviation of the weighted points' estimate; 0 for a splitting.
         noisy: Whether the loop has in-loop noise.
-        refusal: Why a splitting answers where importance sampling was tried; else empty.
+        refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
     """
 
     kind = "rare"
@@ -290,7 +290,7 @@ def rare(
     """Estimate a study's failure probability at its own values, if it is too small for plain draws.
 
     Importance sampling around the design points takes some thousand simulations. Splitting takes some hundred thousand;
-    it needs no derivatives, and no point that dominates. Both use the worst requirement's scaled slack.
+    it needs neither derivatives nor design points. Both use the worst requirement's scaled slack.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.

@@ -11,7 +11,7 @@ from dssc_jax.study import Study
 
 MOST_GROWTH = 4.0
 GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
-"""Factors by which the box may grow, of which the largest admissible one is taken."""
+"""Factors by which the box may grow; the largest admissible one is used."""
 
 
 class Side(NamedTuple):
@@ -22,7 +22,7 @@ class Side(NamedTuple):
         low: Lower end.
         high: Upper end.
         logarithmic: Whether the coordinate is linear in the logarithm.
-        cut: Whether the law exceeds these ends.
+        cut: Whether the law has no end there.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Side(NamedTuple):
 
 
 class Box(NamedTuple):
-    """The uncertain numbers of a study between their ends; a correlation of the laws is not used."""
+    """The ranges of a study's uncertain numbers; correlations are not used."""
 
     sides: tuple[Side, ...]
 
@@ -57,10 +57,10 @@ class Box(NamedTuple):
 
 
 def box_of(study: Study, sigma: float) -> Box:
-    """The box of a study's laws; laws that exceed ``sigma`` standard normal deviations are cut there if unbounded.
+    """The box of a study's laws; laws without ends are cut at ``sigma`` standard deviations of a normal law.
 
     Raises:
-        ConfigError: the study has no uncertain number, or a limit is not admissible.
+        ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
     """
     if not sigma > 0.0 or not np.isfinite(sigma):
         raise ConfigError("sigma", f"must be positive and finite, got {sigma:g}")

@@ -9,10 +9,10 @@ and its row y at v, and absolute values taken entry by entry,
 
     G = G_0 - y D x + y D N^-1 D x,    abs(y D N^-1 D x) <= abs(y D) (I - K)^-1 abs(R D x),    K >= abs(R D),
 
-where the spectral radius of K is below 1, which (I - K)^-1 >= 0 shows. D is linear in u up to a remainder, D = sum of
-u_i N_i + E. So G lies in a polygon, widened by a disk. Where such a K exists on all cells, no eigenvalue of A meets the
-unit circle: a loop that is stable at one point of the box is stable on all of it. The cells cover all frequencies. The
-states of each part of the box are its modes, in which K is smallest.
+where the spectral radius of K must be below 1; (I - K)^-1 >= 0 proves that it is. D is linear in u up to a remainder, D
+= sum of u_i N_i + E. So G lies in a polygon, widened by a disk. Where such a K exists on all cells, no eigenvalue of A
+meets the unit circle: a loop that is stable at one point of the box is stable on all of it. The cells cover all
+frequencies. The states are the modes in the middle of each part of the box, in which K is smallest.
 
 Reference:
     R. E. Moore, R. B. Kearfott, M. J. Cloud, Introduction to Interval Analysis (2009): mean-value form, subdivision.
@@ -37,7 +37,7 @@ BATCH_CELLS = 256
 CHEAPER = 3.0  # an interval of angles is halved rather than a box, which has to be linearised again
 SQUARINGS = 4  # of a matrix, whose largest eigenvalue then prevails
 MOST_PARALLEL = 1e6  # condition number of the modes
-ROUNDING = 1e-9  # relative, of every bound
+ROUNDING = 1e-9  # by which every bound is enlarged, relative
 FEEDTHROUGHS = {"sensitivity_peak": 1.0, "complementary_peak": 0.0, "disk": 0.5}
 """What is added to G: S = 1 + G, T = -G, (S - T)/2 = G + 1/2."""
 GAINS = (*FEEDTHROUGHS, "delay")
@@ -67,12 +67,12 @@ class Cells(NamedTuple):
         return Cells(*(part[index] for part in self))
 
 
-class Enclosed(NamedTuple):
-    """What is known of n cells.
+class CellBounds(NamedTuple):
+    """Bounds on n cells.
 
     Args:
-        gains: A bound of each of :data:`GAINS`, shape (n, gains); infinite: none.
-        axis: Side to halve next; the angle comes last; shape (n,).
+        gains: An upper bound of each of :data:`GAINS`, shape (n, gains); infinite: none.
+        axis: Index of the side to halve next, the angle being the last, shape (n,).
     """
 
     gains: np.ndarray
@@ -114,8 +114,26 @@ class LinearModel(NamedTuple):
     bends: np.ndarray
 
 
+class Expansion(NamedTuple):
+    """N on n cells as N_0 + sum of u_i N_i, up to a remainder E.
+
+    Args:
+        middle: N_0, shape (n, m + 1, m + 1).
+        steps: N_i, the angle last, shape (n, sides + 1, m + 1, m + 1).
+        remainder: A bound of abs(E), shape (n, m + 1, m + 1).
+    """
+
+    middle: np.ndarray
+    steps: np.ndarray
+    remainder: np.ndarray
+
+
 def pattern(sides: int) -> np.ndarray:
-    """Points of [-1, 1]^sides: centre, middles of faces, half ways; then corners and edges, or pairs; (n, sides)."""
+    """Points of [-1, 1]^sides at which deviations are measured, shape (n, sides).
+
+    The centre, the middles of faces and the points halfway to them come first. With few sides all corners and edges
+    follow, else the corners of each pair of sides and random corners.
+    """
     unit = np.eye(sides)
     points = [np.zeros((1, sides)), unit, -unit, 0.5 * unit, -0.5 * unit]
     if sides <= CORNERED:
@@ -129,7 +147,7 @@ def pattern(sides: int) -> np.ndarray:
 
 
 def linear_model(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> LinearModel:
-    """The dependence on the numbers in a part of the box; deviations are measured at the points of :func:`pattern`."""
+    """The linear model on a part of the box; deviations are measured at the points of :func:`pattern`."""
     sides = low.size
     points = pattern(sides)
     matrices = modal(evaluate(0.5 * (low + high) + 0.5 * (high - low) * points))
@@ -142,7 +160,7 @@ def linear_model(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> Linea
 
 
 def modal(matrices: np.ndarray) -> np.ndarray:
-    """[[A, b], [c, 0]] in the modes of the first A; nearly parallel modes stay as they are in the Schur form."""
+    """[[A, b], [c, 0]] in the modes of the first A, or in its Schur vectors where modes are nearly parallel."""
     a = matrices[0, :-1, :-1]
     if not np.all(np.isfinite(a)):
         return matrices.astype(complex)
@@ -164,16 +182,16 @@ def first_angles(poles: np.ndarray) -> np.ndarray:
 def cover(
     evaluate: Evaluate,
     ends: tuple[np.ndarray, np.ndarray],
-    wanted: np.ndarray,
+    goals: np.ndarray,
     most: int,
     progress: Callable[[int], None],
 ) -> Covered:
-    """Bound the gains over a box and all frequencies; the worst cells are halved.
+    """Bound the gains over a box and all frequencies, by halving the worst cells until the goals are met.
 
     Args:
         evaluate: The loop at points of the box; it is stable at one of them.
         ends: Lower and upper corner of the box, shape (sides,).
-        wanted: Bounds that are good enough, shape (gains,).
+        goals: Bounds that are good enough, shape (gains,).
         most: Number of cells to compute at most.
         progress: Called with the number of cells computed.
     """
@@ -189,20 +207,20 @@ def cover(
     angles = first_angles(np.linalg.eigvals(centre[:-1, :-1]))
     count = len(angles) - 1
     cells = Cells(np.tile(ends[0], (count, 1)), np.tile(ends[1], (count, 1)), angles[:-1], angles[1:])
-    found = enclose(cells, model_of)
+    bounds = enclose(cells, model_of)
     computed = count
     while True:
-        excess = np.max(found.gains / wanted, axis=1)
+        excess = np.max(bounds.gains / goals, axis=1)
         order = np.argsort(-excess)
         worst = order[excess[order] > 1.0][: min(BATCH_CELLS, (most - computed) // 2)]
         if not worst.size:
-            return Covered(found.gains.max(axis=0), computed)
+            return Covered(bounds.gains.max(axis=0), computed)
         kept = np.setdiff1d(order, worst)
-        fresh = halved(cells.at(worst), found.axis[worst])
-        joined = enclose(fresh, model_of)
+        fresh = halved(cells.at(worst), bounds.axis[worst])
+        halves = enclose(fresh, model_of)
         cells = Cells(*(np.concatenate(parts) for parts in zip(cells.at(kept), fresh, strict=True)))
-        found = Enclosed(
-            np.concatenate([found.gains[kept], joined.gains]), np.concatenate([found.axis[kept], joined.axis])
+        bounds = CellBounds(
+            np.concatenate([bounds.gains[kept], halves.gains]), np.concatenate([bounds.axis[kept], halves.axis])
         )
         computed += len(fresh.start)
         progress(computed)
@@ -229,26 +247,15 @@ def halved(cells: Cells, axis: np.ndarray) -> Cells:
     )
 
 
-def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearModel]) -> Enclosed:
+def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearModel]) -> CellBounds:
     """Bound the gains on each cell."""
     models = [model_of(low, high) for low, high in zip(cells.low, cells.high, strict=True)]
     centre, slopes, deviation, bends = (np.stack(parts) for parts in zip(*models, strict=True))
     finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
-    count, sides, m, _ = slopes.shape
+    _, sides, m, _ = slopes.shape
     states = m - 1
-    middle = 0.5 * (cells.start + cells.end)
-    width = 0.5 * (cells.end - cells.start)
-    z = np.exp(1j * middle)
-    n = np.zeros((count, m + 1, m + 1), complex)
-    identity = np.diag([*np.ones(states), 0.0, 0.0])
-    n += z[:, None, None] * identity
-    n[:, states, states] = 1.0
-    n[:, m, m] = 1.0
-    n -= bordered(centre)
+    n, steps, remainder = expansion(cells, centre, slopes, deviation)
     n[~finite] = np.eye(m + 1)
-    angular = (1j * z * width)[:, None, None, None] * identity
-    steps = np.concatenate([-bordered(slopes), angular], axis=1)  # N_i
-    further = bordered(deviation) + 0.5 * (width**2)[:, None, None] * identity  # E
     with np.errstate(all="ignore"):
         r = inverses(n)
         x = r[:, :, states]
@@ -258,32 +265,49 @@ def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearMod
         left = np.einsum("ni,nkij->nkj", y, steps)  # y N_i
         linear = np.einsum("ni,nki->nk", y, right)
         spread = np.abs(r[:, None] @ steps)  # abs(R N_i)
-        k = spread.sum(axis=1) + sizes @ further
+        k = spread.sum(axis=1) + sizes @ remainder
         inverse = inverses(np.eye(m + 1) - k)
         lefts = np.abs(left)
         rights = np.abs(np.einsum("nij,nkj->nki", r, right))  # abs(R N_i x)
-        left_size = lefts.sum(axis=1) + np.einsum("ni,nij->nj", np.abs(y), further)
-        right_size = rights.sum(axis=1) + np.einsum("nij,njk,nk->ni", sizes, further, np.abs(x))
-        first = np.einsum("ni,nij,nj->n", np.abs(y), further, np.abs(x))
+        left_size = lefts.sum(axis=1) + np.einsum("ni,nij->nj", np.abs(y), remainder)
+        right_size = rights.sum(axis=1) + np.einsum("nij,njk,nk->ni", sizes, remainder, np.abs(x))
+        first = np.einsum("ni,nij,nj->n", np.abs(y), remainder, np.abs(x))
         disk = first + np.einsum("ni,nij,nj->n", left_size, inverse, right_size)
         gains = []
         for feedthrough in FEEDTHROUGHS.values():
             gains.append((1.0 + ROUNDING) * (extent(r[:, m, states] + feedthrough, linear) + disk))
         gains.append(gains[1] * cells.end)
         bounded = finite & np.all(inverse >= 0.0, axis=(1, 2))
-        far_left, far_right = dominant(k)
-        far_left = np.where(bounded[:, None], np.einsum("ni,nij->nj", left_size, inverse), far_left)
-        far_right = np.where(bounded[:, None], np.einsum("nij,nj->ni", inverse, right_size), far_right)
-        bent = np.einsum("ni,nij,nkjl,nl->nk", far_left, sizes, WIDENED * bordered(bends), far_right)
-        weights = np.einsum("ni,nkij,nj->nk", far_left, spread, far_right)
-        near = np.einsum("nki,ni->nk", lefts, far_right) + np.einsum("ni,nki->nk", far_left, rights)
-        weights += np.where(bounded[:, None], near, 0.0)
+        left_weights, right_weights = dominant(k)
+        left_weights = np.where(bounded[:, None], np.einsum("ni,nij->nj", left_size, inverse), left_weights)
+        right_weights = np.where(bounded[:, None], np.einsum("nij,nj->ni", inverse, right_size), right_weights)
+        bent = np.einsum("ni,nij,nkjl,nl->nk", left_weights, sizes, WIDENED * bordered(bends), right_weights)
+        weights = np.einsum("ni,nkij,nj->nk", left_weights, spread, right_weights)
+        direct = np.einsum("nki,ni->nk", lefts, right_weights) + np.einsum("ni,nki->nk", left_weights, rights)
+        weights += np.where(bounded[:, None], direct, 0.0)
         weights[:, :sides] += bent
     weights[:, sides] *= CHEAPER
     unknown = ~np.all(np.isfinite(weights), axis=1)
     weights[unknown, :sides] = (cells.high - cells.low)[unknown]
-    weights[unknown, sides] = 2.0 * width[unknown]
-    return Enclosed(np.where(bounded[:, None], np.stack(gains, axis=1), np.inf), np.argmax(weights, axis=1))
+    weights[unknown, sides] = (cells.end - cells.start)[unknown]
+    return CellBounds(np.where(bounded[:, None], np.stack(gains, axis=1), np.inf), np.argmax(weights, axis=1))
+
+
+def expansion(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.ndarray) -> Expansion:
+    """N on each cell, from the stacked fields of its :class:`LinearModel`."""
+    states = centre.shape[-1] - 1
+    middle = 0.5 * (cells.start + cells.end)
+    width = 0.5 * (cells.end - cells.start)
+    z = np.exp(1j * middle)
+    identity = np.diag([*np.ones(states), 0.0, 0.0])
+    n = z[:, None, None] * identity
+    n[:, states, states] = 1.0
+    n[:, states + 1, states + 1] = 1.0
+    n -= bordered(centre)
+    angular = (1j * z * width)[:, None, None, None] * identity
+    steps = np.concatenate([-bordered(slopes), angular], axis=1)
+    remainder = bordered(deviation) + 0.5 * (width**2)[:, None, None] * identity
+    return Expansion(n, steps, remainder)
 
 
 def inverses(matrices: np.ndarray) -> np.ndarray:

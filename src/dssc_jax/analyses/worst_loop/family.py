@@ -20,7 +20,7 @@ class Family:
     Args:
         resting: The undisturbed loop.
         box: The box of the uncertain numbers.
-        findings: On the parts, the same for all draws, shape (parts,).
+        findings: What was found for each part at the operating points, the same for all draws, shape (parts,).
     """
 
     def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray) -> None:
@@ -57,10 +57,10 @@ class Family:
         return StateMatrices(matrices.after, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
-        """Require that the loop follows from the uncertain numbers alone.
+        """Require that the uncertain numbers alone determine the loop.
 
         Raises:
-            ConfigError: it depends on a draw's random key too.
+            ConfigError: It depends on a draw's random key too.
         """
         centre = np.zeros((BATCH_POINTS, len(self.box.sides)))
         matrices = self.linearised(centre, np.arange(BATCH_POINTS) % KEYS)
@@ -68,13 +68,13 @@ class Family:
             if not np.allclose(part, part[:1], rtol=SAME, atol=SAME, equal_nan=True):
                 raise ConfigError(
                     self.resting.study.source,
-                    "has a loop that differs between draws of the same numbers, as with a sensor's jitter; "
-                    "its worst case is not bounded; `loop_margins` has its margins over the draws",
+                    "has a loop that differs between draws with the same numbers, as with a sensor's jitter, so that "
+                    "its worst case has no bound; `loop_margins` has its margins over the draws",
                 )
 
 
 class BrokenFamily:
-    """The loop broken at one place, over those numbers of the box that it depends on.
+    """The loop broken at one place, as a function of those numbers of the box that it depends on.
 
     Args:
         family: The whole loop.
@@ -109,7 +109,11 @@ class BrokenFamily:
         return self._matrices(self.full(points))
 
     def _matrices(self, points: np.ndarray) -> np.ndarray:
-        _, a, b, c = self.family.at(points)
+        return self.broken(self.family.at(points))
+
+    def broken(self, matrices: StateMatrices) -> np.ndarray:
+        """[[A, b], [c, 0]] of whole loops, broken at this place, shape (n, states + 1, states + 1)."""
+        _, a, b, c = matrices
         kept = self.kept
         top = np.concatenate([a[:, kept][:, :, kept], b[:, kept, self.point, None]], axis=2)
         bottom = np.concatenate([c[:, None, self.point, kept], np.zeros((len(a), 1, 1))], axis=2)

@@ -17,7 +17,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 
 BEYOND = 0.02
-"""How much farther from the middle of the box a witness of instability lies than the nearest one found."""
+"""How much farther from the middle of the box an unstable witness lies than the nearest unstable point found."""
 
 
 class LoopCase(NamedTuple):
@@ -29,10 +29,10 @@ class LoopCase(NamedTuple):
         found: Worst margins found in the box.
         numbers: The numbers that have them, by name, for each margin.
         guaranteed: Margins that hold on all of the box; NaN: none.
-        growth_found: Growth of the box that reaches an unstable loop; infinite: none was found.
+        growth_found: Smallest growth of the box found that reaches an unstable loop; infinite: none was found.
         unstable: The numbers of that loop, by name.
         growth_guaranteed: Growth up to which the loop is stable.
-        growable: Largest growth that was looked at.
+        growable: Largest growth that was searched.
         cells: Cells computed.
     """
 
@@ -66,7 +66,7 @@ class LoopWorst:
     stable: Annotated[bool | None, Quantity("", "whether it is stable on all of the box; None: undecided")]
     growth_guaranteed: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
     growth_found: Annotated[float, Quantity("1", "growth that reaches an unstable loop; None: none was found")]
-    growable: Annotated[float, Quantity("1", "largest growth that was looked at")]
+    growable: Annotated[float, Quantity("1", "largest growth that was searched")]
     unstable: Annotated[dict[str, float], Quantity("that of the number", "numbers of that loop; empty: none was found")]
     depends_on: Annotated[tuple[str, ...], Quantity("", "the numbers that change this loop")]
     cells: Annotated[int, Quantity("1", "parts of box and frequencies that were computed")]
@@ -253,7 +253,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     for name, meaning in {
         "growth_found": "growth of the box that reaches an unstable loop",
         "growth_guaranteed": "growth of the box up to which the loop is stable",
-        "growable": "largest growth that was looked at",
+        "growable": "largest growth that was searched",
         "cells": "cells computed",
     }.items():
         values = np.array([getattr(case, name) for case in found])

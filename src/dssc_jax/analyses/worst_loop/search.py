@@ -1,4 +1,4 @@
-"""Perturbations of the loop that are found to be worst: margins within the box, and the nearest instability."""
+"""Search for the worst perturbations of the loop: the worst margins within the box, and the nearest instability."""
 
 import itertools
 from collections.abc import Callable
@@ -61,7 +61,7 @@ def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> 
 
     Args:
         matrices: [[A, b], [c, 0]], shape (n, states + 1, states + 1).
-        common: Angles at which crossings are looked for.
+        common: Angles at which every loop is evaluated.
         sample_time: T_s [s].
     """
     result = np.tile([UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS], (len(matrices), 1))
@@ -78,12 +78,12 @@ def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> 
 
 
 def badness(margins: np.ndarray) -> np.ndarray:
-    """Margins with a sign by which larger values are worse."""
+    """Margins, shape (..., margins), with a sign such that larger values are worse."""
     return margins * np.array([-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS])
 
 
 def worst_margins(evaluate: Evaluate, sides: int, common: np.ndarray, sample_time: float) -> list[Worst]:
-    """The worst value found of each margin: the worst of many points, then steps along each number."""
+    """The worst value found of each margin: the worst of many points, improved by steps along each number."""
 
     def margins(points: np.ndarray) -> np.ndarray:
         return margins_at(evaluate(points), common, sample_time)
@@ -95,16 +95,15 @@ def worst_margins(evaluate: Evaluate, sides: int, common: np.ndarray, sample_tim
     worst = values[best, range(len(MARGINS))]
     step = FIRST_STEP
     moves = np.concatenate([np.eye(sides), -np.eye(sides)])
-    while step >= SMALLEST_STEP and sides and not np.any(badness(worst[None]) == np.inf):
+    while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
         trials = np.clip(at[:, None] + step * moves, -1.0, 1.0)
         found = margins(trials.reshape(-1, sides)).reshape(*trials.shape[:2], len(MARGINS))
+        scores = badness(found)
         moved = False
         for index in range(len(MARGINS)):
-            value = found[index, :, index]
-            k = int(np.argmax(badness(found[index])[:, index]))
-            sign = -1.0 if MARGIN_KINDS[MARGINS[index]].side == "lower" else 1.0
-            if sign * value[k] > sign * worst[index] + 1e-12:
-                worst[index] = value[k]
+            k = int(np.argmax(scores[index, :, index]))
+            if scores[index, k, index] > badness(worst)[index] + 1e-12:
+                worst[index] = found[index, k, index]
                 at[index] = trials[index, k]
                 moved = True
         step = step if moved else 0.5 * step

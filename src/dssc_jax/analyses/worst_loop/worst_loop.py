@@ -10,7 +10,7 @@ from dssc_jax.analyses.defaults import CELLS, MOST_CELLS, SIGMA
 from dssc_jax.analyses.linearisation.smooth_parts import declared_places, stated
 from dssc_jax.analyses.loop_margins.break_points import BreakPoint, break_points
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
-from dssc_jax.analyses.loop_margins.operating_points import Operating, RestingLoop, resting_operation
+from dssc_jax.analyses.loop_margins.operating_points import Operating, RestingLoop, StateMatrices, resting_operation
 from dssc_jax.analyses.loop_margins.response import common_grid
 from dssc_jax.analyses.worst_loop.box import admissible_growth, box_of
 from dssc_jax.analyses.worst_loop.cells import GAINS, Covered, cover
@@ -31,11 +31,11 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.study import Study, takes_file
 
-GAP = 1.05  # ratio of a bound to the value found that is good enough
+GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
-"""Of the growth at which a loop was found unstable, those that are tried for the guaranteed growth."""
-ANY = np.full(len(GAINS), 1e300)
-"""Bounds that every stable loop meets."""
+"""The growths that are tried for the guarantee, relative to the smallest one with an unstable loop."""
+LOOSEST = np.full(len(GAINS), 1e300)
+"""Goals that any finite bounds meet."""
 
 
 @takes_file
@@ -55,11 +55,11 @@ def worst_loop(
     about its middle up to which the loop stays stable, 1/mu.
 
     Args:
-        study: The study, or its file; its own sweep is ignored.
+        study: The study, or its file; its sweep is ignored.
         broken_at: Names of break points; none: the command of each channel.
         sigma: Laws without ends are cut at so many standard deviations of a normal law.
-        cells: Parts of the box and of the frequencies that are computed at most, for each loop and kind of bound.
-        progress: Called with the cells computed.
+        cells: Largest number of cells (parts of the box and of the frequencies) for each loop and kind of bound.
+        progress: Called with the number of cells computed.
 
     Raises:
         ConfigError: the study has no uncertain number, its loop cannot be linearised or differs between draws of the
@@ -78,8 +78,8 @@ def worst_loop(
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
     study = study.without_sweep()
     names = break_points(study.loop)
-    wanted = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
-    for name in wanted:
+    selected = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
+    for name in selected:
         if name not in names:
             raise ConfigError("broken_at", f"has no break point '{name}'; {nearest(name, names)}")
     box = box_of(study, sigma)
@@ -98,7 +98,7 @@ def worst_loop(
             progress(spent + computed, None)
 
     cases = {}
-    for name in wanted:
+    for name in selected:
         kept = in_loop(operating.matrices, operating.reached, names.index(name))
         if not kept.size:
             continue
@@ -114,7 +114,7 @@ def worst_loop(
 
 
 class Bounds(NamedTuple):
-    """What holds on all of the box, and how far the box may grow."""
+    """Bounds of the gains on the box, and the growth of the box up to which stability is guaranteed."""
 
     covered: Covered
     growth: float
@@ -126,7 +126,7 @@ def loop_case(
     """The worst case of one broken loop."""
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
-    drawn = drawn_matrices(operating, broken)
+    drawn = broken.broken(StateMatrices(*(part[operating.reached] for part in operating.matrices)))
     common = common_grid(np.linalg.eigvals(drawn[:, :-1, :-1]))
     drawn_margins = margins_at(drawn, common, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
@@ -148,15 +148,6 @@ def loop_case(
     )
 
 
-def drawn_matrices(operating: Operating, broken: BrokenFamily) -> np.ndarray:
-    """[[A, b], [c, 0]] of the draws that have an equilibrium."""
-    _, a, b, c = (part[operating.reached] for part in operating.matrices)
-    kept = broken.kept
-    top = np.concatenate([a[:, kept][:, :, kept], b[:, kept, broken.point, None]], axis=2)
-    bottom = np.concatenate([c[:, None, broken.point, kept], np.zeros((len(a), 1, 1))], axis=2)
-    return np.concatenate([top, bottom], axis=1)
-
-
 def bounds_of(
     broken: BrokenFamily,
     found: list[Worst],
@@ -168,11 +159,11 @@ def bounds_of(
 ) -> Bounds:
     """Bounds of the gains on the box, and the growth up to which the loop is shown to be stable."""
     sides = len(broken.sides)
-    none = Covered(np.full(len(GAINS), np.inf), 0)
+    unbounded = Covered(np.full(len(GAINS), np.inf), 0)
     if radii_of(broken.at(np.zeros((1, sides))))[0] >= 1.0:
-        return Bounds(none, 0.0)
+        return Bounds(unbounded, 0.0)
     ones = np.ones(sides)
-    covered = none
+    covered = unbounded
     growth = 0.0
     if instability.growth > 1.0:
         worst = dict(zip(MARGINS, (case.value for case in found), strict=True))
@@ -191,7 +182,7 @@ def bounds_of(
         if tried <= growth:
             break
         ends = (-tried * ones, tried * ones)
-        trial = cover(broken.at, ends, ANY, cells // 4, lambda computed, before=spent: advance(before + computed))
+        trial = cover(broken.at, ends, LOOSEST, cells // 4, lambda computed, before=spent: advance(before + computed))
         spent += trial.cells
         if trial.stable:
             growth = tried
@@ -202,7 +193,7 @@ def bounds_of(
 def guaranteed_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
     """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN: none.
 
-    Peaks of S, T and (S - T)/2 each exclude a disk of gains and phases; the widest of the three counts.
+    A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases; the widest range counts.
 
     Reference:
         P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020).

@@ -55,12 +55,12 @@ class Code(StudyOptions):
 class Library:
     """Build your controller in C, and show what it exports.
 
-    The controller has the functions and types of the headers that `dssc-jax code` writes, and ends with a description;
-    --template writes one to fill in. The library then stands in a study as [controller] kind = "library". The source of
-    `dssc-jax code` is one, too.
+    The source has the functions and types of the headers that `dssc-jax code` writes, and ends with a description of
+    the controller; --template writes an example to fill in. What `dssc-jax code` writes can be built, too. A study uses
+    the library by [controller] kind = "library".
 
-    To show what a library exports its code is loaded. Two flights are tried alone and in turn, so that a controller
-    that keeps numbers outside of its structure is refused. An existing shared object (.so) is shown without building.
+    The command loads and runs the library: it flies two flights, alone and in turn, and refuses a controller that keeps
+    state outside of its structure. It shows an existing shared object (.so) without building.
     """
 
     sources: Annotated[

@@ -85,11 +85,11 @@ class Loop(OutputOptions, DrawsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class WorstLoop(OutputOptions, DrawsOptions):
-    """Worst margins of the linearised loop over the box of the laws: bounds that hold, and numbers that reach them.
+    """Worst margins of the linearised loop over the box of the laws, found and guaranteed.
 
     Gain, phase, delay and disk margins, M_s and M_t: the worst drawn, the worst found, and what is guaranteed for all
     numbers between the ends of their laws, at all frequencies. Also the robust stability factor: how far the box may
-    grow before a loop is unstable (1/mu). The numbers of each worst case are printed, and written as studies
+    grow before a loop is unstable (1/mu). Prints the numbers of each worst case, and writes them as studies
     (witnesses/LOOP-MARGIN.toml, for `loop` and `run`). The study's [sweep] is ignored.
     """
 
@@ -105,7 +105,7 @@ class WorstLoop(OutputOptions, DrawsOptions):
         float, typer.Option("--sigma", metavar="K", help="Laws without ends are cut at K standard deviations.")
     ] = SIGMA
     cells: Annotated[
-        int, typer.Option("--cells", metavar="N", min=1, help="Parts of the box and of the frequencies, at most.")
+        int, typer.Option("--cells", metavar="N", min=1, help="Largest number of cells of box and frequencies.")
     ] = CELLS
 
 

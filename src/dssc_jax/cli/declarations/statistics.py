@@ -84,11 +84,11 @@ class Rare(OutputOptions, SeededOptions):
     """
 
     method: Annotated[
-        RareMethod, typer.Option("--method", help="How to search failures; auto: by importance, else by splitting.")
+        RareMethod, typer.Option("--method", help="auto: importance sampling, or splitting where that has no answer.")
     ] = RareMethod.AUTO
     variation: Annotated[
         float,
-        typer.Option("--variation", metavar="V", help="Coefficient of variation of importance sampling."),
+        typer.Option("--variation", metavar="V", help="Coefficient of variation to reach by importance sampling."),
     ] = VARIATION
     particles: Annotated[int, typer.Option("--particles", metavar="N", help="Particles of each repeat.")] = PARTICLES
     killed: Annotated[

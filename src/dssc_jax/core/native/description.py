@@ -1,4 +1,7 @@
-"""What a shared object says of its controllers, as ``dssc_jax_library.h`` lays it out."""
+"""The description of its controllers that a shared object exports, in the layout of ``dssc_jax_library.h``.
+
+The *exchange* is the memory of a call: the controller's structure, then the signals, commands, telemetry and flag.
+"""
 
 import ctypes
 import math
@@ -17,12 +20,12 @@ MOST_CONTROLLERS = 64
 MOST_NUMBERS = 256
 MOST_BYTES = 1 << 16
 TINY = float(np.finfo(np.float32).tiny)
-"""A least value that is positive and not larger stands for "above 0"."""
+"""A positive lower limit that is not larger than this stands for "above 0"."""
 
 SIGNALS = 5
 COMMANDS = 2
-TAKEN = ("kind", "file", "name", "sha256", "flag")
-"""Names in a study's table that no parameter may have, and the name of the flag among the telemetry."""
+RESERVED = ("kind", "file", "name", "sha256", "flag")
+"""Names that no parameter or telemetry value may have: entries of a study's table, and the flag."""
 
 CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
@@ -66,7 +69,7 @@ class ControllerRow(ctypes.Structure):
 
 @dataclass(frozen=True)
 class NativeNumber:
-    """A parameter or a telemetry value: its name, its meaning, and its place in the exchange in bytes."""
+    """A parameter or a telemetry value: its name, its quantity, and its place in the exchange in bytes."""
 
     name: str
     quantity: Quantity
@@ -75,7 +78,7 @@ class NativeNumber:
 
 @dataclass(frozen=True)
 class NativeController:
-    """A controller of a shared object, in the terms of ``dssc_jax_controller``.
+    """A controller of a shared object, as ``dssc_jax_controller`` describes it.
 
     Args:
         name: The prefix of its functions.
@@ -88,9 +91,9 @@ class NativeController:
         flag: Place of the step's flag.
         parameters: Its parameters.
         telemetry: Its telemetry.
-        init: Address of a function of the exchange.
-        reset: As ``init``.
-        step: As ``init``.
+        init: Address of a function that takes the exchange and sets the parameters to their defaults.
+        reset: Address of one that begins a flight.
+        step: Address of one that computes a sample.
     """
 
     name: str
@@ -156,11 +159,11 @@ def described_controller(row: ControllerRow) -> NativeController:
         row.reset or 0,
         row.step or 0,
     )
-    require_sound(controller, row)
+    require_consistent(controller, row)
     return controller
 
 
-def require_sound(controller: NativeController, row: ControllerRow) -> None:
+def require_consistent(controller: NativeController, row: ControllerRow) -> None:
     """Require that sizes, places and addresses fit together.
 
     Raises:
@@ -169,7 +172,7 @@ def require_sound(controller: NativeController, row: ControllerRow) -> None:
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
     places = [*controller.signals, *controller.commands, controller.flag]
     places += [number.offset for number in (*controller.parameters, *controller.telemetry)]
-    sound = {
+    rules = {
         "the sample time must be positive": controller.sample_time > 0.0,
         "numbers must be float or double": controller.real in (4, 8),
         f"at most {MOST_BYTES} bytes": 0 < controller.size <= controller.exchange <= MOST_BYTES,
@@ -182,7 +185,7 @@ def require_sound(controller: NativeController, row: ControllerRow) -> None:
         ),
         "a function is missing": all((controller.init, controller.reset, controller.step)),
     }
-    for rule, holds in sound.items():
+    for rule, holds in rules.items():
         if not holds:
             raise ConfigError("", f"describes its controller {controller.name} wrongly: {rule}")
 
@@ -198,7 +201,7 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
     numbers: dict[str, NativeNumber] = {}
     for row in rows[:count] if count else ():
         name = text_of(row.name)
-        if not (name.isidentifier() and name.isascii()) or name in numbers or name in TAKEN or name.startswith("_"):
+        if not (name.isidentifier() and name.isascii()) or name in numbers or name in RESERVED or name.startswith("_"):
             raise ConfigError("", f"has a number {name!r} in its controller {controller}; choose another name")
         low = None if row.low == -math.inf else row.low
         high = None if row.high == math.inf else row.high
@@ -210,5 +213,5 @@ def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count
 
 
 def text_of(content: bytes | None) -> str:
-    """A text of C; what is not UTF-8 is replaced."""
+    """A string of C as text; bytes that are not UTF-8 are replaced."""
     return (content or b"").decode("utf-8", "replace")

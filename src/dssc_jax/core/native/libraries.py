@@ -28,7 +28,7 @@ class NativeLibrary:
     Args:
         file: The file that it was read from.
         sha256: Digest of its content.
-        controllers: What it exports.
+        controllers: The controllers that it exports.
     """
 
     file: str
@@ -37,7 +37,7 @@ class NativeLibrary:
 
 
 LOADED: dict[str, NativeLibrary] = {}
-"""Libraries of this process by their digest; what is loaded stays loaded, since compiled lanes call it."""
+"""Libraries of this process by their digest; they stay loaded, since compiled lanes call them."""
 
 
 def library_content(path: Path) -> bytes:
@@ -103,7 +103,7 @@ def symbol_of(library: NativeLibrary, controller: NativeController, function: st
     return f"dssc_jax_{library.sha256}_{controller.name}_{function}"
 
 
-def provided(library: NativeLibrary, controller: NativeController, function: str, address: int) -> str:
+def provide_function(library: NativeLibrary, controller: NativeController, function: str, address: int) -> str:
     """Let lanes call a function of a library, and return its symbol."""
     symbol = symbol_of(library, controller, function)
     if symbol not in foreign.ADDRESSES:
@@ -122,26 +122,26 @@ def default_values(controller: NativeController) -> dict[str, float]:
     """The values of the parameters after ``init``, by name."""
     memory = initial_memory(controller)
     real = np.dtype(f"f{controller.real}")
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for number in controller.parameters:
-        found[number.name] = float(memory[number.offset : number.offset + controller.real].view(real)[0])
-    return found
+        values[number.name] = float(memory[number.offset : number.offset + controller.real].view(real)[0])
+    return values
 
 
 def require_reentrant(controller: NativeController) -> None:
     """Require that two flights do not disturb each other: each gives the same bits alone and in turn with the other.
 
     Raises:
-        ConfigError: They do; the controller keeps numbers outside of its structure.
+        ConfigError: They disturb each other: the controller keeps numbers outside of its structure.
     """
-    alone = [flown(controller, [flight]) for flight in (0, 1)]
-    if flown(controller, [0, 1]) != alone[0] + alone[1] or flown(controller, [0]) != alone[0]:
+    alone = [flown_commands(controller, [flight]) for flight in (0, 1)]
+    if flown_commands(controller, [0, 1]) != alone[0] + alone[1] or flown_commands(controller, [0]) != alone[0]:
         rule = "keeps numbers outside of its structure (static or global variables), which would mix thousands of "
         raise ConfigError("", f"has a controller {controller.name} that {rule}flights; move them into its state")
 
 
-def flown(controller: NativeController, flights: list[int]) -> list[bytes]:
-    """The commands of some flights that take turns, one after the other: for each flight the bits of all samples."""
+def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
+    """Fly some flights in turn, sample by sample; return the bits of all commands of each flight."""
     reset = CALL(controller.reset)
     step = CALL(controller.step)
     memories = {flight: initial_memory(controller) for flight in flights}

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import JaxprEqn
 
-from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Value
 from dssc_jax.lanes.tracing.specification import (
     MOVED_TYPES,
     NUMBER_TYPES,

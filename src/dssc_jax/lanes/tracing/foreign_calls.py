@@ -5,8 +5,9 @@ from typing import Any
 
 from jax.extend.core import JaxprEqn
 
+from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.foreign import FOREIGN_CALL
-from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.program import Value
 from dssc_jax.lanes.tracing.specification import NUMBER_TYPES, Parameters, TranslationRule, anything, rule
 
 

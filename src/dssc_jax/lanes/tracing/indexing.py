@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import JaxprEqn
 
-from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Value
 from dssc_jax.lanes.tracing.arrays import Tensor, as_tensor, elementwise, from_tensor
 from dssc_jax.lanes.tracing.memory import Memory
 from dssc_jax.lanes.tracing.specification import (

@@ -1,7 +1,7 @@
 """Arrays that a loop carries and that are only read and written one element at a time, at an index of the time.
 
-They stay in the memory of a vector of lanes: an access costs one instruction, however long the array is. It is an
-operation on a *token*, which stands for the content at that point of the program; so every pass keeps their order.
+They stay in the memory of a vector of lanes: an access costs one instruction, however long the array is. An access is
+an operation on a *token*, which stands for the content at that point of the program, so every pass keeps their order.
 """
 
 from collections.abc import Sequence
@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Var
 
-from dssc_jax.lanes.program import Builder, Slot, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Slot, Value
 from dssc_jax.lanes.tracing.varying import parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
 SMALLEST = 8
-"""Elements of an array that stays in memory; a shorter one becomes that many scalars."""
+"""Smallest length of an array that stays in memory; the elements of a shorter one become scalars."""
 LARGEST = 8192
 INDEX_TYPE = np.dtype(np.int32)
 
@@ -39,11 +40,11 @@ class Memory:
 
     @property
     def shape(self) -> tuple[int]:
-        """That of the array."""
+        """Shape of the array."""
         return (self.slot.length,)
 
     def follows(self, token: Value) -> "Memory":
-        """The content after an operation."""
+        """The content after an operation, which makes this one obsolete."""
         self.is_overwritten = True
         return Memory(self.slot, token)
 
@@ -63,7 +64,7 @@ class Memory:
             Unsupported: The index differs between lanes, or there is a later content.
         """
         self.require_current()
-        value = build.read(self.slot, self.token, within(build, index, self.slot.length))
+        value = build.read(self.slot, self.token, clamped(build, index, self.slot.length))
         self.reads.append(value)
         return value
 
@@ -74,7 +75,7 @@ class Memory:
             Unsupported: The index differs between lanes, or there is a later content.
         """
         self.require_current()
-        position = within(build, index, self.slot.length)
+        position = clamped(build, index, self.slot.length)
         return self.follows(build.write(self.slot, self.token, position, value, self.reads))
 
     def entering(self) -> Value:
@@ -89,8 +90,8 @@ class Memory:
         return self.token
 
 
-def within(build: Builder, index: Value, length: int) -> Value:
-    """An index, moved into the array.
+def clamped(build: Builder, index: Value, length: int) -> Value:
+    """An index, clamped to the array.
 
     Raises:
         Unsupported: It differs between lanes.
@@ -103,7 +104,7 @@ def within(build: Builder, index: Value, length: int) -> Value:
 
 
 def kept_in_memory(build: Builder, begin: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
-    """The state before a loop, with a memory in place of each array of zeros that stays in it.
+    """The state before a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
 
     Args:
         build: The builder.
@@ -113,16 +114,16 @@ def kept_in_memory(build: Builder, begin: Sequence[Any], body: Jaxpr, first: int
     """
     kept = []
     for position, value in enumerate(begin):
-        number = zeros_of(value)
-        if number is not None and stays_in_place(body, first + position, position):
-            slot = Slot(len(value), number)
+        dtype = zeros_of(value)
+        if dtype is not None and stays_in_place(body, first + position, position):
+            slot = Slot(len(value), dtype)
             value = Memory(slot, build.memory(slot))
         kept.append(value)
     return kept
 
 
 def zeros_of(value: Any) -> np.dtype | None:
-    """The type of a row of real zeros that is long enough for a memory; None for anything else."""
+    """The type of a one-dimensional array of real zeros of admissible length; None for any other value."""
     if not isinstance(value, np.ndarray) or value.ndim != 1 or not SMALLEST <= len(value) <= LARGEST:
         return None
     elements = value
@@ -135,12 +136,12 @@ def zeros_of(value: Any) -> np.dtype | None:
 
 
 def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
-    """Whether a body only reads and writes single elements of an operand, and hands it on as one result."""
+    """Whether a body only reads and writes single elements of an operand, and returns it as this result alone."""
     return versions(body, body.invars[operand]) == [result]
 
 
 def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
-    """The results of a program that are an array with other elements; None if it does anything else with the array."""
+    """Which results are later versions of an array; None if the program does more than access single elements of it."""
     known: set[Any] = {array}
     for equation in jaxpr.eqns:
         used = [i for i, atom in enumerate(equation.invars) if isinstance(atom, Var) and atom in known]
@@ -154,7 +155,7 @@ def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
 
 
 def versions_of(equation: JaxprEqn, used: list[int]) -> list[int] | None:
-    """As :func:`versions`, for one equation that has the array at some of its operands."""
+    """As :func:`versions`, for one equation; ``used`` are the positions of the array among its operands."""
     name = equation.primitive.name
     params = equation.params
     if name == "dynamic_slice":
@@ -182,5 +183,5 @@ def versions_of(equation: JaxprEqn, used: list[int]) -> list[int] | None:
 
 
 def carried(body: Jaxpr, operand: int, state: int) -> list[int] | None:
-    """The result of a loop that keeps an array in one of its states."""
+    """As :func:`versions`, for a loop that carries the array as one of its states."""
     return [state] if stays_in_place(body, operand, state) else None

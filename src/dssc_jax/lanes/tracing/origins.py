@@ -17,7 +17,8 @@ from typing import Any, NamedTuple
 
 from jax.extend.core import JaxprEqn
 
-from dssc_jax.lanes.program import Builder, Program, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Program, Value
 from dssc_jax.lanes.tracing.translate import INLINED, Translator, traced_program
 
 LIBRARY = ("/jax/", "\\jax\\", "<frozen", "dssc_jax/lanes", "dssc_jax\\lanes")

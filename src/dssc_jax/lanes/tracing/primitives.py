@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from jax.extend.core import JaxprEqn
 
-from dssc_jax.lanes.program import BOOL, Builder, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import BOOL, Value
 from dssc_jax.lanes.tracing.specification import (
     NUMBER_TYPES,
     REAL,

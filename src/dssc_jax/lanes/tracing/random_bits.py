@@ -12,7 +12,8 @@ import jax
 import numpy as np
 from jax.extend.core import JaxprEqn
 
-from dssc_jax.lanes.program import Builder, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Value
 from dssc_jax.lanes.tracing.arrays import as_tensor
 from dssc_jax.lanes.tracing.specification import (
     KEY,

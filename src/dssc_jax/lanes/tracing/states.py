@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from dssc_jax.lanes.program import Builder, Recording, Value
+from dssc_jax.lanes.builder import Builder
+from dssc_jax.lanes.program import Recording, Value
 from dssc_jax.lanes.tracing.arrays import as_tensor
 from dssc_jax.lanes.tracing.memory import Memory
 from dssc_jax.lanes.tracing.random_bits import Key

@@ -11,9 +11,10 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal, Var
 
+from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.functions.elementary import ELEMENTARY, RareRule
 from dssc_jax.lanes.interface import AXIS
-from dssc_jax.lanes.program import BOOL, Builder, Program, Recording, Subroutine, Value
+from dssc_jax.lanes.program import BOOL, Program, Recording, Subroutine, Value
 from dssc_jax.lanes.tracing import indexing, random_bits
 from dssc_jax.lanes.tracing.arrays import ARRAY_RULES, elementwise
 from dssc_jax.lanes.tracing.foreign_calls import FOREIGN_RULES
@@ -33,7 +34,7 @@ def translate(lane: Callable[..., Any], *arguments: Any, fast: bool = False) -> 
         lane: A function of scalars; its results may be reduced over the other lanes by ``pmax`` along
             :data:`~dssc_jax.lanes.interface.AXIS`.
         arguments: Trees of ``jax.ShapeDtypeStruct`` with shape ().
-        fast: See :class:`~dssc_jax.lanes.program.Builder`.
+        fast: See :class:`~dssc_jax.lanes.builder.Builder`.
 
     Returns:
         The program, with one input for each leaf of the arguments; and the tree of results, with shapes and types.

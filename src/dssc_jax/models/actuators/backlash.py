@@ -25,7 +25,7 @@ class BacklashParams(NamedTuple):
 
 
 def step(params: BacklashParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """The output stays where it is as long as the command stays within the gap around it."""
+    """The output keeps its value while the command stays within the gap around it."""
     (z,) = state
     return (clip(z, command - params.half_width, command + params.half_width),)
 

@@ -2,12 +2,11 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.adapters import static_unmodelled
-from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.adapters import static_unmodelled, unit_gain
 from dssc_jax.core.numerics import saturate
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.smoothness import SMOOTH, not_smooth
+from dssc_jax.core.smoothness import not_smooth
 
 
 class DeadZoneParams(NamedTuple):
@@ -17,22 +16,16 @@ class DeadZoneParams(NamedTuple):
 
 
 def beyond_zone(params: DeadZoneParams, command: Scalar) -> Scalar:
-    """What the command exceeds the zone by."""
+    """The part of the command beyond the zone."""
     return command - saturate(command, params.half_width)
 
 
-def unit_gain(params: DeadZoneParams) -> tuple[Unmodelled, DeadZoneParams]:
-    """The dead zone for signals that are large against it: a gain of 1."""
-    return UNIT_GAIN, params
-
-
-UNIT_GAIN = static_unmodelled(DeadZoneParams, lambda params, command: command, smooth=SMOOTH, continuous=True)
 DEAD_ZONE = static_unmodelled(
     DeadZoneParams,
     beyond_zone,
     smooth=not_smooth(
         "counts as its gain 1 for large signals; its describing function lies between 0 and 1, so that a loop which "
         "needs a least gain may oscillate within the margins",
-        unit_gain,
+        unit_gain(DeadZoneParams),
     ),
 )

@@ -21,7 +21,7 @@ class LostCommandParams(NamedTuple):
 def sample(
     params: LostCommandParams, state: tuple[Scalar], command: Scalar, key: jax.Array, dt: Scalar
 ) -> tuple[Scalar]:
-    """The command if it arrives, else the last one; before t = 0 it was 0."""
+    """The command if it arrives, else the last one that arrived; before t = 0 that is 0."""
     if is_zero(params.probability):
         return (command,)
     (chance,) = uniforms(key, 1)
@@ -29,7 +29,7 @@ def sample(
 
 
 def smoothness(params: LostCommandParams) -> Smoothness:
-    """Linear without losses."""
+    """Smooth without losses; with losses there is no derivative."""
     if extent(params.probability)[1] > 0.0:
         return not_smooth("loses commands at random, so that no derivative holds from sample to sample; leave it out")
     return SMOOTH

@@ -24,7 +24,11 @@ def step(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Sca
 
 
 def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Scalar, dt: Scalar) -> tuple[Scalar]:
-    """Exact solution for a command that runs straight from start to end: towards it, then with it or behind it."""
+    """Exact solution for a command that moves on a straight line from start to end.
+
+    The output moves towards the command at the largest rate. Once they meet, it moves with the command, or falls
+    behind.
+    """
     (z,) = state
     slope = (end - start) / dt
     gap = start - z
@@ -37,10 +41,10 @@ def follow(params: RateLimitParams, state: tuple[Scalar], start: Scalar, end: Sc
 
 
 def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: Scalar) -> Moments:
-    """Of a ramp that reaches the command after the share s of dt, and of the constant after it.
+    """Moments of a ramp that reaches the command after the share s of dt, and then stays constant.
 
-    With s the share, the mean lies s/2 of the covered gap before its end, and the line with the same first moment rises
-    by s (3 - 2 s) of it.
+    The mean lies s/2 of the covered gap before its end. The line with the same first moment rises by s (3 - 2 s) of
+    that gap.
     """
     (z,) = state
     reach = params.rate * dt

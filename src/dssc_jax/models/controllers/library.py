@@ -16,7 +16,7 @@ import numpy as np
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import LOADED, NativeLibrary, default_values, initial_memory, provided
+from dssc_jax.core.native.libraries import LOADED, NativeLibrary, default_values, initial_memory, provide_function
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
@@ -29,9 +29,9 @@ KIND = "library"
 """The kind's name in a study's tables, by which the native code that they name is found."""
 
 MODULE = "dssc_jax_library"
-"""Module that the types of a library's parameters and telemetry seem to come from; nothing describes them by name."""
+"""The ``__module__`` of the types of a library's parameters and telemetry, which no module defines."""
 
-FLAG = Quantity("1", "what the step returned: 0, or a number that tells why the command is not the usual one")
+FLAG = Quantity("1", "return value of the step: 0, or a number that tells why the command is not the usual one")
 WITHOUT_DERIVATIVE = (
     "is native code, which has no derivative; what samples draws (run, margin, compare, falsify) needs none"
 )
@@ -47,7 +47,7 @@ class LibraryGains(NamedTuple):
 
 
 class NativeCalls:
-    """The calls of one controller of a library.
+    """The functions of one controller of a library, as functions that lanes can call.
 
     Args:
         library: The library.
@@ -55,22 +55,24 @@ class NativeCalls:
     """
 
     def __init__(self, library: NativeLibrary, controller: NativeController) -> None:
-        self.library, self.controller = library, controller
+        self.library = library
+        self.controller = controller
         real = np.dtype(f"f{controller.real}")
         word = np.dtype(f"u{controller.real}")
         parameters = tuple(MemoryPlace(real, number.offset) for number in controller.parameters)
-        taken = {place.offset for place in parameters}
-        starts = [start for start in range(0, controller.size, controller.real) if start not in taken]
+        occupied = {place.offset for place in parameters}
+        starts = [start for start in range(0, controller.size, controller.real) if start not in occupied]
         words = tuple(MemoryPlace(word, start) for start in starts)
         signals = tuple(MemoryPlace(real, offset) for offset in controller.signals)
         commands = tuple(MemoryPlace(real, offset) for offset in controller.commands)
         telemetry = tuple(MemoryPlace(real, number.offset) for number in controller.telemetry)
         flag = MemoryPlace(np.dtype(np.uint32), controller.flag)
         size = controller.exchange + controller.real
-        symbols = {name: provided(library, controller, name, getattr(controller, name)) for name in ("reset", "step")}
-        self.reset = ForeignFunction(symbols["reset"], size, parameters + words, words)
+        reset = provide_function(library, controller, "reset", controller.reset)
+        step = provide_function(library, controller, "step", controller.step)
+        self.reset = ForeignFunction(reset, size, parameters + words, words)
         results = (*words, *commands, *telemetry, flag)
-        self.step = ForeignFunction(symbols["step"], size, parameters + words + signals, results)
+        self.step = ForeignFunction(step, size, parameters + words + signals, results)
         memory = np.append(initial_memory(controller), np.zeros(controller.real, np.uint8))
         self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
 
@@ -111,7 +113,8 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         if isinstance(dt, float) and not np.isclose(dt, controller.sample_time, rtol=1e-9, atol=0.0):
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
-        results = calls.called(calls.step, *calls.values(gains), *state, *measurement, *reference)
+        signals = (measurement.y, measurement.y_dot, *reference)
+        results = calls.called(calls.step, *calls.values(gains), *state, *signals)
         words = tuple(results[: len(state)])
         robust, nominal, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
         return words, Command(robust, nominal), info(*reported)
@@ -133,13 +136,13 @@ def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
 
 
 def info_type(controller: NativeController) -> Any:
-    """The type of what the controller reports: its telemetry, and the flag of its step."""
+    """The type of the controller's info: its telemetry, and the flag of its step."""
     reported = {number.name: number.quantity for number in controller.telemetry}
     return named_type("Info", {**reported, "flag": FLAG}, {})
 
 
 def named_type(name: str, quantities: dict[str, Quantity], defaults: dict[str, float]) -> Any:
-    """A NamedTuple type of numbers, all of which have defaults, or none."""
+    """A NamedTuple type of numbers; with ``defaults`` for all of them, or without any."""
     values = [defaults[field] for field in quantities] if defaults else None
     created = namedtuple(name, list(quantities), defaults=values, module=MODULE)
     created.__annotations__ = {field: Annotated[Scalar, quantity] for field, quantity in quantities.items()}
@@ -152,7 +155,8 @@ def loaded_controller(table: TomlTable) -> Controller:
     Raises:
         ConfigError: Its library is not loaded, or has no such controller.
     """
-    file, digest = table.get("file"), table.get("sha256", "")
+    file = table.get("file")
+    digest = table.get("sha256", "")
     if not isinstance(file, str):
         raise ConfigError("file", f"must be the name of a shared object that dssc-jax library built, got {file!r}")
     library = LOADED.get(digest) if isinstance(digest, str) else None
@@ -175,7 +179,7 @@ UNLOADED = Controller(
     smooth=not_smooth(WITHOUT_DERIVATIVE),
     native="a file",
 )
-"""What stands for a library whose file is not known, in lists of kinds; no study gets it."""
+"""Placeholder for a library in lists of kinds, where its file is not known; no study gets it."""
 
 LIBRARY = Entry(
     {None: UNLOADED},

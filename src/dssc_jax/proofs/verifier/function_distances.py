@@ -1,7 +1,8 @@
 """How far the functions of the conservative form are from straight lines, enclosed: the verifier's own.
 
 With |sigma| and |e| within a region, bounds of |phi_1 - k_1 sigma|, |phi_2 - k_2 sigma| and |phi_1 + n - (k_1 + k_n)
-sigma|, where n is what the nominal control takes through its term 1/tau_m. The region is cut where the enclosure of a
+sigma|, where n is what the nominal control takes through its term 1/tau_m. A share of what the third holds may be taken
+from what the second holds. The region is cut where the enclosure of a
 piece exceeds what is reached at points by more than a small share.
 """
 
@@ -18,6 +19,8 @@ from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
+SHARED_ROOM = 0.02
+"""The same of what a share is taken from."""
 DISTANCE_ROUNDING = 2.0**-42
 """The same, in sizes of the function."""
 MOST_PIECES = 6000
@@ -33,6 +36,7 @@ def function_distances(
     centre: Balls,
     room: float = DISTANCE_ROOM,
     sigma_from: float = 0.0,
+    share: float = 0.0,
     change: float | None = None,
 ) -> Balls:
     """Upper bounds of the distances over a region, with |sigma| from its lower end to a bound.
@@ -44,30 +48,36 @@ def function_distances(
         centre: The slopes ``mean``, ``k_i`` and ``k_n``, exact numbers.
         room: The largest excess over the distances at points, as a share of them; Table 1's functions have their own.
         sigma_from: The lower end of |sigma|.
+        share: The second bound is that of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|; unless it is
+            0, with an excess of ``SHARED_ROOM``. Table 1's functions take none.
         change: In the implicit form, a bound of |sigma - s|: the distance of phi_2 then contains
             :func:`increment_error` over T_s.
     """
+    rooms = dict.fromkeys(DISTANCES, room) | ({"phi_2": SHARED_ROOM} if share else {})
     if problem["functions"]["kind"] == "vgsta":
         return distances_in_cells(problem, sigma, e, centre)
     at_points = dict.fromkeys(DISTANCES, arb(0))
     result = dict.fromkeys(DISTANCES, arb(0))
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
+    least_rooms["phi_2"] += abs(share) * least_rooms["both"]
     pieces = [(sigma_from, sigma)]
     remaining = MOST_PIECES
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
-                for name, reached in distances_at(problem, (point, point), centre, change).items():
+                for name, reached in distances_at(problem, (point, point), centre, share, change).items():
                     at_points[name] = maximum(at_points[name], reached.lower())
         remaining -= len(pieces)
         halves = []
         for low, high in pieces:
             try:
-                reached = distances_at(problem, (low, high), centre, change)
+                reached = distances_at(problem, (low, high), centre, share, change)
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 reached = {}
-            close = all(reached[name].upper() <= at_points[name] * (1 + room) + least_rooms[name] for name in reached)
+            close = all(
+                reached[name].upper() <= at_points[name] * (1 + rooms[name]) + least_rooms[name] for name in reached
+            )
             if not reached or (remaining > 0 and not close):
                 middle = middle_of((low, high))
                 halves += [(low, middle), (middle, high)]
@@ -78,14 +88,15 @@ def function_distances(
     return result
 
 
-def distances_at(problem: Problem, size: tuple[float, float], centre: Balls, change: float | None) -> Balls:
+def distances_at(
+    problem: Problem, size: tuple[float, float], centre: Balls, share: float, change: float | None
+) -> Balls:
     """Balls of the distances for |sigma| in an interval."""
     gains = gains_at(problem, size)
     largest = arb(size[1])
-    result = {}
-    for name, names in DISTANCES.items():
-        difference = total([gains[gain] - centre[gain] for gain in names])
-        result[name] = abs(difference) * largest
+    differences = {name: total([gains[gain] - centre[gain] for gain in names]) for name, names in DISTANCES.items()}
+    differences["phi_2"] = differences["phi_2"] - arb(share) * differences["both"]
+    result = {name: abs(difference) * largest for name, difference in differences.items()}
     if change is not None:
         result["phi_2"] = result["phi_2"] + increment_error(problem, size[0], change) / arb(problem["sample_time"])
     return result

@@ -4,31 +4,30 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.search.fixed_point import decay_of
-from dssc_jax.proofs.search.gains import GainPoints, gain_points
-from dssc_jax.proofs.search.vehicle.channels import (
-    ONE_AXIS,
-    ChannelResponse,
-    Linear,
-    channel_response,
-    planar_channel,
-    sampled,
-    vertical_channel,
-    yaw_channel,
+from dssc_jax.proofs.search.vehicle.channels import Linear, planar_channel, sampled, vertical_channel, yaw_channel
+from dssc_jax.proofs.search.vehicle.deviations import (
+    ChannelDeviations,
+    Slopes,
+    best_slopes,
+    deviations_of,
+    points_of,
 )
+from dssc_jax.proofs.search.vehicle.nominal import Nominal, nominal_of
 from dssc_jax.proofs.search.vehicle.remainders import (
     GRAVITY,
+    Couplings,
     OutOfRange,
     Rotors,
     Signals,
     remainders_of,
     slopes_of,
 )
-from dssc_jax.proofs.vehicle_problem import CHANNELS, ChannelProblem, VehicleProblem
+from dssc_jax.proofs.search.vehicle.responses import ONE_AXIS, ChannelResponse, channel_response
+from dssc_jax.proofs.search.vehicle.waves import derivative, reference_waves, size
+from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 INFLATION = 2e-3
 """By how much a bound in Y is larger than F(Y), as a share, for what the verifier's balls and tails add."""
@@ -36,11 +35,6 @@ FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
 FAST_INFLATION = 1.5e-2
 SMALLEST_BOUND = 1e-12
-DISTANCE_ROOM = 1.01
-"""Widening of a distance, for the verifier's enclosure."""
-RATIO_ROOM = 1.001
-"""Widening of a distance over |sigma|, likewise."""
-SMALLEST_REGION = 1e-9
 FIRST_REGION = 1e-3
 """Smallest |sigma| for which slopes are chosen at first."""
 ROUNDS = 12
@@ -56,45 +50,8 @@ LARGEST_GROWTH = 2.0
 DAMPING_SHARE = 1.7
 """The first damping of drag, over k W/M."""
 DAMPING_STEPS = (0.6, 0.8, 1.25, 1.6)
-
-
-Slopes = tuple[float, float, float]
-"""k_1, k_2 and k_3 of the straight lines in place of a channel's functions."""
-
-
-@dataclass(frozen=True)
-class ChannelDeviations:
-    """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
-
-    Args:
-        slopes: k_1, k_2 and k_3.
-        distance: Of phi_1, phi_2 and phi_1 + phi_3.
-        ratio: The same over |sigma|.
-        steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
-    """
-
-    slopes: Slopes
-    distance: tuple[float, float, float]
-    ratio: tuple[float, float, float]
-    steepest: tuple[float, float, float]
-
-    def of_command(self, sigma: float) -> float:
-        """Bound of |omega_u| for |sigma| up to a bound."""
-        return min(self.distance[2], self.ratio[2] * sigma)
-
-    def of_integral(self, sigma: float) -> float:
-        """Bound of |omega_q|."""
-        return min(self.distance[1], self.ratio[1] * sigma)
-
-    def of_start(self, channel: ChannelProblem, sample_time: float) -> float:
-        """Bound of what q_(-1) deviates by."""
-        if channel.start == "zero":
-            return 0.0
-        first = channel.first_sigma
-        deviation = min(self.distance[0], self.ratio[0] * first)
-        if channel.start == "midpoint":
-            deviation += 0.5 * sample_time * self.of_integral(first)
-        return deviation
+FINE_STEPS = (0.88, 0.92, 0.96, 1.04, 1.08, 1.12)
+"""Further steps from the best damping: it determines the nominal flight, too."""
 
 
 @dataclass(frozen=True)
@@ -104,94 +61,31 @@ class VehicleBounds:
     Args:
         slopes: k_1, k_2, k_3 of each channel.
         damping: Damping of drag in the plane and along z [1/s].
-        bounds: Bounds of the signals.
+        bounds: Bounds of the signals; with a moving reference, of what they deviate from the nominal flight's.
         rotors: Bounds of the rotors.
+        totals: Bounds of the vehicle's signals.
     """
 
     slopes: dict[str, Slopes]
     damping: tuple[float, float]
     bounds: Signals
     rotors: Rotors
+    totals: Signals
+
+    @property
+    def error(self) -> float:
+        """Bound of |e| along x and y."""
+        return self.totals["x"]["e"]
+
+    @property
+    def regions(self) -> dict[str, float]:
+        """Bounds of |sigma|."""
+        return {name: signals["sigma"] for name, signals in self.totals.items()}
 
 
-@dataclass(frozen=True)
-class LinearVehicle:
-    """The vehicle with straight lines in place of the functions, and without remainders.
-
-    Args:
-        problem: The vehicle.
-        damping: Damping of drag in the plane and along z [1/s].
-        slopes: k_1, k_2, k_3 of each channel.
-        responses: What inputs of size 1 cause in each channel.
-    """
-
-    problem: VehicleProblem
-    damping: tuple[float, float]
-    slopes: dict[str, Slopes]
-    responses: dict[str, ChannelResponse]
-
-    def deviations(self, y: Signals) -> dict[str, ChannelDeviations]:
-        """What the functions of every channel deviate by under the bounds of its sigma."""
-        found = {}
-        for name in CHANNELS:
-            points = points_of(self.problem, name, y[name]["sigma"])
-            found[name] = deviations_of(points, self.slopes[name])
-        return found
-
-
-def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
-    """One channel's controller in the form in which its functions are evaluated."""
-    return ProofProblem(
-        sample_time=problem.sample_time, l0=channel.l0, form="conservative", functions=channel.functions,
-        rho=channel.rho, nominal=channel.nominal, k_p=(1.0, 1.0), a_p=(0.0, 0.0), zero_a=(), zero_c=(), numerator=(),
-        denominator=(), mu=(0.0, 0.0), delay=0.0, sensor_lag=0.0, level=0.0, slope=0.0, reference=(0.0, 0.0, 0.0),
-        initial=((0.0, 0.0), (0.0, 0.0)), start=channel.start,
-    )  # fmt: skip
-
-
-def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
-    """The functions of a channel at points of a region."""
-    return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
-
-
-def best_slopes(points: GainPoints) -> Slopes:
-    """The slopes of the straight lines that are nearest to phi_1 + phi_3, shared between both, and to phi_2."""
-    size = np.abs(points.sigma)
-    columns = points.columns
-    combined = nearest_slope(size, columns["mean"] + columns["k_n"])
-    pole = float(np.mean(columns["k_n"]))
-    return combined - pole, nearest_slope(size, columns["k_i"]), pole
-
-
-def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
-    """The slope whose line through 0 is nearest to ratio sigma: the distance is convex in it."""
-    low, high = float(ratio.min()), float(ratio.max())
-    if not low < high:
-        return low
-    found = minimize_scalar(lambda slope: distance_of(size, ratio, slope), bounds=(low, high))
-    return float(found.x)
-
-
-def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
-    """The largest |ratio - slope| |sigma|."""
-    return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
-
-
-def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
-    """What the functions deviate by from straight lines with these slopes."""
-    size = np.abs(points.sigma)
-    columns = points.columns
-    ratios = (columns["mean"], columns["k_i"], columns["mean"] + columns["k_n"])
-    straight = (slopes[0], slopes[1], slopes[0] + slopes[2])
-    first, second, combined = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
-    share_1, share_2, share_b = (
-        RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
-    )
-    steepest = float(np.max(columns["k_p"]))
-    reach = float(np.max(columns["slide_p"])) / steepest
-    return ChannelDeviations(
-        slopes, (first, second, combined), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
-    )
+def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes]) -> dict[str, ChannelDeviations]:
+    """The deviations of every channel under the bounds of its sigma."""
+    return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
 
 def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, Linear]:
@@ -233,26 +127,32 @@ def seen_bounds(
     channel = problem.channels[name]
     axes = axes_of(name, response)
     bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
-    bound = bound + problem.thrust_deviation * GRAVITY * response.constant
+    bound = bound + problem.thrust_deviation * GRAVITY * response.constant + response.known
     by_start = response.starts[..., :2] @ np.array(channel.initial)
-    return bound + by_start + axes * deviations.of_start(channel, problem.sample_time) * response.starts[..., 2]
+    first = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)
+    return bound + by_start + axes * first * response.starts[..., 2]
 
 
 def applied(
-    vehicle: LinearVehicle, deviations: dict[str, ChannelDeviations], y: Signals
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    deviations: dict[str, ChannelDeviations],
+    y: Signals,
+    damping: tuple[float, float],
+    nominal: Nominal | None,
 ) -> tuple[Signals, Signals, Rotors]:
     """F(Y), the remainders, and the rotors.
 
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
     """
-    problem = vehicle.problem
-    remainders, rotors = remainders_of(problem, y, vehicle.damping)
-    slopes = slopes_of(problem, y, remainders, vehicle.damping)
+    totals, couplings = moving(nominal, y)
+    remainders, rotors = remainders_of(problem, totals, damping, couplings=couplings)
+    slopes = slopes_of(problem, y, remainders, damping)
     reached: Signals = {}
     for name in CHANNELS:
-        response = vehicle.responses[name]
-        sizes = input_sizes(response, deviations[name], y[name]["sigma"], remainders[name])
+        response = responses[name]
+        sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
         seen = seen_bounds(problem, name, response, deviations[name], sizes)
         reached[name] = with_slopes(problem, response, seen, slopes[name])
     return reached, remainders, rotors
@@ -270,44 +170,78 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
         level = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
         if level + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
             return False
-        if channel.start == "zero" and reach * (steepest + t * integral) * channel.first_sigma > channel.rho:
+        if channel.start == "zero" and reach * (steepest + t * integral) * problem.first_sigma(name) > channel.rho:
             return False
     return True
 
 
-def vehicle_bounds(problem: VehicleProblem, damping: tuple[float, float], room: float) -> VehicleBounds | str:
+def vehicle_bounds(
+    problem: VehicleProblem, damping: tuple[float, float], room: float, *, started: bool
+) -> VehicleBounds | str:
     """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``.
 
-    ``room`` multiplies the room for the verifier.
+    ``room`` multiplies the room for the verifier. Unless ``started``, the vehicle begins on the nominal flight.
     """
     linear = linear_channels(problem, damping)
+    nominal: Nominal | None = None
     y: Signals = {name: dict.fromkeys((*channel.signals, "u_av"), SMALLEST_BOUND) for name, channel in linear.items()}
-    regions = {name: max(channel.first_sigma, FIRST_REGION) for name, channel in problem.channels.items()}
-    vehicle = LinearVehicle(problem, damping, {}, {})
+    regions = {name: max(problem.first_sigma(name), FIRST_REGION) for name in CHANNELS}
+    slopes: dict[str, Slopes] = {}
+    responses: dict[str, ChannelResponse] = {}
     chosen: dict[str, float] = {}
     for _ in range(ROUNDS):
-        for name, region in regions.items():
-            if name in chosen and abs(region - chosen[name]) <= REGION_KEPT * chosen[name]:
-                continue
-            chosen[name] = region
-            vehicle.slopes[name] = best_slopes(points_of(problem, name, region))
-            response = channel_response(problem, problem.channels[name], linear[name], vehicle.slopes[name])
+        renewed = [name for name, region in regions.items() if name not in chosen or moved(region, chosen[name])]
+        for name in renewed:
+            chosen[name] = regions[name]
+            slopes[name] = best_slopes(points_of(problem, name, regions[name]), joint=problem.reference is not None)
+        if renewed:
+            if not stable(problem, linear, slopes):
+                return "gain"
+            nominal = nominal_of(problem, linear, slopes, damping[0])
+        for name in renewed:
+            known = nominal.starts[name] if nominal is not None and started else None
+            response = channel_response(problem, problem.channels[name], linear[name], slopes[name], known)
             if response is None:
                 return "gain"
-            vehicle.responses[name] = response
-        found = grown(vehicle, y, chosen, room)
+            responses[name] = response
+        found = grown(problem, responses, slopes, y, damping, nominal, chosen, room)
         if found is None:
             return "gain"
         reached, closed = found
-        regions = {name: reached[name]["sigma"] for name in CHANNELS}
-        kept = all(abs(regions[name] - chosen[name]) <= REGION_KEPT * chosen[name] for name in CHANNELS)
-        if closed and kept:
-            return accepted(vehicle, reached)
+        totals, _ = moving(nominal, reached)
+        regions = {name: totals[name]["sigma"] for name in CHANNELS}
+        if closed and not any(moved(regions[name], chosen[name]) for name in CHANNELS):
+            return accepted(problem, responses, slopes, reached, damping, nominal)
     return "gain"
 
 
+def moved(region: float, chosen: float) -> bool:
+    """Whether a region differs from the one for which the slopes were chosen."""
+    return abs(region - chosen) > REGION_KEPT * chosen
+
+
+def moving(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
+    """Bounds of the vehicle's signals, and what couples its channels, from bounds of what it deviates by."""
+    if nominal is None:
+        return y, None
+    return nominal.totals(y), nominal.couplings(y)
+
+
+def stable(problem: VehicleProblem, linear: dict[str, Linear], slopes: dict[str, Slopes]) -> bool:
+    """Whether all sampled channels are stable."""
+    steps = [sampled(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
+    return all(np.max(np.abs(np.linalg.eigvals(step.a))) < 1.0 for step in steps)
+
+
 def grown(
-    vehicle: LinearVehicle, start: Signals, regions: dict[str, float], room: float
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    slopes: dict[str, Slopes],
+    start: Signals,
+    damping: tuple[float, float],
+    nominal: Nominal | None,
+    regions: dict[str, float],
+    room: float,
 ) -> tuple[Signals, bool] | None:
     """The bounds after F is applied from small ones on, and whether they have become a fixed point.
 
@@ -316,8 +250,10 @@ def grown(
     """
     y = start
     for _ in range(ITERATIONS):
+        totals, _ = moving(nominal, y)
+        deviations = all_deviations(problem, totals, slopes)
         try:
-            reached, _, _ = applied(vehicle, vehicle.deviations(y), y)
+            reached, _, _ = applied(problem, responses, deviations, y, damping, nominal)
         except OutOfRange:
             return None
         wider = {name: {key: inflated(key, value, room) for key, value in reached[name].items()} for name in CHANNELS}
@@ -325,7 +261,8 @@ def grown(
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
             return y, True
-        if any(y[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
+        outgrown = y if nominal is None else totals  # of a moving vehicle, one step later
+        if any(outgrown[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return y, False
     return None
 
@@ -336,32 +273,49 @@ def inflated(signal: str, bound: float, room: float) -> float:
     return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 
 
-def accepted(vehicle: LinearVehicle, y: Signals) -> VehicleBounds | str:
+def accepted(
+    problem: VehicleProblem,
+    responses: dict[str, ChannelResponse],
+    slopes: dict[str, Slopes],
+    y: Signals,
+    damping: tuple[float, float],
+    nominal: Nominal | None,
+) -> VehicleBounds | str:
     """The fixed point as a result, if the loop slides under it."""
-    deviations = vehicle.deviations(y)
-    _, remainders, rotors = applied(vehicle, deviations, y)
-    if not slides(vehicle.problem, deviations, y, remainders):
+    totals, _ = moving(nominal, y)
+    deviations = all_deviations(problem, totals, slopes)
+    _, remainders, rotors = applied(problem, responses, deviations, y, damping, nominal)
+    if not slides(problem, deviations, totals, remainders):
         return "sliding"
-    return VehicleBounds(dict(vehicle.slopes), vehicle.damping, y, rotors)
+    return VehicleBounds(dict(slopes), damping, y, rotors, totals)
 
 
-def best_bounds(problem: VehicleProblem, room: float = 1.0) -> VehicleBounds | str:
+def best_bounds(problem: VehicleProblem, room: float = 1.0, *, started: bool = True) -> VehicleBounds | str:
     """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none.
 
-    ``room`` multiplies the room for the verifier.
+    ``room`` multiplies the room for the verifier. Unless ``started``, the vehicle begins on the nominal flight.
     """
     wind_h, wind_z = problem.wind
     k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
     speed = math.hypot(wind_h, wind_z)
+    if problem.reference is not None:
+        speed = math.hypot(speed, max(size(derivative(reference_waves(problem)[axis])) for axis in ("x", "y")))
     damping = (DAMPING_SHARE * k_h * speed, DAMPING_SHARE * k_z * speed)
-    best = vehicle_bounds(problem, damping, room)
+    best = vehicle_bounds(problem, damping, room, started=started)
     for step in DAMPING_STEPS:
-        trial = vehicle_bounds(problem, (step * damping[0], damping[1]), room)
-        if isinstance(trial, str):
-            continue
-        if isinstance(best, str) or trial.bounds["x"]["e"] < best.bounds["x"]["e"]:
-            best = trial
+        best = better(best, vehicle_bounds(problem, (step * damping[0], damping[1]), room, started=started))
+    if problem.reference is not None and not isinstance(best, str):
+        coarse = best.damping[0]
+        for step in FINE_STEPS:
+            best = better(best, vehicle_bounds(problem, (step * coarse, damping[1]), room, started=started))
     return best
+
+
+def better(best: VehicleBounds | str, trial: VehicleBounds | str) -> VehicleBounds | str:
+    """The bounds with the smaller |e| in the plane."""
+    if isinstance(trial, str):
+        return best
+    return trial if isinstance(best, str) or trial.error < best.error else best
 
 
 def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
@@ -381,6 +335,7 @@ def middle_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
         falls, p = decay_of(step.a)
         rate = falls / problem.sample_time
         channels[name] = {
-            "slopes": list(found.slopes[name]), "drag_damping": damping, "rate": rate, "p": p.tolist(),
+            "slopes": list(found.slopes[name][:3]), "share": found.slopes[name][3], "drag_damping": damping,
+            "rate": rate, "p": p.tolist(),
         }  # fmt: skip
     return channels

@@ -11,36 +11,41 @@ import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.vehicle.bounds import (
-    ChannelDeviations,
-    Slopes,
     VehicleBounds,
     axes_of,
     best_bounds,
-    best_slopes,
-    deviations_of,
     inflated,
     input_sizes,
     linear_channels,
     middle_of,
-    points_of,
+    moving,
     proof_of,
     slides,
+    stable,
     with_slopes,
 )
-from dssc_jax.proofs.search.vehicle.channels import (
-    GRAVITY,
-    ChannelResponse,
-    ChannelSeries,
-    channel_response,
-    channel_series,
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY
+from dssc_jax.proofs.search.vehicle.deviations import (
+    ChannelDeviations,
+    Slopes,
+    best_slopes,
+    deviations_of,
+    points_of,
 )
+from dssc_jax.proofs.search.vehicle.nominal import Nominal, nominal_of
 from dssc_jax.proofs.search.vehicle.remainders import OutOfRange, Rotors, Signals, remainders_of, slopes_of
+from dssc_jax.proofs.search.vehicle.responses import ChannelResponse, ChannelSeries, channel_response, channel_series
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
 """Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
+MOVING_LAYOUTS = LAYOUTS[2:]
+"""The same where the reference moves: the vehicle starts far from the nominal flight, and its wind acts for long."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 """Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
+REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
+MOVING_REGIONS = ((0.3, 1.0), (0.3, 1.12), (0.3, 1.25))
+"""Shares of the way, and widenings of the region, for the slopes of a vehicle whose reference moves."""
 EXTRA_CELLS = 20
 """Cells beyond the first ones over which what they cause in the last cell is compared."""
 ITERATIONS = 400
@@ -77,7 +82,8 @@ class Kernels:
         least: Before its first sample, (cells, rows, inputs).
         whole: In the end, (rows, inputs).
         constant: The largest response to the constant in each cell, the last one included, (cells, rows).
-        starts: The largest responses in each cell to e and e' together, and to q_(-1), (cells, rows, 2).
+        starts: The largest responses in each cell to what is known of the start with e and e', and to q_(-1), (cells,
+            rows, 2).
     """
 
     response: ChannelResponse
@@ -109,27 +115,26 @@ class DeviationTable:
 
 def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
     """Bounds in cells of time, or why there are none; ``room`` multiplies the room for the verifier."""
-    resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    settled = best_bounds(replace(problem, channels=resting), room)
+    settled = settled_bounds(problem, room)
     if isinstance(settled, str):
         return settled
     found: CellBounds | str = "gain"
-    for duration, horizon in LAYOUTS:
+    moves = problem.reference is not None
+    for duration, horizon in MOVING_LAYOUTS if moves else LAYOUTS:
         samples = max(1, round(duration / problem.sample_time))
-        for share in REGION_SHARES:
-            slopes = {name: slopes_between(problem, name, settled.bounds[name]["sigma"], share) for name in CHANNELS}
+        for share, widening in MOVING_REGIONS if moves else REGIONS:
+            slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
             found = marched(problem, settled, slopes, samples, round(horizon / duration), room)
             if not isinstance(found, str):
                 return found
     return found
 
 
-def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float) -> Slopes:
-    """The best slopes for a region between that of the settled vehicle and that of the start."""
-    channel = problem.channels[name]
-    first = channel.first_sigma
+def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
+    """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one."""
+    first = problem.first_sigma(name)
     region = sigma * (first / sigma) ** share if first > sigma else sigma
-    return best_slopes(points_of(problem, name, region))
+    return best_slopes(points_of(problem, name, widening * region), joint=problem.reference is not None)
 
 
 def marched(
@@ -142,14 +147,18 @@ def marched(
 ) -> CellBounds | str:
     """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
     linear = linear_channels(problem, settled.damping)
+    if not stable(problem, linear, slopes):
+        return "gain"
+    nominal = nominal_of(problem, linear, slopes, settled.damping[0])
     kernels = {}
     for name in CHANNELS:
         channel = problem.channels[name]
-        response = channel_response(problem, channel, linear[name], slopes[name])
+        known = None if nominal is None else nominal.starts[name]
+        response = channel_response(problem, channel, linear[name], slopes[name], known)
         if response is None:
             return "gain"
         length = samples * (count + EXTRA_CELLS)
-        series = channel_series(problem, channel, linear[name], slopes[name], length)
+        series = channel_series(problem, channel, linear[name], slopes[name], length, known)
         kernels[name] = kernels_of(problem, name, response, series, samples, count)
     tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
     cells: list[Signals] = []
@@ -158,7 +167,7 @@ def marched(
     y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
         closed = closed_cell(
-            problem, kernels, tables, inputs, settled.damping, y, rotors, room, final=len(cells) == count
+            problem, kernels, tables, inputs, settled.damping, nominal, y, rotors, room, final=len(cells) == count
         )
         if closed is None:
             return "gain"
@@ -166,10 +175,12 @@ def marched(
         cells.append(y)
         for name in CHANNELS:
             inputs[name].append(sizes[name])
-    if not slides_in_all(problem, tables, cells, settled.damping):
+    if not slides_in_all(problem, tables, cells, settled.damping, nominal):
         return "sliding"
     assert rotors is not None
-    return CellBounds(VehicleBounds(slopes, settled.damping, cells[-1], rotors), settled, samples, cells[:-1])
+    totals, _ = moving(nominal, cells[-1])
+    final = VehicleBounds(slopes, settled.damping, cells[-1], rotors, totals)
+    return CellBounds(final, settled, samples, cells[:-1])
 
 
 def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
@@ -178,7 +189,8 @@ def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
         name: {key: [cell[name][key] for cell in found.cells] for key in found.cells[0][name]} for name in CHANNELS
     }
     cells = {"samples": found.samples, "bounds": bounds}
-    return proof_of(problem, found.final) | {"cells": cells, "settled": middle_of(problem, found.settled)}
+    settled = None if problem.reference is not None else middle_of(problem, found.settled)
+    return proof_of(problem, found.final) | {"cells": cells, "settled": settled}
 
 
 def kernels_of(
@@ -187,7 +199,7 @@ def kernels_of(
     """The kernels of a channel, from its responses sample by sample."""
     e, speed = problem.channels[name].initial
     by_error = e * np.abs(series.starts[..., 0]) + speed * np.abs(series.starts[..., 1])
-    starts = np.stack([by_error, np.abs(series.starts[..., 2])], axis=-1)
+    starts = np.stack([by_error + series.known, np.abs(series.starts[..., 2])], axis=-1)
     sums = np.cumsum(series.effects, axis=0)
     axes = np.tile(axes_of(name, response), response.gains.shape[0])
     factors = np.ones((axes.size, sums.shape[-1]))
@@ -217,6 +229,7 @@ def closed_cell(
     tables: dict[str, DeviationTable],
     inputs: dict[str, list[np.ndarray]],
     damping: tuple[float, float],
+    nominal: Nominal | None,
     start: Signals,
     earlier: Rotors | None,
     room: float,
@@ -231,8 +244,9 @@ def closed_cell(
     base = {name: begun(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
     y = start
     for _ in range(ITERATIONS):
+        totals, couplings = moving(nominal, y)
         try:
-            remainders, rotors = remainders_of(problem, y, damping, earlier)
+            remainders, rotors = remainders_of(problem, totals, damping, earlier, couplings)
         except OutOfRange:
             return None
         slopes = slopes_of(problem, y, remainders, damping)
@@ -240,7 +254,7 @@ def closed_cell(
         reached = {}
         for name in CHANNELS:
             kernel = kernels[name]
-            sigma = y[name]["sigma"]
+            sigma = totals[name]["sigma"]
             sizes[name] = input_sizes(kernel.response, tables[name].at(sigma), sigma, remainders[name])
             rows = base[name] + caused(kernel, inputs[name], sizes[name], final=final)
             seen = rows.reshape(kernel.response.gains.shape[:2])
@@ -271,20 +285,31 @@ def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, fi
 
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
     """What the start and the constant cause in a cell, (rows,)."""
-    channel = problem.channels[name]
-    deviation = table.at(channel.first_sigma).of_start(channel, problem.sample_time)
+    first = problem.first_sigma(name)
+    deviation = table.at(first).of_start(problem.channels[name].start, first, problem.sample_time)
     result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]
     return result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
 
 
 def slides_in_all(
-    problem: VehicleProblem, tables: dict[str, DeviationTable], cells: list[Signals], damping: tuple[float, float]
+    problem: VehicleProblem,
+    tables: dict[str, DeviationTable],
+    cells: list[Signals],
+    damping: tuple[float, float],
+    nominal: Nominal | None,
 ) -> bool:
     """Whether the loop slides under the largest bounds of all cells."""
     largest = {name: {key: max(y[name][key] for y in cells) for key in cells[0][name]} for name in CHANNELS}
+    totals, couplings = moving(nominal, largest)
     try:
-        remainders, _ = remainders_of(problem, largest, damping)
+        remainders, _ = remainders_of(problem, totals, damping, couplings=couplings)
     except OutOfRange:
         return False
-    deviations = {name: tables[name].at(largest[name]["sigma"]) for name in CHANNELS}
-    return slides(problem, deviations, largest, remainders)
+    deviations = {name: tables[name].at(totals[name]["sigma"]) for name in CHANNELS}
+    return slides(problem, deviations, totals, remainders)
+
+
+def settled_bounds(problem: VehicleProblem, room: float) -> VehicleBounds | str:
+    """Bounds of the vehicle that starts at rest, or on the nominal flight, or why there are none."""
+    resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
+    return best_bounds(replace(problem, channels=resting), room, started=False)

@@ -6,21 +6,9 @@ from typing import TypeAlias
 import numpy as np
 from scipy.linalg import expm
 
-from dssc_jax.proofs.search.fixed_point import responses
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 GRAVITY = 9.81
-POINTS = (0.125, 0.375, 0.625, 0.875)
-"""Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
-PIECES = 4
-"""Pieces of each half of the rotors' lag, or of a shorter sample, in integrals by the trapezoidal rule."""
-MOST_PIECES = 32
-"""Largest number of pieces of a sample."""
-ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
-"""Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
-MOST_CONSTANT_SAMPLES = 40_000
-CONSTANT_SETTLED = 1e-4
-"""Share of a response to a constant at which it counts as settled."""
 
 
 Signal: TypeAlias = tuple[np.ndarray, float]
@@ -29,11 +17,11 @@ Signal: TypeAlias = tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
+    """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
 
     Args:
-        f: A_c, (m, m).
-        g: B_c, (m,).
+        f: F, (m, m).
+        g: G, (m,).
         b: Columns of the remainders by name, (m,) each.
         signals: Rows C and numbers d by name.
     """
@@ -45,26 +33,6 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class ChannelResponse:
-    """Bounds of a channel's signals for remainders of size 1.
-
-    Args:
-        names: The signals, in order.
-        remainders: Names of the remainders.
-        gains: Sums for each point of a sample, signal and input, (points, signals, inputs); the first two inputs are
-            omega_u and omega_q, the others the remainders.
-        constant: Largest response to a constant force 1, (points, signals).
-        starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
-    """
-
-    names: tuple[str, ...]
-    remainders: tuple[str, ...]
-    gains: np.ndarray
-    constant: np.ndarray
-    starts: np.ndarray
-
-
-@dataclass(frozen=True)
 class Sampled:
     """One sample of a channel: z+ = A z, z = (chi, earlier commands, q).
 
@@ -72,8 +40,8 @@ class Sampled:
         a: A, (n, n).
         acting: Row of the command that acts, (n,).
         direct: Share of this sample's command in it.
-        u: Column of omega_u, (n,).
-        q: Column of omega_q, (n,).
+        u: Column of omega_u, together with its share in omega_q, (n,).
+        q: Column of the rest of omega_q, (n,).
         u_av: Row of q_k + k_1 sigma_k.
     """
 
@@ -166,7 +134,7 @@ def yaw_channel(problem: VehicleProblem) -> Linear:
 
 
 def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A_c t), and what a command 1 held for this time adds to chi."""
+    """exp(F t), and what a command 1 held for this time adds to chi."""
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
@@ -176,8 +144,8 @@ def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
-    """One sample with slopes k_1, k_2, k_3 of the functions."""
-    k_1, k_2, k_3 = slopes
+    """One sample with slopes k_1, k_2, k_3 of the functions, and the share of omega_u in omega_q."""
+    k_1, k_2, k_3, share = slopes
     t = problem.sample_time
     weights = problem.delay_weights
     m = linear.g.size
@@ -205,182 +173,5 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
         for i in range(1, memory):
             a[m + i] = unit[m + i - 1]
     a[n - 1] = q
-    return Sampled(a, acting, weights[0], u, t * (u + unit[n - 1]), q + k_1 * sigma)
-
-
-@dataclass(frozen=True)
-class Seen:
-    """A sampled channel, its signals at the points of a sample, and its inputs.
-
-    Args:
-        step: One sample.
-        names: The signals.
-        rows: Row of each point and signal over z, (points * signals, n).
-        direct: What the inputs of the same sample do, (points, signals, inputs).
-        columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
-        pieces: Number of these pieces.
-        held: Column of a constant force, (n,).
-        within: What a constant force of the same sample does, (points * signals,).
-    """
-
-    step: Sampled
-    names: tuple[str, ...]
-    rows: np.ndarray
-    direct: np.ndarray
-    columns: np.ndarray
-    pieces: int
-    held: np.ndarray
-    within: np.ndarray
-
-
-def pieces_of(problem: VehicleProblem) -> int:
-    """Number of pieces of a sample."""
-    if not problem.rotor_lag:
-        return PIECES
-    return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
-
-
-def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
-    """A channel with slopes k_1, k_2, k_3, at its samples."""
-    step = sampled(problem, channel, linear, slopes)
-    t = problem.sample_time
-    pieces = pieces_of(problem)
-    m, n = linear.g.size, step.a.shape[0]
-    names = (*linear.signals, "u_av")
-    rows = np.zeros((len(POINTS), len(names), n))
-    direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
-    within = np.zeros((len(POINTS), len(names)))
-    forces = np.stack(list(linear.b.values()), axis=1)
-    force = linear.b.get("force", np.zeros(m))
-    for place, share in enumerate(POINTS):
-        phi, gamma = flow(linear, share * t)
-        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, pieces + 1)]
-        pushed = integral(linear, force, share * t)
-        for row, (c, d) in enumerate(linear.signals.values()):
-            by_command = c @ gamma + d
-            rows[place, row, :m] = c @ phi
-            rows[place, row] += by_command * step.acting
-            direct[place, row, :2] = abs(by_command * step.direct) * np.array([1.0, t])
-            direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
-            within[place, row] = c @ pushed
-        rows[place, -1] = step.u_av
-        direct[place, -1, 1] = t
-    columns = np.zeros((n, 2 + (pieces + 1) * forces.shape[1]))
-    columns[:, 0] = step.u
-    columns[:, 1] = step.q
-    moved = [flow(linear, t * part / pieces)[0] @ forces for part in range(pieces + 1)]
-    columns[:m, 2:] = np.concatenate(moved, axis=1)
-    held = np.append(integral(linear, force, t), np.zeros(n - m))
-    return Seen(step, names, rows.reshape(-1, n), direct, columns, pieces, held, within.ravel())
-
-
-def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
-    """Effects of omega_u, omega_q and each remainder over a whole sample, from those at its times, (..., inputs)."""
-    times = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
-    integrals = sample_time * trapezoid([times[..., i, :] for i in range(pieces + 1)])
-    return np.concatenate([effects[..., :2], integrals], axis=-1)
-
-
-def channel_response(
-    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]
-) -> ChannelResponse | None:
-    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow."""
-    seen = seen_channel(problem, channel, linear, slopes)
-    a, rows = seen.step.a, seen.rows
-    if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
-        return None
-    result = responses(a, rows, seen.columns, np.zeros((a.shape[0], 0)))
-    if result is None:
-        return None
-    shape = (len(POINTS), len(seen.names))
-    gains = over_sample(result.sums, seen.pieces, problem.sample_time).reshape(*shape, -1) + seen.direct
-    constant = np.zeros(rows.shape[0])
-    if problem.thrust_deviation and channel is problem.channels["z"]:
-        constant = constant_response(a, rows, seen.held, seen.within)
-    peaks = np.zeros((rows.shape[0], 3))
-    if any(channel.initial):
-        starts = start_columns(problem, channel, a.shape[0], slopes)
-        peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
-    return ChannelResponse(
-        seen.names,
-        tuple(linear.b),
-        gains,
-        constant.reshape(shape),
-        peaks.reshape(*shape, 3),
-    )
-
-
-@dataclass(frozen=True)
-class ChannelSeries:
-    """Responses of a channel sample by sample; rows are points of a sample and signals.
-
-    Args:
-        effects: Magnitudes of what inputs of size 1 in one sample cause so many samples later, (samples, rows, inputs).
-        constant: Response to a constant force 1 from t = 0 on, (samples, rows).
-        starts: Responses to e, e' and q_(-1), (samples, rows, 3).
-    """
-
-    effects: np.ndarray
-    constant: np.ndarray
-    starts: np.ndarray
-
-
-def channel_series(
-    problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...], length: int
-) -> ChannelSeries:
-    """The responses over a number of samples; only the channel of z has a constant force."""
-    seen = seen_channel(problem, channel, linear, slopes)
-    a = seen.step.a
-    n = a.shape[0]
-    equilibrium = np.linalg.solve(np.eye(n) - a, seen.held)
-    z = np.column_stack([seen.columns, -equilibrium, *start_columns(problem, channel, n, slopes)])
-    inputs = seen.columns.shape[1]
-    answers = np.zeros((length, seen.rows.shape[0], z.shape[1]))
-    for k in range(length):
-        answers[k] = seen.rows @ z
-        z = a @ z
-    effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
-    effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
-    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), seen.pieces, problem.sample_time)
-    constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
-    if channel is not problem.channels["z"]:
-        constant = np.zeros(constant.shape)
-    return ChannelSeries(effects, constant, answers[..., inputs + 1 :])
-
-
-def trapezoid(values: list[np.ndarray]) -> np.ndarray:
-    """The mean of equally spaced values by the trapezoidal rule."""
-    return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
-
-
-def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
-    """What an input 1 through a column adds to chi within a time."""
-    return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
-
-
-def start_columns(
-    problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
-) -> list[np.ndarray]:
-    """z_0 for e = 1, for e' = 1 and for q_(-1) = 1."""
-    k_1, k_2, _ = slopes
-    share = {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
-    unit = np.eye(n)
-    return [unit[0] - share * channel.l0 * unit[n - 1], unit[1] - share * unit[n - 1], unit[n - 1]]
-
-
-def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The largest |offset + row A^k z| of each row."""
-    peaks = np.abs(offset + rows @ z)
-    first = np.max(np.abs(z), initial=1e-300)
-    for _ in range(MOST_CONSTANT_SAMPLES):
-        z = a @ z
-        peaks = np.maximum(peaks, np.abs(offset + rows @ z))
-        if np.max(np.abs(z)) < CONSTANT_SETTLED * first:
-            break
-    return peaks
-
-
-def constant_response(a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray) -> np.ndarray:
-    """The largest response to a constant 1 from t = 0 on, of each row."""
-    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, held)
-    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + within)
+    by_sum = t * (u + unit[n - 1])
+    return Sampled(a, acting, weights[0], u + share * by_sum, by_sum, q + k_1 * sigma)

@@ -6,16 +6,11 @@ The formulas are those of docs/vehicle_proofs.md, in their order.
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from dssc_jax.proofs.problem import Interval
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY
+from dssc_jax.proofs.search.vehicle.drag import drag_along, drag_in_plane
 from dssc_jax.proofs.vehicle_problem import VehicleProblem
 
-DRAG_POINTS = 65
-"""Points of |v| and of |r| at which drag is compared."""
-DRAG_ROOM = 1.004
-"""Widening of drag's largest value, for what lies between the points and for the verifier's enclosure."""
 Signals = dict[str, dict[str, float]]
 """Bounds of the signals, by channel and name."""
 
@@ -40,7 +35,7 @@ class Attitude:
         euler_rate: T, of |(phi', theta')| [rad/s].
         wanted_tilt: H, of |(eta_phi, eta_theta)| [rad/s^2].
         wanted_yaw: N, of |eta_psi| [rad/s^2].
-        frame_h: w_h, of the part of B' times the rates [rad/s^2].
+        frame_h: w_h, of the part of W' times the rates [rad/s^2].
         frame_z: w_z, likewise.
         rate_h: Omega_h [rad/s].
         rate_z: Omega_z [rad/s].
@@ -78,7 +73,7 @@ class Rotors:
         spread: Of the difference of two rotors' speeds [rad/s].
         sum: Of the sum of the speeds [rad/s].
         behind: d, how far a thrust is behind its command [N].
-        defect: zeta [N/s].
+        defect: rho [N/s].
         spin_up: Of the sum of the speeds' rates [rad/s^2].
     """
 
@@ -89,6 +84,27 @@ class Rotors:
     shortfall: float
     defect: float
     spin_up: float
+
+
+@dataclass(frozen=True)
+class Couplings:
+    """What couples the channels in a moving vehicle, whose products of nominal signals are known.
+
+    Args:
+        alpha_gap: Bound of |alpha - alpha_0| [m/s^2].
+        wanted_gap: Bound of |a_h - alpha_0| [m/s^2].
+        lift_gap: Bound of |a_z - z_m''| [m/s^2].
+        yaw_gap: Bound of |psi' - psi_m'| [rad/s].
+        lift: Bound of |z_m''| [m/s^2].
+        yaw: Bound of |psi_m'| [rad/s].
+    """
+
+    alpha_gap: float
+    wanted_gap: float
+    lift_gap: float
+    yaw_gap: float
+    lift: float
+    yaw: float
 
 
 @dataclass(frozen=True)
@@ -204,41 +220,6 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     return Rotors(smallest, largest, spread, total, shortfall, defect, spin_up)
 
 
-def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
-    """The largest |-x r + c v| over |v| <= own, |v - r| <= wind in the plane.
-
-    Args:
-        own: Bound of |v| [m/s].
-        wind: Bound of the wind [m/s].
-        drag: Coefficient over mass [1/m]; a linear one [1/s] besides.
-        across: Bound of the other part of the relative speed [m/s].
-        c: Damping [1/s].
-    """
-    a = np.linspace(0.0, speed_bound, DRAG_POINTS)[:, None]
-    r = np.abs(wind - a) + (wind + a - np.abs(wind - a)) * np.linspace(0.0, 1.0, DRAG_POINTS)
-    along = np.maximum(-a * r, 0.5 * (a**2 + r**2 - wind**2))
-    return largest_drag(a, r, along, drag, across, c)
-
-
-def drag_along(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
-    """The same along one axis."""
-    v = np.linspace(-speed_bound, speed_bound, 4 * DRAG_POINTS)
-    r = v - wind
-    return largest_drag(np.abs(v), np.abs(r), v * r, drag, across, c)
-
-
-def largest_drag(
-    a: np.ndarray, r: np.ndarray, along: np.ndarray, drag: tuple[float, float], across: float, c: float
-) -> float:
-    """The largest |-x r + c v| at points with |v| = a and v r = along, x at both of its ends."""
-    quadratic, linear = drag
-    largest = 0.0
-    for x in (quadratic * r, quadratic * np.sqrt(r**2 + across**2) + linear):
-        square = (x * r) ** 2 + (c * a) ** 2 - 2.0 * c * x * along
-        largest = max(largest, float(np.max(square)))
-    return DRAG_ROOM * math.sqrt(max(largest, 0.0))
-
-
 @dataclass(frozen=True)
 class Air:
     """Bounds of drag over mass in the plane and along z [m/s^2], and of torques over inertia [rad/s^2]."""
@@ -275,7 +256,11 @@ def air_of(problem: VehicleProblem, y: Signals, at: Attitude, rotors: Rotors, da
 
 
 def remainders_of(
-    problem: VehicleProblem, y: Signals, damping: tuple[float, float], earlier: Rotors | None = None
+    problem: VehicleProblem,
+    y: Signals,
+    damping: tuple[float, float],
+    earlier: Rotors | None = None,
+    couplings: Couplings | None = None,
 ) -> tuple[Signals, Rotors]:
     """Bounds of the remainders, by channel and name, under bounds of the signals.
 
@@ -284,6 +269,7 @@ def remainders_of(
         y: Bounds of the signals, in a cell of time.
         damping: Damping of drag in the plane and along z [1/s].
         earlier: The rotors in the cells before.
+        couplings: Of a vehicle whose reference moves.
 
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
@@ -294,13 +280,16 @@ def remainders_of(
     air = air_of(problem, y, at, rotors, damping)
     k = problem.thrust_deviation
     g = GRAVITY
-    lifted = (1.0 + k) * (g * at.tilt * (at.secant - 1.0) + at.carried * at.tangent)
+    lifted = (1.0 + k) * g * at.tilt * (at.secant - 1.0) + k * at.carried * at.tangent
+    lifted += lift_share(at, couplings)
     forces = {
         "x": lifted + k * g * at.tilt + air.plane,
         "z": k * at.carried + air.vertical,
     }
-    torques = lagged_torques if problem.rotor_lag else exact_torques
-    torque_x, torque_psi = torques(problem, y, at, air)
+    if problem.rotor_lag:
+        torque_x, torque_psi = lagged_torques(problem, y, at, air)
+    else:
+        torque_x, torque_psi = exact_torques(problem, y, at, air, couplings)
     result = {
         "x": {"force": forces["x"], "torque": torque_x},
         "z": {"force": forces["z"]},
@@ -323,9 +312,30 @@ def turned(problem: VehicleProblem, at: Attitude, yaw_acceleration: float) -> fl
     return yaw_acceleration * s + 2.0 * at.yaw_rate * at.tilt_rate + at.yaw_rate**2 * s
 
 
-def exact_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:
+def lift_share(at: Attitude, couplings: Couplings | None) -> float:
+    """What the lift adds to the horizontal force, without its known part [m/s^2]."""
+    if couplings is None:
+        return at.carried * at.tangent
+    known = couplings.lift_gap * GRAVITY * at.tilt + couplings.lift * couplings.alpha_gap
+    return at.carried * at.tilt * (at.secant - 1.0) + known / GRAVITY
+
+
+def coupled_torque(problem: VehicleProblem, y: Signals, at: Attitude, couplings: Couplings | None) -> float:
+    """g a_0 r_2 and what the turn of the plane adds to damping, without their known parts."""
+    a_0, a_1 = problem.stiffness, problem.damping
+    if couplings is None:
+        return a_0 * GRAVITY * at.desired + GRAVITY * a_1 * at.yaw_rate * at.tilt
+    wanted = y["x"]["wanted"]
+    tangent = wanted / (GRAVITY - at.lift)
+    known = (couplings.lift_gap * wanted + couplings.lift * couplings.wanted_gap) / GRAVITY
+    swung = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
+    return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + known) + a_1 * swung
+
+
+def exact_torques(
+    problem: VehicleProblem, y: Signals, at: Attitude, air: Air, couplings: Couplings | None
+) -> tuple[float, float]:
     """Remainders of alpha'' and of psi'' without a rotor lag."""
-    del y
     delta = problem.turn_deviation
     s, t = at.tilt, at.tangent
     x, y_axis, z = problem.inertia
@@ -334,9 +344,8 @@ def exact_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -
     m_h = delta * (at.wanted_tilt + s * at.wanted_yaw + at.frame_h + l_h * at.rate_h * at.rate_z) + air.torque_h
     m_z = delta * (at.wanted_yaw + s * at.wanted_tilt + at.frame_z + l_z * at.rate_h**2 / 2.0) + air.torque_z
     psi = t * m_h + at.secant * m_z
-    of_plane = turned(problem, at, at.wanted_yaw + psi) + problem.damping * at.yaw_rate * s
-    in_plane = GRAVITY * (of_plane + (1.0 + s * t) * m_h + t * m_z)
-    return in_plane + problem.stiffness * GRAVITY * at.desired, psi
+    in_plane = GRAVITY * (turned(problem, at, at.wanted_yaw + psi) + (1.0 + s * t) * m_h + t * m_z)
+    return in_plane + coupled_torque(problem, y, at, couplings), psi
 
 
 def lagged_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:

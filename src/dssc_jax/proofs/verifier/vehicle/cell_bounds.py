@@ -17,6 +17,7 @@ from dssc_jax.proofs.verifier.vehicle.implied import (
     Vehicle,
     implied_bounds,
     inputs_under,
+    sigmas_under,
     start_sizes,
     vector_share,
 )
@@ -53,8 +54,9 @@ def cell_place(j: int, count: int) -> str:
 
 def inputs_in_cells(vehicle: Vehicle, bounds: Sequence[SignalBalls]) -> list[Inputs]:
     """(V2, V3) What the bounds of each cell allow."""
+    sigmas = [sigmas_under(vehicle, y) for y in bounds]
     deviations = {
-        name: deviations_in_regions(vehicle.problem, name, vehicle.middles[name], [y[name]["sigma"] for y in bounds])
+        name: deviations_in_regions(vehicle.problem, name, vehicle.middles[name], [each[name] for each in sigmas])
         for name in CHANNELS
     }
     result: list[Inputs] = []
@@ -73,7 +75,7 @@ def responses_in_cells(vehicle: Vehicle, cells: CellsProof | None) -> dict[str, 
         return {}
     count = number_of_cells(cells)
     return {
-        name: cell_responses(vehicle.problem, name, vehicle.middles[name], cells["samples"], count) for name in CHANNELS
+        name: cell_responses(vehicle.problem, name, vehicle.seen[name], cells["samples"], count) for name in CHANNELS
     }
 
 
@@ -107,7 +109,7 @@ def answers_in_cells(
     """The bounds at the phases in each cell, (J + 1, rows)."""
     final = len(bounds) - 1
     shares = np.array([float_above(vector_share(name, signal).upper()) for signal in responses.signals])
-    sizes = np.array([input_sizes(name, bounds[j], inputs[j], responses.remainders) for j in range(final + 1)])
+    sizes = np.array([input_sizes(name, inputs[j], responses.remainders) for j in range(final + 1)])
     constant = float_above(inputs[0].remainders.constant)
     deviation = float_above(start_sizes(vehicle, name)[2])
     result = responses.starts + shares * deviation * responses.deviations + constant * responses.constants
@@ -139,10 +141,10 @@ def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np
     return SUMMED * added - taken / SUMMED
 
 
-def input_sizes(name: str, bounds: SignalBalls, inputs: Inputs, remainders: Sequence[str]) -> list[float]:
-    """Bounds of omega_u and omega_q along one axis, and of the remainders, rounded up."""
+def input_sizes(name: str, inputs: Inputs, remainders: Sequence[str]) -> list[float]:
+    """Bounds of omega_u and of what is left of omega_q along one axis, and of the remainders, rounded up."""
     law = inputs.deviations[name]
-    sigma = bounds[name]["sigma"]
+    sigma = inputs.sigma[name]
     rests = inputs.remainders.channels[name]
     sizes = [law.of_command(sigma), law.of_integral(sigma), *[rests[remainder] for remainder in remainders]]
     return [float_above(size) for size in sizes]
@@ -194,7 +196,8 @@ def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
         name: Deviations(*map(largest, zip(*[part.deviations[name] for part in inputs], strict=True)))
         for name in CHANNELS
     }
-    return Inputs(Remainders(channels, rests[0].constant, tilt, rotors, behind_by), laws)
+    sigma = {name: largest([part.sigma[name] for part in inputs]) for name in CHANNELS}
+    return Inputs(Remainders(channels, rests[0].constant, tilt, rotors, behind_by), laws, sigma)
 
 
 def largest(values: Sequence[arb]) -> arb:

@@ -19,9 +19,10 @@ from dssc_jax.proofs.verifier.impulse_responses import (
     middles,
     response_blocks,
 )
-from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
+from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES
 from dssc_jax.proofs.verifier.vehicle.deviations import float_above
-from dssc_jax.proofs.verifier.vehicle.responses import SeenChannel, integral_within, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import KNOWN, SeenChannel, integral_within
 
 OMEGAS = 2
 """The inputs omega_u and omega_q, before the remainders."""
@@ -38,7 +39,8 @@ class CellResponses(NamedTuple):
         most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
         least: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
         whole: Bound of the limit of G, (rows, inputs).
-        starts: E_0 |response to e = 1| + V_0 |response to e' = 1|, its largest in each cell, (J + 1, rows).
+        starts: E_0 |response to e = 1| + V_0 |response to e' = 1| + the size of that to what is known of the start, the
+            largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).
         constants: The largest response to a constant 1 from t = 0 on, (J + 1, rows).
     """
@@ -53,19 +55,19 @@ class CellResponses(NamedTuple):
     constants: np.ndarray
 
 
-def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, samples: int, count: int) -> CellResponses:
+def cell_responses(problem: VehicleProblem, name: str, seen: SeenChannel, samples: int, count: int) -> CellResponses:
     """(V1) The responses of a channel in cells.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
-        proof: Its proof.
+        seen: What is seen of it.
         samples: Samples c of a cell.
         count: Number J of cells before the last one, at least 1.
     """
-    seen = seen_channel(problem, name, proof)
     t = arb(problem["sample_time"])
     initial = np.array([float(value) for value in problem["channels"][name]["initial"]])
+    along = np.array([sight.signal in ALONG_AXES for sight in seen.sights])
     weights = input_weights(seen, t)
     q = seen.inputs.ncols()
     added = middles(seen.offsets)
@@ -84,12 +86,12 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
         reached, places = cells_of(done, len(sizes), samples, count)
         sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
         peaks[reached] = np.maximum(
-            peaks[reached], np.maximum.reduceat(start_responses(sizes, initial), places, axis=0)
+            peaks[reached], np.maximum.reduceat(start_responses(sizes, initial, along), places, axis=0)
         )
         done += len(sizes)
         tail = (block.tail[:, :q] * summed_tail) @ weights
-        tail_peaks = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial)
-        decaying = start_responses(block.tail[:, q:], initial)
+        tail_peaks = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial, along)
+        decaying = start_responses(block.tail[:, q:], initial, along)
         ends = np.all(tail <= TAIL_SHARE * parts.sum(axis=0))
         negligible = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
         negligible[:, :2] = np.maximum(negligible[:, :2], peaks[-1, :, :2])
@@ -103,9 +105,14 @@ def cell_responses(problem: VehicleProblem, name: str, proof: MiddleProof, sampl
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 
 
-def start_responses(sizes: np.ndarray, initial: np.ndarray) -> np.ndarray:
-    """Those to the start, to the deviation of the first sum q and to the constant, from sizes (..., 4)."""
-    return np.stack([sizes[..., :2] @ initial, sizes[..., 2], sizes[..., 3]], axis=-1)
+def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Those to the start, to the deviation of the first sum q and to the constant, from sizes (..., rows, 4 + axes).
+
+    What is known of the start counts with its larger axis in signals ``along`` one, else with the norm.
+    """
+    axes = sizes[..., KNOWN:]
+    known = np.where(along, axes.max(axis=-1, initial=0.0), np.sqrt((axes**2).sum(axis=-1)))
+    return np.stack([sizes[..., :2] @ initial + known, sizes[..., 2], sizes[..., 3]], axis=-1)
 
 
 def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -23,7 +23,10 @@ class ChannelProblem(TypedDict):
 
 
 class VehicleProblem(TypedDict):
-    """The vehicle, its inner loops and its wind; in SI units and radians."""
+    """The vehicle, its inner loops and its wind; in SI units and radians.
+
+    ``reference`` has amplitude, period and phase of the sine that each axis follows; null where it is at rest.
+    """
 
     sample_time: float
     delay: float
@@ -49,12 +52,14 @@ class VehicleProblem(TypedDict):
     propeller_drag: float
     wind: Sequence[float]
     channels: Mapping[str, ChannelProblem]
+    reference: Mapping[str, Sequence[float]] | None
 
 
 class MiddleProof(TypedDict):
-    """The linear channel: slopes k_1, k_2, k_3 of the functions, the damping c, lambda and P."""
+    """The linear channel: slopes k_1, k_2, k_3 of the functions, the share of omega_u in omega_q, c, lambda and P."""
 
     slopes: Sequence[float]
+    share: float
     drag_damping: float
     rate: float
     p: Sequence[Sequence[float]]

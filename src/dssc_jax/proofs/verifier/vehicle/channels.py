@@ -47,8 +47,8 @@ class SampledChannel(NamedTuple):
 
     Args:
         a: A, (m, m).
-        by_command: b_u, the column of omega_u, (m, 1).
-        by_integral: b_q, the column of omega_q, (m, 1).
+        by_command: b_u, the column of omega_u with its share of omega_q, (m, 1).
+        by_integral: b_q, the column of what is left of omega_q, (m, 1).
         acting: Row of U, (1, m), without the omegas of the same sample.
         fresh: The share of u_k in U.
         equivalent: Row of u_av, (1, m), without omega_q of the same sample.
@@ -224,11 +224,11 @@ def sampled_channel(
     remainder = [arb(0)] * memories
     if memories:
         remainder[0] = arb(-1)
-    by_integral = [t * x for x in [*by_command, *remainder]]
+    by_integral = arb_mat([[t * x] for x in [*by_command, *remainder, arb(1)]])
     return SampledChannel(
         a,
-        arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]),
-        arb_mat([[x] for x in [*by_integral, t]]),
+        arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]) + by_integral * arb(proof["share"]),
+        by_integral,
         acting,
         fresh,
         equivalent,

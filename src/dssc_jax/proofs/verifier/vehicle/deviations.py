@@ -22,7 +22,7 @@ class Deviations(NamedTuple):
 
     Args:
         d_1: D_1, of |phi_1 - k_1 sigma|.
-        d_2: D_2, of |phi_2 - k_2 sigma|.
+        d_2: D_2, of |phi_2 - k_2 sigma - share (phi_1 + phi_3 - (k_1 + k_3) sigma)|.
         d_b: D_b, of |phi_1 + phi_3 - (k_1 + k_3) sigma|.
         share_1: d_1, the first over |sigma|.
         share_2: d_2, the second over |sigma|.
@@ -47,7 +47,7 @@ class Deviations(NamedTuple):
         return least(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
-        """Bound of |omega_q|."""
+        """Bound of what is left of |omega_q|."""
         return least(self.d_2, self.share_2 * sigma)
 
     def of_start(self, start: str, sigma: arb, sample_time: arb) -> arb:
@@ -109,18 +109,19 @@ def deviations_of(
         },
     )
     try:
-        distances = function_distances(loop, sigma, 0.0, slopes, DISTANCE_ROOM, sigma_from)
+        distances = function_distances(loop, sigma, 0.0, slopes, DISTANCE_ROOM, sigma_from, proof["share"])
         gains = enclosed_gains(loop, sigma, 0.0, sigma_from)
     except Rejected as rejected:
         raise renamed(rejected, "V2", f" of {name}") from None
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
+    share_b = (shares["mean"] + shares["k_n"]).upper()
     return Deviations(
         distances["phi_1"].upper(),
         distances["phi_2"].upper(),
         distances["both"].upper(),
         shares["mean"],
-        shares["k_i"],
-        (shares["mean"] + shares["k_n"]).upper(),
+        (shares["k_i"] + abs(arb(proof["share"])) * share_b).upper(),
+        share_b,
         gains["k_p"].upper(),
         gains["k_i"].upper(),
         gains["tau_av"].upper(),

@@ -9,9 +9,23 @@ from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise, tota
 from dssc_jax.proofs.verifier.vehicle.certificate import CHANNELS, MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES, EQUIVALENT
 from dssc_jax.proofs.verifier.vehicle.deviations import Deviations, deviations_of, float_above
+from dssc_jax.proofs.verifier.vehicle.nominal import (
+    Flight,
+    body_bounds,
+    coupling_under,
+    flight_of,
+    total_bounds,
+    unknown_turn,
+)
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
-from dssc_jax.proofs.verifier.vehicle.responses import PHASES, SignalResponse, channel_responses
+from dssc_jax.proofs.verifier.vehicle.responses import (
+    PHASES,
+    SeenChannel,
+    SignalResponse,
+    channel_responses,
+    seen_channel,
+)
 from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
 
 Responses = Mapping[str, Mapping[str, list[SignalResponse]]]
@@ -28,37 +42,51 @@ class Vehicle(NamedTuple):
         middles: The linear channels of its proof.
         ranges: What the problem's intervals come to.
         dampings: c of each channel.
-        responses: The responses of the linear channels.
+        seen: The linear channels.
+        responses: Their responses.
+        flight: The nominal flight; None without a reference.
     """
 
     problem: VehicleProblem
     middles: Mapping[str, MiddleProof]
     ranges: Ranges
     dampings: Mapping[str, float]
+    seen: Mapping[str, SeenChannel]
     responses: Responses
+    flight: Flight | None
 
 
 class Inputs(NamedTuple):
-    """What bounds of the signals allow: the remainders, and the deviations of the functions, by channel."""
+    """What bounds of the signals allow: the remainders, the deviations of the functions, and |sigma|, by channel."""
 
     remainders: Remainders
     deviations: Mapping[str, Deviations]
+    sigma: Mapping[str, arb]
 
 
 def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> Vehicle:
-    """(V1) The linear channels, and their responses."""
+    """(V1) The linear channels, their responses, and the nominal flight."""
+    seen = {name: seen_channel(problem, name, middles[name]) for name in CHANNELS}
     return Vehicle(
         problem,
         middles,
         ranges_of(problem),
         {name: middles[name]["drag_damping"] for name in CHANNELS},
-        {name: channel_responses(problem, name, middles[name]) for name in CHANNELS},
+        seen,
+        {name: channel_responses(problem, name, seen[name]) for name in CHANNELS},
+        flight_of(problem, {name: seen[name].flight for name in CHANNELS}),
     )
+
+
+def sigmas_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, arb]:
+    """Bounds of the vehicle's |sigma|."""
+    totals = total_bounds(vehicle.flight, bounds)
+    return {name: totals[name]["sigma"] for name in CHANNELS}
 
 
 def deviations_under(vehicle: Vehicle, bounds: SignalBalls) -> dict[str, Deviations]:
     """(V2) The deviations of the functions under bounds of the signals."""
-    regions = {name: float_above(bounds[name]["sigma"]) for name in CHANNELS}
+    regions = {name: float_above(sigma) for name, sigma in sigmas_under(vehicle, bounds).items()}
     return {name: deviations_of(vehicle.problem, name, vehicle.middles[name], regions[name]) for name in CHANNELS}
 
 
@@ -67,7 +95,10 @@ def inputs_under(
 ) -> Inputs:
     """(V3) What bounds of the signals allow, after the inputs of the time cell before."""
     history = earlier.remainders if earlier is not None else None
-    return Inputs(remainders_of(vehicle.problem, vehicle.ranges, bounds, vehicle.dampings, history), deviations)
+    totals = body_bounds(vehicle.flight, bounds)
+    coupling = coupling_under(vehicle.flight, bounds)
+    remainders = remainders_of(vehicle.problem, vehicle.ranges, totals, vehicle.dampings, history, coupling)
+    return Inputs(remainders, deviations, sigmas_under(vehicle, bounds))
 
 
 def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, started: bool) -> dict[str, Balls]:
@@ -88,7 +119,7 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
         for signal, phases in vehicle.responses[name].items():
             reached = arb(0)
             for response in phases:
-                value = answered(name, bounds, inputs, response, starts, vector_share(name, signal))
+                value = answered(name, inputs, response, starts, vector_share(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
                 reached = maximum(reached, value.upper())
             growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
@@ -98,7 +129,6 @@ def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, sta
 
 def answered(
     name: str,
-    bounds: SignalBalls,
     inputs: Inputs,
     response: SignalResponse,
     starts: list[arb] | None,
@@ -106,7 +136,7 @@ def answered(
 ) -> arb:
     """The bound of a signal at one phase; ``share`` is h."""
     deviations = inputs.deviations[name]
-    sigma = bounds[name]["sigma"]
+    sigma = inputs.sigma[name]
     rests = inputs.remainders.channels[name]
     terms = [
         share * deviations.of_command(sigma) * response.command,
@@ -117,7 +147,7 @@ def answered(
     if starts:
         e, e_dot, deviation = starts
         by_e, by_e_dot, by_deviation = response.starts
-        terms += [e * by_e, e_dot * by_e_dot, share * deviation * by_deviation]
+        terms += [e * by_e, e_dot * by_e_dot, share * deviation * by_deviation, response.known]
     return total(terms)
 
 
@@ -141,4 +171,4 @@ def first_sigma(problem: VehicleProblem, name: str) -> arb:
     """Sigma_0."""
     controller = problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
-    return e_dot + arb(controller["l0"]) * e
+    return e_dot + unknown_turn(problem, name) + arb(controller["l0"]) * e

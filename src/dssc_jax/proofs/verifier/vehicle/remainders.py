@@ -12,6 +12,7 @@ from flint import arb
 from dssc_jax.proofs.verifier.balls import Balls, maximum, require_premise
 from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.drag import DragRegion, plane_drag, vertical_drag
+from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
 LEAST_ROTORS = 4
@@ -246,15 +247,17 @@ def remainders_of(
     bounds: SignalBalls,
     dampings: Mapping[str, float],
     earlier: Remainders | None = None,
+    coupling: Coupling | None = None,
 ) -> Remainders:
-    """(V3) The remainders under bounds of the signals.
+    """(V3) The remainders under bounds of the signals, without their known parts.
 
     Args:
         problem: The certificate's problem.
         at: What its intervals come to.
         bounds: Bounds of the signals.
         dampings: c of x and z.
-        before: The remainders of the time cell before; None in the first one.
+        earlier: The remainders of the time cell before; None in the first one.
+        coupling: What couples the channels, with a moving reference; then there is no rotor lag.
     """
     body = attitude_of(problem, at, bounds)
     rotors = rotors_of(problem, at, body, earlier)
@@ -263,9 +266,10 @@ def remainders_of(
     g = at.gravity
     k = at.k
     s = body.s
-    force = (1 + k) * g * s * (body.secant - 1) + k * g * s + (1 + k) * body.q * body.t + drag.d_h + drag.x_h
+    force = (1 + k) * g * s * (body.secant - 1) + k * g * s + k * body.q * body.t + drag.d_h + drag.x_h
+    force = force + lift_force(at, body, coupling)
     if problem["rotor_lag"] == 0:
-        plane, yaw = torques(problem, at, body, drag)
+        plane, yaw = torques(problem, at, bounds, body, drag, coupling)
     else:
         plane, yaw = torques_behind(problem, at, bounds, body, drag, delayed)
     by_lift = {"force": (k * body.q + drag.d_z + drag.x_z).upper()}
@@ -276,7 +280,39 @@ def remainders_of(
     return Remainders(channels, (k * g).upper(), s, rotors, delayed.d)
 
 
-def torques(problem: VehicleProblem, at: Ranges, body: Attitude, drag: DragBounds) -> tuple[Balls, Balls]:
+def lift_force(at: Ranges, body: Attitude, coupling: Coupling | None) -> arb:
+    """q beta, without z_m'' alpha_0/g where the reference moves."""
+    if coupling is None:
+        return body.q * body.t
+    known = (coupling.lift * at.gravity * body.s + coupling.lift_known * coupling.alpha) / at.gravity
+    return body.q * body.s * (body.secant - 1) + known
+
+
+def coupled_torque(
+    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, coupling: Coupling | None
+) -> arb:
+    """a_0 g r_2 and a_1 psi' Q alpha, without their known parts where the reference moves."""
+    g = at.gravity
+    stiffness = arb(problem["stiffness"])
+    damping = arb(problem["damping"])
+    if coupling is None:
+        return stiffness * g * body.r_2 + g * damping * body.psi_1 * body.s
+    wanted = bounds["x"]["wanted"]
+    t_d = wanted / (g - body.a)
+    tilted = g * t_d**3 / 3 + body.a * body.a * t_d / g
+    lifted = (coupling.lift * wanted + coupling.lift_known * coupling.wanted) / g
+    swung = coupling.yaw * g * body.s + coupling.yaw_known * coupling.alpha
+    return stiffness * (tilted + lifted) + damping * swung
+
+
+def torques(
+    problem: VehicleProblem,
+    at: Ranges,
+    bounds: SignalBalls,
+    body: Attitude,
+    drag: DragBounds,
+    coupling: Coupling | None,
+) -> tuple[Balls, Balls]:
     """The remainders of the rotation, of x and of psi, without a rotor lag."""
     s, t, psi_1 = body.s, body.t, body.psi_1
     m_h = body.h + s * body.n + body.w_h + at.l_h * body.rate_h * body.rate_z
@@ -285,8 +321,8 @@ def torques(problem: VehicleProblem, at: Ranges, body: Attitude, drag: DragBound
     m_z = at.delta * m_z + drag.tau_z
     yaw = (t * m_h + body.secant * m_z).upper()
     turned = (body.n + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
-    turned = turned + arb(problem["damping"]) * psi_1 * s + (1 + s * t) * m_h + t * m_z
-    plane = at.gravity * turned + arb(problem["stiffness"]) * at.gravity * body.r_2
+    turned = turned + (1 + s * t) * m_h + t * m_z
+    plane = at.gravity * turned + coupled_torque(problem, at, bounds, body, coupling)
     return {"torque": plane.upper()}, {"torque": yaw}
 
 

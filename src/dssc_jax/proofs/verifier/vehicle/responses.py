@@ -19,6 +19,7 @@ from dssc_jax.proofs.verifier.balls import (
     column,
     identity,
     interval_ball,
+    maximum,
     positive_definite,
     require_premise,
     side_by_side,
@@ -28,6 +29,7 @@ from dssc_jax.proofs.verifier.balls import (
 from dssc_jax.proofs.verifier.impulse_responses import ResponseBounds, response_bounds
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import (
+    ALONG_AXES,
     EQUIVALENT,
     Channel,
     SampledChannel,
@@ -39,7 +41,9 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     stack,
     with_zeros,
 )
+from dssc_jax.proofs.verifier.vehicle.nominal import channel_flight
 
+ONE_AXIS = 1
 PIECES = 4
 """Pieces of each half of the rotors' lag, or of a shorter sample; a straight line replaces a response over each."""
 MOST_PIECES = 32
@@ -58,6 +62,7 @@ class SignalResponse(NamedTuple):
         constant: To a constant 1 in place of o, from t = 0 on.
         settled_constant: The same as time grows.
         starts: To e = 1 and to e' = 1 at t = 0, and to a deviation 1 of the first sum q.
+        known: To what is known of the start, with a moving reference.
     """
 
     command: arb
@@ -66,6 +71,7 @@ class SignalResponse(NamedTuple):
     constant: arb
     settled_constant: arb
     starts: tuple[arb, arb, arb]
+    known: arb
 
 
 class Sight(NamedTuple):
@@ -75,8 +81,8 @@ class Sight(NamedTuple):
         signal: The signal's name.
         time: Time since the sample [s].
         row: Its row over z_k, (1, m).
-        direct: Its direct effect of u_k.
-        direct_integral: Its direct effect of omega_q of the same sample.
+        direct: Its direct effect of omega_u of the same sample.
+        direct_integral: Its direct effect of what is left of omega_q.
     """
 
     signal: str
@@ -98,8 +104,9 @@ class SeenChannel(NamedTuple):
         rows: Their rows, (sights, m).
         curved: The columns of the remainders within a sample.
         inputs: omega_u, omega_q, points and bend of each remainder, and the unit columns of chi, (m, inputs).
-        starts: e, e', the first sum q, and the constant, (m, 4).
-        offsets: What is added to the responses to the starts, (sights, 4).
+        starts: e, e', the first sum q, the constant, and what is known of the start along each axis, (m, 4 + axes).
+        offsets: What is added to the responses to the starts, (sights, 4 + axes).
+        flight: Bounds of the nominal flight's signals; empty without a reference.
     """
 
     channel: Channel
@@ -112,6 +119,11 @@ class SeenChannel(NamedTuple):
     inputs: arb_mat
     starts: arb_mat
     offsets: arb_mat
+    flight: Balls
+
+
+KNOWN = 4
+"""Place of the first column of what is known of the start."""
 
 
 def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> SeenChannel:
@@ -132,26 +144,31 @@ def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> Seen
     require_premise(positive_definite(p), f"V1: P of {name} is not positive definite")
     decrease = p * (1 - decay) - sampled.a.transpose() * p * sampled.a
     require_premise(positive_definite(decrease), f"V1: V of {name} does not fall")
-    sights = seen_signals(channel, sampled, t)
+    sights = seen_signals(channel, sampled, t, arb(proof["share"]))
     curved = curved_columns(channel, t, pieces_of(problem))
     starts, offsets = start_columns(channel, sampled, proof, controller["start"], t, sights)
+    flight = Balls()
+    if problem["reference"] is not None:
+        phases = [t * phase.numerator / phase.denominator for phase in PHASES]
+        flight, known = channel_flight(problem, name, proof, channel, sampled, phases)
+        starts = joined([starts, *known])
+        offsets = side_by_side(offsets, arb_mat(len(sights), len(known)))
     columns = [sampled.by_command, sampled.by_integral]
     for parts in curved.values():
         columns += [extended(part, sampled) for part in (*parts.points, parts.bend)]
     inputs = joined([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
     rows = stack([sight.row for sight in sights])
-    return SeenChannel(channel, sampled, p, decay, sights, rows, curved, inputs, starts, offsets)
+    return SeenChannel(channel, sampled, p, decay, sights, rows, curved, inputs, starts, offsets, flight)
 
 
-def channel_responses(problem: VehicleProblem, name: str, proof: MiddleProof) -> dict[str, list[SignalResponse]]:
+def channel_responses(problem: VehicleProblem, name: str, seen: SeenChannel) -> dict[str, list[SignalResponse]]:
     """(V1) The responses of a channel's signals, at each phase.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
-        proof: Its proof.
+        seen: What is seen of it.
     """
-    seen = seen_channel(problem, name, proof)
     t = arb(problem["sample_time"])
     reached = response_bounds(seen.sampled.a, seen.rows, seen.inputs, seen.starts, seen.p, seen.decay, seen.offsets)
     require_premise(reached is not None, f"V1: the responses of {name} decay too slowly")
@@ -163,16 +180,17 @@ def channel_responses(problem: VehicleProblem, name: str, proof: MiddleProof) ->
     return result
 
 
-def seen_signals(channel: Channel, sampled: SampledChannel, t: arb) -> list[Sight]:
-    """Every signal at every phase; u_av at the samples."""
+def seen_signals(channel: Channel, sampled: SampledChannel, t: arb, share: arb) -> list[Sight]:
+    """Every signal at every phase; u_av at the samples. ``share`` is that of omega_u in omega_q."""
     sights = []
+    by_both = abs(1 + t * share)
     for phase in PHASES:
         time = t * phase.numerator / phase.denominator
         held = flow(channel, time)
         for signal in channel.signals:
             row, direct = row_at(channel, sampled, signal, held)
-            sights.append(Sight(signal, time, row, abs(direct), t * abs(direct)))
-    return [*sights, Sight(EQUIVALENT, arb(0), sampled.equivalent, arb(0), t)]
+            sights.append(Sight(signal, time, row, abs(direct) * by_both, t * abs(direct)))
+    return [*sights, Sight(EQUIVALENT, arb(0), sampled.equivalent, abs(t * share), t)]
 
 
 class CurvedColumn(NamedTuple):
@@ -287,6 +305,7 @@ def response_of(
         lines = piece * ((first + end) / 2 + total(inner)) + pieces * piece**3 / 12 * bent
         remainders[name] = (lines + integral_within(channel, sight, parts)).upper()
     peaks = [arb(float(value)) for value in reached.peaks[i]]
+    known = known_size(sight.signal, peaks[KNOWN:])
     return SignalResponse(
         (command + sight.direct).upper(),
         (integral + sight.direct_integral).upper(),
@@ -294,7 +313,17 @@ def response_of(
         peaks[3],
         abs(offsets[i, 3]).upper(),
         (peaks[0], peaks[1], peaks[2]),
+        known,
     )
+
+
+def known_size(signal: str, axes: Sequence[arb]) -> arb:
+    """A bound of a signal from those along each axis: the larger one along an axis, the norm of a vector."""
+    if len(axes) == ONE_AXIS:
+        return axes[0]
+    if signal in ALONG_AXES:
+        return maximum(*axes) if axes else arb(0)
+    return total([size * size for size in axes]).sqrt().upper()
 
 
 def integral_within(channel: Channel, sight: Sight, parts: CurvedColumn) -> arb:

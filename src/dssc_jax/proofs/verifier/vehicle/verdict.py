@@ -31,6 +31,7 @@ from dssc_jax.proofs.verifier.vehicle.implied import (
     inputs_under,
     vehicle_of,
 )
+from dssc_jax.proofs.verifier.vehicle.nominal import total_bounds
 from dssc_jax.proofs.verifier.vehicle.remainders import SignalBalls
 from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
 from dssc_jax.proofs.verifier.verdict import ball_precision
@@ -62,6 +63,7 @@ class VehicleVerdict(NamedTuple):
         slopes: Bounds of abs(sigma') between the samples, by channel. Empty if not proved.
         cell: Duration of a time cell [s]; 0 without cells.
         envelope: Bounds of the signals in each cell, by channel and name, the last cell's last. Empty without cells.
+        nominal: Bounds of |e| of the nominal flight, by channel. Empty without a reference.
     """
 
     proved: bool
@@ -75,6 +77,7 @@ class VehicleVerdict(NamedTuple):
     slopes: dict[str, float]
     cell: float = 0.0
     envelope: Envelope = MappingProxyType({})
+    nominal: Mapping[str, float] = MappingProxyType({})
 
 
 def verify_vehicle(content: object) -> VehicleVerdict:
@@ -105,7 +108,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
                 holds = bool(implied[j][name][signal] < bound)
                 place = cell_place(j, len(cells))
                 require_premise(holds, f"V4: the bound of {name}.{signal}{place} does not imply itself")
-    largest = largest_bounds(cells)
+    largest = total_bounds(vehicle.flight, largest_bounds(cells))
     extremes = largest_inputs(inputs)
     for name in CHANNELS:
         require_sliding(problem, name, largest, extremes)
@@ -113,6 +116,7 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     if proof["settled"] is not None:
         begun = moved_bounds(proof["channels"], proof["settled"], settled)
         settled = settled_bounds(vehicle_of(problem, proof["settled"]), begun)
+    settled = total_bounds(vehicle.flight, settled)
     gravity = vehicle.ranges.gravity
     rotors = extremes.remainders.rotors
     return VehicleVerdict(
@@ -126,7 +130,8 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
         float_above(rotors.largest),
         {name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
         0.0 if listed is None else listed["samples"] * problem["sample_time"],
-        {} if listed is None else envelope_of(cells),
+        {} if listed is None else envelope_of([total_bounds(vehicle.flight, y) for y in cells]),
+        {} if vehicle.flight is None else {name: float_above(y["e"]) for name, y in vehicle.flight.bounds.items()},
     )
 
 

@@ -35,7 +35,7 @@ from dssc_jax.proofs.verifier.well_formed import (
 )
 
 KIND = "vehicle"
-VERSION = 1
+VERSION = 2
 MOST_SAMPLES = 2000
 """Most samples of a time cell."""
 MOST_TIME_CELLS = 400
@@ -52,6 +52,7 @@ POSITIVE = (
     "rotor_limit",
 )
 NOT_NEGATIVE = ("yaw_integral_gain", "rotor_lag", "rotor_inertia", "propeller_drag")
+REFERENCE_AXES = {"x", "y", "z", "psi"}
 NOT_COVERED = ("vgsta", "sta")
 """Functions that depend on e, or whose slope is infinite at 0."""
 
@@ -93,7 +94,18 @@ def require_problem(content: object) -> VehicleProblem:
     channels = require_entries(problem["channels"], set(CHANNELS), "channels")
     for name in CHANNELS:
         require_channel(channels[name], name)
+    if problem["reference"] is not None:
+        require_reference(problem["reference"])
+        require_shape(problem["rotor_lag"] == 0, "rotor_lag", "is not 0, and the reference moves")
     return cast(VehicleProblem, content)
+
+
+def require_reference(content: object) -> None:
+    """Reject anything but the sines of all axes."""
+    sines = require_entries(content, REFERENCE_AXES, "reference")
+    for axis in REFERENCE_AXES:
+        _, period, _ = require_numbers(sines[axis], 3, f"reference.{axis}")
+        require_shape(period > 0, f"reference.{axis}", "has no positive period")
 
 
 def require_positive_interval(content: object, place: str) -> None:
@@ -128,6 +140,7 @@ def require_proof(problem: VehicleProblem, content: object) -> None:
     if proof["cells"] is not None:
         require_cells(problem, proof["cells"])
     if proof["settled"] is not None:
+        require_shape(problem["reference"] is None, "settled", "has channels besides those of the nominal flight")
         settled = require_entries(proof["settled"], set(CHANNELS), "proof.settled")
         for name in CHANNELS:
             middle = require_entries(settled[name], MiddleProof.__required_keys__, f"settled {name}")
@@ -162,6 +175,7 @@ def require_channel_proof(problem: VehicleProblem, name: str, content: object) -
 def require_middle(problem: VehicleProblem, name: str, proof: dict[str, Any]) -> None:
     """Reject anything but the linear channel of a proof: slopes, damping, lambda and P."""
     require_numbers(proof["slopes"], 3, f"{name}.slopes")
+    require_finite(proof["share"], f"{name}.share")
     require_not_negative(proof["drag_damping"], f"{name}.drag_damping")
     require_shape(name != "psi" or proof["drag_damping"] == 0, f"{name}.drag_damping", "is not 0")
     require_positive(proof["rate"], f"{name}.rate")

@@ -1,0 +1,219 @@
+"""Construction of a lane's program, which simplifies it.
+
+An operation on constants is evaluated, equal operations of a block become one value, and an operation joins the
+outermost block in which its operands are known, so that a loop computes nothing that does not change in it. Only a
+branch keeps its operations, because it exists to skip them.
+"""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.foreign import ForeignFunction
+from dssc_jax.lanes.operations import COMPARISONS, Operation, constant_result
+from dssc_jax.lanes.program import BOOL, TOKEN, Branch, CodeBlock, CodeLoop, Record, Recording, Slot, Value
+
+
+class Builder:
+    """Builds a program from the inside of the block ``here``.
+
+    Args:
+        fast: Whether products and quotients may be regrouped, see :meth:`_regrouped`; it changes their last bits.
+    """
+
+    def __init__(self, fast: bool = False) -> None:
+        self.here = CodeBlock()
+        self.fast = fast
+        self._constants: dict[Hashable, Value] = {}
+
+    def constant(self, number: Any, dtype: np.dtype) -> Value:
+        """A number of the given type."""
+        scalar = np.asarray(number).astype(dtype)[()]
+        key = dtype, scalar.tobytes()
+        if key not in self._constants:
+            self._constants[key] = Value(Operation.CONSTANT, dtype, detail=scalar)
+        return self._constants[key]
+
+    def input(self, position: int, dtype: np.dtype) -> Value:
+        """A number of the lane."""
+        return self._placed("input", dtype, (), position, True, self.here)
+
+    def add(self, operation: str, *operands: Value, dtype: np.dtype | None = None, detail: Any = None) -> Value:
+        """The result of an operation.
+
+        Args:
+            operation: An :class:`Operation`, or its name.
+            operands: Its operands.
+            dtype: Type of the result; None: that of the last operand, or a truth value for a comparison.
+            detail: The table of a ``lookup``, the subroutine of a ``rarely``.
+        """
+        dtype = dtype or (BOOL if operation in COMPARISONS else operands[-1].dtype)
+        if operation in ("mul", "abs") and dtype.kind == "f" and all(value.operation == "neg" for value in operands):
+            operands = tuple(value.operands[0] for value in operands)
+        simple = simplified(operation, operands, dtype)
+        if simple is not None:
+            return simple
+        if all(operand.operation == "constant" for operand in operands):
+            constant = constant_result(operation, [operand.detail for operand in operands], dtype, detail)
+            if constant is not None:
+                return self.constant(constant, dtype)
+        if self.fast and dtype.kind == "f" and (product := self._regrouped(operation, operands)) is not None:
+            return product
+        varying = operation != "any" and any(operand.varying for operand in operands)
+        return self._placed(operation, dtype, operands, detail, varying, self._home(operands))
+
+    def memory(self, slot: Slot) -> Value:
+        """The token of a slot that is full of zeros."""
+        outermost = self.here
+        while outermost.parent is not None:
+            outermost = outermost.parent
+        return self._placed("memory", TOKEN, (), slot, True, outermost)
+
+    def read(self, slot: Slot, token: Value, index: Value) -> Value:
+        """An element of a slot."""
+        return self._placed("read", slot.dtype, (token, index), slot, True, self.here)
+
+    def write(self, slot: Slot, token: Value, index: Value, value: Value, reads: Sequence[Value]) -> Value:
+        """The token after an element of a slot was written, and after some reads."""
+        return self._placed("write", TOKEN, (token, index, value, *reads), slot, True, self.here)
+
+    def foreign(self, function: ForeignFunction, operands: Sequence[Value]) -> list[Value]:
+        """The results of a function of C, which is called for each lane; they count as different in every lane."""
+        home = self._home(operands)
+        types = [place.dtype for place in function.results]
+        call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
+        return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
+
+    def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
+        """Enter a loop; :meth:`end_loop` leaves it."""
+        loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(begin))
+        for position, (value, varies) in enumerate(zip(begin, varying, strict=True)):
+            state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
+            loop.states.append(state)
+        self.here = loop.body
+        return loop
+
+    def end_loop(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
+        """End a loop and return its state after it.
+
+        Args:
+            loop: The loop that was entered.
+            following: Its state after a turn.
+            proceed: The condition for another turn.
+        """
+        loop.following, loop.proceed = list(following), proceed
+        self.here = loop.body.parent or loop.body
+        self.here.nodes.append(loop)
+        loop.results = [
+            Value(Operation.RESULT, state.dtype, (), (loop, position), state.varying, self.here)
+            for position, state in enumerate(loop.states)
+        ]
+        return loop.results
+
+    def branch(self, condition: Value, sides: Sequence[Callable[[], list[Value]]]) -> list[Value]:
+        """The results of one of two sides.
+
+        Args:
+            condition: Whether to take the first.
+            sides: Functions that build them.
+        """
+        outside = self.here
+        blocks = []
+        values = []
+        for side in sides:
+            self.here = CodeBlock(outside, keeps=True, depth=outside.depth + 1)
+            values.append(side())
+            blocks.append(self.here)
+        self.here = outside
+        branch = Branch(condition, (blocks[0], blocks[1]), (values[0], values[1]))
+        outside.nodes.append(branch)
+        for position, pair in enumerate(zip(*values, strict=True)):
+            varying = condition.varying or any(value.varying for value in pair)
+            branch.results.append(Value(Operation.JOINED, pair[0].dtype, (), (branch, position), varying, outside))
+        return branch.results
+
+    def record(self, recording: Recording, position: Value, value: Value) -> None:
+        """Store a value in a recorded array."""
+        self.here.nodes.append(Record(recording, position, value))
+
+    def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
+        """The same product or quotient with fewer operations here, by what is known before; None if there is none.
+
+        A divisor that is known before a loop is inverted there. Two factors that are known before the third are
+        multiplied before it. Sums keep their order, on which cancellation depends.
+        """
+        if operation == "div" and self._known(operands[1]) < self._known(operands[0]):
+            inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
+            if is_usable(inverse):
+                return self.add("mul", operands[0], inverse)
+        if operation == "mul":
+            for product, factor in (operands, operands[::-1]):
+                if product.operation == "mul":
+                    for late, early in (product.operands, product.operands[::-1]):
+                        if max(self._known(early), self._known(factor)) < self._known(late):
+                            factors = self.add("mul", early, factor)
+                            if is_usable(factors):
+                                return self.add("mul", late, factors)
+        return None
+
+    def _known(self, value: Value) -> int:
+        """How deep an operation on a value alone is computed; -1 for a constant."""
+        return -1 if value.operation == "constant" else self._home([value]).depth
+
+    def _home(self, operands: Sequence[Value]) -> CodeBlock:
+        """The outermost block in which an operation on these operands may be computed."""
+        deepest = max((operand.block.depth for operand in operands if operand.block is not None), default=0)
+        block = self.here
+        while block.depth > deepest and not block.keeps and block.parent is not None:
+            block = block.parent
+        return block
+
+    def _placed(
+        self, operation: str, dtype: np.dtype, operands: tuple[Value, ...], detail: Any, varying: bool, home: CodeBlock
+    ) -> Value:
+        """A value that is already known to the block or one around it, or a new one."""
+        key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
+        block: CodeBlock | None = home
+        while block is not None:
+            if key in block.known:
+                return block.known[key]
+            block = block.parent
+        value = Value(Operation(operation), dtype, operands, detail, varying, home)
+        home.known[key] = value
+        home.nodes.append(value)
+        return value
+
+
+def is_usable(factor: Value) -> bool:
+    """Whether a factor is neither subnormal, zero nor infinite; one that is not a constant counts as usable."""
+    if factor.operation != "constant":
+        return True
+    return bool(np.finfo(factor.dtype).tiny <= abs(factor.detail) < np.inf)
+
+
+def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
+    """An operand that equals the result for every value, rounding included; None if there is none."""
+    first = operands[0]
+    if operation in ("convert", "bitcast") and first.dtype == dtype:
+        return first
+    if operation == "any" and first.operation == "constant":
+        return first
+    if operation == "rarely" and first.operation == "constant" and not first.detail:
+        return operands[1]
+    if operation == "select":
+        if operands[1] is operands[2]:
+            return operands[1]
+        if first.operation == "constant":
+            return operands[1] if first.detail else operands[2]
+    if operation in ("and", "or"):
+        for left, right in (operands, operands[::-1]):
+            if left is right or (
+                left.operation == "constant" and left.dtype == BOOL and left.detail == (operation == "and")
+            ):
+                return right
+    if operation == "mul":
+        for left, right in (operands, operands[::-1]):
+            if left.operation == "constant" and left.detail == 1:
+                return right
+    return None

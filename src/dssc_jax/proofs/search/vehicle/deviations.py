@@ -1,0 +1,133 @@
+"""How far the functions of a channel are from straight lines, in floating point."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from dssc_jax.proofs.problem import ProofProblem
+from dssc_jax.proofs.search.gains import GainPoints, gain_points
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+
+DISTANCE_ROOM = 1.01
+"""Widening of a distance, for the verifier's enclosure."""
+RATIO_ROOM = 1.001
+"""Widening of a distance over |sigma|, likewise."""
+SHARED_ROOM = 1.03
+"""Widening of the rest of omega_q, for the verifier's enclosure."""
+SMALLEST_REGION = 1e-9
+Slopes = tuple[float, float, float, float]
+"""k_1, k_2 and k_n of the straight lines in place of a channel's functions, and the share of omega_u in omega_q."""
+
+
+@dataclass(frozen=True)
+class ChannelDeviations:
+    """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
+
+    Args:
+        slopes: k_1, k_2, k_3, and the share of omega_u in omega_q.
+        distance: Of phi_1, of phi_2 without its share, and of phi_1 + n.
+        ratio: The same over |sigma|.
+        steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
+    """
+
+    slopes: Slopes
+    distance: tuple[float, float, float]
+    ratio: tuple[float, float, float]
+    steepest: tuple[float, float, float]
+
+    def of_command(self, sigma: float) -> float:
+        """Bound of |omega_u| for |sigma| up to a bound."""
+        return min(self.distance[2], self.ratio[2] * sigma)
+
+    def of_integral(self, sigma: float) -> float:
+        """Bound of |omega_q|."""
+        return min(self.distance[1], self.ratio[1] * sigma)
+
+    def of_start(self, start: str, first: float, sample_time: float) -> float:
+        """Bound of what q_(-1) deviates by, at the first |sigma|."""
+        if start == "zero":
+            return 0.0
+        deviation = min(self.distance[0], self.ratio[0] * first)
+        if start == "midpoint":
+            deviation += 0.5 * sample_time * self.of_integral(first)
+        return deviation
+
+
+def law_problem(problem: VehicleProblem, channel: ChannelProblem) -> ProofProblem:
+    """One channel's controller in the form in which its functions are evaluated."""
+    return ProofProblem(
+        sample_time=problem.sample_time, l0=channel.l0, form="conservative", functions=channel.functions,
+        rho=channel.rho, nominal=channel.nominal, k_p=(1.0, 1.0), a_p=(0.0, 0.0), zero_a=(), zero_c=(), numerator=(),
+        denominator=(), mu=(0.0, 0.0), delay=0.0, sensor_lag=0.0, level=0.0, slope=0.0, reference=(0.0, 0.0, 0.0),
+        initial=((0.0, 0.0), (0.0, 0.0)), start=channel.start,
+    )  # fmt: skip
+
+
+def points_of(problem: VehicleProblem, name: str, sigma: float) -> GainPoints:
+    """The functions of a channel at points of a region."""
+    return gain_points(law_problem(problem, problem.channels[name]), max(sigma, SMALLEST_REGION), 0.0)
+
+
+def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
+    """The slopes of the straight lines that are nearest to phi_1 + n, shared between both, and to phi_2.
+
+    With ``joint`` omega_q has the share of omega_u that leaves the smallest rest.
+    """
+    size = np.abs(points.sigma)
+    columns = points.columns
+    combined = nearest_slope(size, columns["mean"] + columns["k_n"])
+    pole = float(np.mean(columns["k_n"]))
+    second = nearest_slope(size, columns["k_i"])
+    share = nearest_share(size, columns["k_i"] - second, columns["mean"] + columns["k_n"] - combined) if joint else 0.0
+    return combined - pole, second, pole, share
+
+
+def nearest_share(size: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
+    """The multiple of one deviation that is nearest to another one, both as ratios to sigma."""
+    largest = distance_of(size, command, 0.0)
+    if largest == 0.0:
+        return 0.0
+    high = 2.0 * distance_of(size, integral, 0.0) / largest
+    if high == 0.0:
+        return 0.0
+    return lowest(lambda share: distance_of(size, integral - share * command, 0.0), -high, high)
+
+
+def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
+    """The slope whose line through 0 is nearest to ratio sigma: the distance is convex in it."""
+    low, high = float(ratio.min()), float(ratio.max())
+    if not low < high:
+        return low
+    return lowest(lambda slope: distance_of(size, ratio, slope), low, high)
+
+
+def lowest(height: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function is smallest between two ends."""
+    found = minimize_scalar(height, bounds=(low, high), method="bounded")
+    return float(found.x)
+
+
+def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
+    """The largest |ratio - slope| |sigma|."""
+    return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
+
+
+def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
+    """What the functions deviate by from straight lines with these slopes."""
+    size = np.abs(points.sigma)
+    columns = points.columns
+    both = columns["mean"] + columns["k_n"]
+    ratios = (columns["mean"], columns["k_i"] - slopes[3] * both, both)
+    straight = (slopes[0], slopes[1] - slopes[3] * (slopes[0] + slopes[2]), slopes[0] + slopes[2])
+    first, second, combined = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
+    second *= SHARED_ROOM if slopes[3] else 1.0
+    share_1, share_2, share_b = (
+        RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
+    )
+    steepest = float(np.max(columns["k_p"]))
+    reach = float(np.max(columns["slide_p"])) / steepest
+    return ChannelDeviations(
+        slopes, (first, second, combined), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
+    )

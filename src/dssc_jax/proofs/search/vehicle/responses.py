@@ -1,0 +1,252 @@
+"""What the signals of a sampled linear channel are at most for inputs and starts of size 1, in floating point."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dssc_jax.proofs.search.fixed_point import responses
+from dssc_jax.proofs.search.vehicle.channels import Linear, Sampled, flow, sampled
+from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
+
+POINTS = (0.125, 0.375, 0.625, 0.875)
+"""Times within a sample at which signals are bounded, in T_s; every time is within T_s/8 of one."""
+PIECES = 4
+"""Pieces of each half of the rotors' lag, or of a shorter sample, in integrals by the trapezoidal rule."""
+MOST_PIECES = 32
+"""Largest number of pieces of a sample."""
+ONE_AXIS = ("e", "e_dot", "sigma", "bend", "u_av")
+"""Signals of the plane's channel that are bounded along each axis; the others are norms of vectors."""
+MOST_CONSTANT_SAMPLES = 40_000
+CONSTANT_SETTLED = 1e-4
+"""Share of a response to a constant at which it counts as settled."""
+
+
+@dataclass(frozen=True)
+class ChannelResponse:
+    """Bounds of a channel's signals for remainders of size 1.
+
+    Args:
+        names: The signals, in order.
+        remainders: Names of the remainders.
+        gains: Sums for each point of a sample, signal and input, (points, signals, inputs); the first two inputs are
+            omega_u and omega_q, the others the remainders.
+        constant: Largest response to a constant force 1, (points, signals).
+        starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
+        known: Peaks of the response to what is known of the start, (points, signals).
+    """
+
+    names: tuple[str, ...]
+    remainders: tuple[str, ...]
+    gains: np.ndarray
+    constant: np.ndarray
+    starts: np.ndarray
+    known: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A sampled channel, its signals at the points of a sample, and its inputs.
+
+    Args:
+        step: One sample.
+        names: The signals.
+        rows: Row of each point and signal over z, (points * signals, n).
+        direct: What the inputs of the same sample do, (points, signals, inputs).
+        columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
+        pieces: Number of these pieces.
+        held: Column of a constant force, (n,).
+        within: What a constant force of the same sample does, (points * signals,).
+    """
+
+    step: Sampled
+    names: tuple[str, ...]
+    rows: np.ndarray
+    direct: np.ndarray
+    columns: np.ndarray
+    pieces: int
+    held: np.ndarray
+    within: np.ndarray
+
+
+def pieces_of(problem: VehicleProblem) -> int:
+    """Number of pieces of a sample."""
+    if not problem.rotor_lag:
+        return PIECES
+    return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
+
+
+def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
+    """A channel with slopes k_1, k_2, k_3, at its samples."""
+    step = sampled(problem, channel, linear, slopes)
+    t = problem.sample_time
+    pieces = pieces_of(problem)
+    m, n = linear.g.size, step.a.shape[0]
+    names = (*linear.signals, "u_av")
+    rows = np.zeros((len(POINTS), len(names), n))
+    direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
+    within = np.zeros((len(POINTS), len(names)))
+    forces = np.stack(list(linear.b.values()), axis=1)
+    force = linear.b.get("force", np.zeros(m))
+    for place, share in enumerate(POINTS):
+        phi, gamma = flow(linear, share * t)
+        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, pieces + 1)]
+        pushed = integral(linear, force, share * t)
+        for row, (c, d) in enumerate(linear.signals.values()):
+            by_command = c @ gamma + d
+            rows[place, row, :m] = c @ phi
+            rows[place, row] += by_command * step.acting
+            direct[place, row, :2] = abs(by_command * step.direct) * np.array([abs(1.0 + t * slopes[3]), t])
+            direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
+            within[place, row] = c @ pushed
+        rows[place, -1] = step.u_av
+        direct[place, -1, :2] = [abs(t * slopes[3]), t]
+    columns = np.zeros((n, 2 + (pieces + 1) * forces.shape[1]))
+    columns[:, 0] = step.u
+    columns[:, 1] = step.q
+    moved = [flow(linear, t * part / pieces)[0] @ forces for part in range(pieces + 1)]
+    columns[:m, 2:] = np.concatenate(moved, axis=1)
+    held = np.append(integral(linear, force, t), np.zeros(n - m))
+    return Seen(step, names, rows.reshape(-1, n), direct, columns, pieces, held, within.ravel())
+
+
+def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
+    """Effects of omega_u, omega_q and each remainder over a whole sample, from those at its times, (..., inputs)."""
+    times = effects[..., 2:].reshape(*effects.shape[:-1], pieces + 1, -1)
+    integrals = sample_time * trapezoid([times[..., i, :] for i in range(pieces + 1)])
+    return np.concatenate([effects[..., :2], integrals], axis=-1)
+
+
+def channel_response(
+    problem: VehicleProblem,
+    channel: ChannelProblem,
+    linear: Linear,
+    slopes: tuple[float, ...],
+    known: np.ndarray | None = None,
+) -> ChannelResponse | None:
+    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow.
+
+    ``known`` is what is known of the start, (n, axes).
+    """
+    seen = seen_channel(problem, channel, linear, slopes)
+    a, rows = seen.step.a, seen.rows
+    if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
+        return None
+    result = responses(a, rows, seen.columns, np.zeros((a.shape[0], 0)))
+    if result is None:
+        return None
+    shape = (len(POINTS), len(seen.names))
+    gains = over_sample(result.sums, seen.pieces, problem.sample_time).reshape(*shape, -1) + seen.direct
+    constant = np.zeros(rows.shape[0])
+    if problem.thrust_deviation and channel is problem.channels["z"]:
+        constant = constant_response(a, rows, seen.held, seen.within)
+    peaks = np.zeros((rows.shape[0], 3))
+    if any(channel.initial):
+        starts = start_columns(problem, channel, a.shape[0], slopes)
+        peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
+    by_known = np.zeros(shape)
+    if known is not None:
+        columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in known.T]
+        by_known = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), seen.names)
+    return ChannelResponse(
+        seen.names, tuple(linear.b), gains, constant.reshape(shape), peaks.reshape(*shape, 3), by_known
+    )
+
+
+def of_axes(sizes: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """Bounds of each signal from those along each axis, (..., signals, axes) -> (..., signals)."""
+    along_axes = np.isin(names, ONE_AXIS)
+    return np.where(along_axes, sizes.max(axis=-1), np.sqrt((sizes**2).sum(axis=-1)))
+
+
+@dataclass(frozen=True)
+class ChannelSeries:
+    """Responses of a channel sample by sample; rows are points of a sample and signals.
+
+    Args:
+        effects: Magnitudes of what inputs of size 1 in one sample cause so many samples later, (samples, rows, inputs).
+        constant: Response to a constant force 1 from t = 0 on, (samples, rows).
+        starts: Responses to e, e' and q_(-1), (samples, rows, 3).
+        known: Magnitudes of the response to what is known of the start, (samples, rows).
+    """
+
+    effects: np.ndarray
+    constant: np.ndarray
+    starts: np.ndarray
+    known: np.ndarray
+
+
+def channel_series(
+    problem: VehicleProblem,
+    channel: ChannelProblem,
+    linear: Linear,
+    slopes: tuple[float, ...],
+    length: int,
+    known: np.ndarray | None = None,
+) -> ChannelSeries:
+    """The responses over a number of samples; only the channel of z has a constant force.
+
+    ``known`` is what is known of the start, (n, axes).
+    """
+    seen = seen_channel(problem, channel, linear, slopes)
+    a = seen.step.a
+    n = a.shape[0]
+    equilibrium = np.linalg.solve(np.eye(n) - a, seen.held)
+    added = np.zeros((n, 1)) if known is None else known
+    z = np.column_stack([seen.columns, -equilibrium, *start_columns(problem, channel, n, slopes), added])
+    inputs = seen.columns.shape[1]
+    answers = np.zeros((length, seen.rows.shape[0], z.shape[1]))
+    for k in range(length):
+        answers[k] = seen.rows @ z
+        z = a @ z
+    effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
+    effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
+    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), seen.pieces, problem.sample_time)
+    constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
+    if channel is not problem.channels["z"]:
+        constant = np.zeros(constant.shape)
+    begun = np.abs(answers[..., inputs + 4 :]).reshape(length, len(POINTS), len(seen.names), -1)
+    by_known = of_axes(begun, seen.names).reshape(length, -1)
+    return ChannelSeries(effects, constant, answers[..., inputs + 1 : inputs + 4], by_known)
+
+
+def trapezoid(values: list[np.ndarray]) -> np.ndarray:
+    """The mean of equally spaced values by the trapezoidal rule."""
+    return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
+
+
+def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
+    """What an input 1 through a column adds to chi within a time."""
+    return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
+
+
+def start_columns(
+    problem: VehicleProblem, channel: ChannelProblem, n: int, slopes: tuple[float, ...]
+) -> list[np.ndarray]:
+    """z_0 for e = 1, for e' = 1 and for q_(-1) = 1."""
+    share = start_share(problem, channel, slopes)
+    unit = np.eye(n)
+    return [unit[0] - share * channel.l0 * unit[n - 1], unit[1] - share * unit[n - 1], unit[n - 1]]
+
+
+def start_share(problem: VehicleProblem, channel: ChannelProblem, slopes: tuple[float, ...]) -> float:
+    """-q_(-1)/sigma_0 of the straight lines."""
+    k_1, k_2 = slopes[:2]
+    return {"zero": 0.0, "matched": k_1, "midpoint": k_1 + 0.5 * problem.sample_time * k_2}[channel.start]
+
+
+def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The largest |offset + row A^k z| of each row."""
+    peaks = np.abs(offset + rows @ z)
+    first = np.max(np.abs(z), initial=1e-300)
+    for _ in range(MOST_CONSTANT_SAMPLES):
+        z = a @ z
+        peaks = np.maximum(peaks, np.abs(offset + rows @ z))
+        if np.max(np.abs(z)) < CONSTANT_SETTLED * first:
+            break
+    return peaks
+
+
+def constant_response(a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """The largest response to a constant 1 from t = 0 on, of each row."""
+    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, held)
+    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + within)

@@ -1,0 +1,67 @@
+"""Sums of sines: a dictionary holds the phasor of each frequency [Hz], of which the sine is the real part."""
+
+import math
+from fractions import Fraction
+
+from dssc_jax.proofs.vehicle_problem import VehicleProblem
+
+Waves = dict[Fraction, complex]
+"""Phasor of each frequency; that of a constant is real."""
+
+
+def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
+    """Add a sine to a sum."""
+    if frequency < 0:
+        frequency = -frequency
+        phasor = phasor.conjugate()
+    if frequency == 0:
+        phasor = complex(phasor.real)
+    waves[frequency] = waves.get(frequency, 0.0) + phasor
+
+
+def product(first: Waves, second: Waves, factor: float) -> Waves:
+    """The product of two sums and a number."""
+    result: Waves = {}
+    for f, a in first.items():
+        for h, b in second.items():
+            add(result, f + h, 0.5 * factor * a * b)
+            add(result, f - h, 0.5 * factor * a * b.conjugate())
+    return result
+
+
+def total(*sums: Waves) -> Waves:
+    """The sum of sums."""
+    result: Waves = {}
+    for waves in sums:
+        for frequency, phasor in waves.items():
+            add(result, frequency, phasor)
+    return result
+
+
+def rate_of(frequency: Fraction) -> float:
+    """The angular frequency [rad/s]."""
+    return 2.0 * math.pi * float(frequency)
+
+
+def derivative(waves: Waves) -> Waves:
+    """The derivative in time."""
+    return {frequency: 1j * rate_of(frequency) * phasor for frequency, phasor in waves.items()}
+
+
+def scaled(waves: Waves, factor: float) -> Waves:
+    """A multiple."""
+    return {frequency: factor * phasor for frequency, phasor in waves.items()}
+
+
+def size(waves: Waves) -> float:
+    """A bound of the magnitude at all times."""
+    return sum(abs(phasor) for phasor in waves.values())
+
+
+def reference_waves(problem: VehicleProblem) -> dict[str, Waves]:
+    """The sine that each axis follows."""
+    assert problem.reference is not None
+    result = {}
+    for axis, (amplitude, period, phase) in problem.reference.items():
+        result[axis] = {1 / Fraction(period): amplitude * complex(math.sin(phase), -math.cos(phase))}
+    return result
