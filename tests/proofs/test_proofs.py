@@ -20,6 +20,7 @@ from dssc_jax.proofs.verifier import small_gain
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.verdict import verify_certificate
 from tests.proofs.cases import CONSTANT, HIGHER, LOOP, SINE
+from tests.test_protocols import controller_examples
 
 
 @pytest.fixture(scope="module")
@@ -254,6 +255,22 @@ def test_an_indefinite_p_does_not_prove_an_unstable_loop():
 def test_what_is_not_covered_is_named(changes, reason):
     with pytest.raises(NotCovered, match=reason):
         problem_of(LOOP.override(changes))
+
+
+UNPROVED = [table for table in controller_examples() if table["kind"] not in ("dssc", "ssc", "pi")]
+
+
+@pytest.mark.parametrize("table", UNPROVED, ids=lambda table: table["kind"])
+def test_a_controller_without_a_theorem_is_named(table):
+    with pytest.raises(NotCovered, match="the controller is not DSSC, SSC or PI"):
+        problem_of(LOOP.override({"controller": table}))
+
+
+def test_a_proof_says_that_it_does_not_speak_of_formulas(capsys):
+    formula = '[{formula = "always abs(e) < 9"}]'
+    settings = ["plant.a_p=0.3", "plant.k_p=1.0", "unmodelled.mu=0.01", f"requirement={formula}", "controller.l0=0.5"]
+    guarded(["prove", "certified_margin", "--boxes", "1", *(part for each in settings for part in ("--set", each))])
+    assert "proofs neither use nor prove formulas: formula_1" in capsys.readouterr().out
 
 
 def test_a_problem_survives_its_file(proved):

@@ -309,3 +309,17 @@ def test_a_large_map_is_shown_in_steps(capsys):
     told = capsys.readouterr().out
     assert "each step is 3 of 100 values of controller.k_p, and 3 of 60 of controller.k_i" in " ".join(told.split())
     assert len(told.splitlines()) < 60
+
+
+def test_a_draw_without_a_robustness_counts_as_infinitely_bad():
+    """Of a robustness, and of any metric that only falls, the worst value is -inf, not inf."""
+    formula = {"name": "near", "formula": "always[1,1.9] abs(e) < 0.62"}
+    result = dj.run(dj.Study.from_table({**STUDY, "requirement": [formula], "sweep": {}}))
+    (point,) = result.summary()["points"]
+    values = result.dataset["near"].values
+    ended = np.isnan(values)
+    assert 0.05 < ended.mean() < 0.5
+    ordered = np.sort(np.where(ended, -np.inf, values))
+    assert point["metrics"]["near"]["q5"] is None
+    assert point["metrics"]["near"]["q50"] == ordered[31]
+    assert point["metrics"]["near"]["q95"] == ordered[60]

@@ -4,6 +4,7 @@ A metric consists of the start of its accumulator and two pure functions, ``upda
 >= ``after`` count.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -105,6 +106,11 @@ class Metric(NamedTuple):
     counted: bool = False
     course: Course = Course.OPEN
     certain_after: Callable[[Accumulator], Scalar] | None = None
+
+    @property
+    def worst(self) -> float:
+        """The value as which a draw without one counts: -inf of a minimum or a robustness, inf of all others."""
+        return -math.inf if self.course == Course.FALLS or self.certain_after is not None else math.inf
 
 
 RISES = Course.RISES

@@ -111,7 +111,7 @@ def mark_proved(ax: Axes, x: np.ndarray, proved: np.ndarray) -> None:
 
 def quantiles(result: Result, measure: Measure) -> np.ndarray:
     """5 %, 50 % and 95 % quantiles over draws, shape (3, axes...); draws without a value count as infinite."""
-    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+    return upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
 
 
 def is_power(values: np.ndarray) -> bool:

@@ -232,7 +232,7 @@ def typical_map(ax: Axes, result: Result, measure: Measure, down: str, across: s
     x = result.dataset[across].values
     y = result.dataset[down].values
     metric = result.dataset[measure.name]
-    middle = upper_quantiles(metric.transpose(down, across, "draw").values, (0.5,))[0]
+    middle = upper_quantiles(metric.transpose(down, across, "draw").values, (0.5,), measure.metric.worst)[0]
     finite = middle[np.isfinite(middle)]
     if not finite.size:
         ax.text(0.5, 0.5, "no finite median", transform=ax.transAxes, ha="center")

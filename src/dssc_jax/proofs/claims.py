@@ -32,3 +32,9 @@ def claim_of(summary: Mapping[str, object]) -> Claim:
 def claim_for(study: Study) -> Claim:
     """The words for the proofs of a study: of loops with several channels they cover the vehicle only."""
     return VEHICLE_CLAIM if len(study.units) > 1 else AXIS_CLAIM
+
+
+def not_proved_text(study: Study) -> str:
+    """The requirements of which no proof speaks, since they are formulas; empty if there are none."""
+    labels = [requirement.label for requirement in study.requirements if requirement.formula]
+    return f"proofs neither use nor prove formulas: {', '.join(labels)}" if labels else ""

@@ -44,6 +44,7 @@ LAGS = {
     LAG.members[Order.TWO]: ((1.0,), (1.0, 2.0, 1.0)),
 }
 """Numerator and denominator of each lag, in rising powers of mu s."""
+UNPROVED_CONTROLLER = "the controller is not DSSC, SSC or PI, in implicit or conservative form"
 
 
 AnyProblem: TypeAlias = ProofProblem | VehicleProblem
@@ -74,7 +75,9 @@ def axis_problem_of(study: Study) -> ProofProblem:
     ends = ends_of(study)
     for name, law in study.written_laws.items():
         if name in study.parameter_names:
-            followers = ", ".join(study.followers(name)) or "nothing"
+            followers = ", ".join(study.followers(name))
+            if not followers:
+                raise NotCovered(f"{name} is uncertain, and nothing follows from it; leave it out")
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
         covered = set(study.numbers[name].paths) & set(UNCERTAIN)
         if not covered and not name.startswith(BOUNDED_SIGNALS):
@@ -219,6 +222,8 @@ def controller_of(study: Study) -> JsonObject:
     """
     member = study.loop.controller[0]
     gains = study.template.controller[0]
+    if not isinstance(gains, PiGains | DsscGains):
+        raise NotCovered(UNPROVED_CONTROLLER)
     nominal = gains.nominal and (float(gains.nominal.a), float(gains.nominal.k), bool(gains.nominal.predictor_term))
     common = {"l0": float(gains.l0), "nominal": nominal}
     if isinstance(gains, PiGains):
@@ -233,8 +238,8 @@ def controller_of(study: Study) -> JsonObject:
         return common | {"form": "implicit", "functions": functions, "rho": None, "start": "zero"}
     forms = {Discretisation.IMPLICIT, Discretisation.CONSERVATIVE}
     form = next((f for f in forms if member in (DSSC.members[f], SSC.members[f])), None)
-    if form is None or not isinstance(gains, DsscGains):
-        raise NotCovered("the controller is not DSSC, SSC or PI, in implicit or conservative form")
+    if form is None:
+        raise NotCovered(UNPROVED_CONTROLLER)
     if not isinstance(gains.rho, ConstantModulation):
         raise NotCovered("rho is not constant")
     if gains.sign_width is not None:

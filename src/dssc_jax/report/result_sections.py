@@ -204,7 +204,7 @@ def metrics(subject: Subject) -> Section:
     result = subject.point_result
     rows = []
     for measure in study.measures:
-        quantiles = upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95))
+        quantiles = upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
         unit = unit_of(result, measure)
         bounding = [requirement for requirement in study.requirements if requirement.measure == measure]
         bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounding]

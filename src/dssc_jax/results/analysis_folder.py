@@ -8,11 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+import zarr
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
+from dssc_jax.results.arrays import EVERY_CHUNK
 from dssc_jax.results.digests import sum_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
@@ -85,7 +87,8 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
         **code_entries(study),
     }
     write_sealed(folder / f"{kind}.json", description)
-    plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
+    with zarr.config.set(EVERY_CHUNK):
+        plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
     if read_description(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")

@@ -13,6 +13,7 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Layout
+from dssc_jax.proofs.claims import not_proved_text
 from dssc_jax.results import store
 from dssc_jax.results.manifest import Manifest
 from dssc_jax.results.proofs import SweepProofs, read_proofs
@@ -101,7 +102,8 @@ class Result:
         if "proved" not in self.dataset:
             return ""
         proved = self.dataset["proved"].values
-        return f"{np.count_nonzero(proved)} of {proved.size} points are proved, with lag and sampling"
+        text = f"{np.count_nonzero(proved)} of {proved.size} points are proved, with lag and sampling"
+        return "; ".join(filter(None, (text, not_proved_text(self.study))))
 
     @property
     def integration(self) -> str:

@@ -48,9 +48,12 @@ class Statements(NamedTuple):
         """Columns with the frequency of any event, from draws of shape (points, draws)."""
         return frequency(happened, self.method.interval(happened, self.confidence))
 
-    def quantiles(self, values: np.ndarray) -> dict[str, list[object]]:
-        """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws)."""
-        ordered = ranked(values)
+    def quantiles(self, values: np.ndarray, missing: float) -> dict[str, list[object]]:
+        """Columns of quantiles and their intervals, None where infinite, from draws of shape (points, draws).
+
+        A draw without a value counts as ``missing``.
+        """
+        ordered = ranked(values, missing)
         columns = {}
         for level in QUANTILES:
             columns[f"q{100 * level:g}"] = upper_quantile(ordered, level)
@@ -126,7 +129,9 @@ def summary_of_batch(
     outcomes = {}
     for code, meaning in outcome_codes(study).items():
         outcomes[meaning] = np.count_nonzero(outcome == code, axis=-1).tolist()
-    metrics = {measure.name: rows(statements.quantiles(lanes[measure.name])) for measure in study.measures}
+    metrics = {}
+    for measure in study.measures:
+        metrics[measure.name] = rows(statements.quantiles(lanes[measure.name], measure.metric.worst))
     return rows(
         {
             **at,

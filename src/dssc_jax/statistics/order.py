@@ -38,11 +38,9 @@ def first(holds: Callable[[int], bool], start: int = 1) -> int:
     return holding
 
 
-def ranked(values: np.ndarray) -> np.ndarray:
-    """Values in ascending order along the last axis; a draw without a value (NaN) counts as +inf."""
-    ordered = np.sort(values)  # NaN last
-    ordered[np.isnan(ordered)] = np.inf
-    return ordered
+def ranked(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
+    """Values in ascending order along the last axis; a draw without a value (NaN) counts as ``missing``."""
+    return np.sort(np.where(np.isnan(values), missing, values))
 
 
 def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
@@ -64,9 +62,9 @@ def upper_quantile(ordered: np.ndarray, level: float) -> np.ndarray:
     return at_rank(ordered, max(1, math.ceil(level * ordered.shape[-1])))
 
 
-def upper_quantiles(values: np.ndarray, levels: Sequence[float]) -> np.ndarray:
-    """Quantiles along the last axis with draws without a value at infinity, shape (levels, ...)."""
-    ordered = ranked(values)
+def upper_quantiles(values: np.ndarray, levels: Sequence[float], missing: float = np.inf) -> np.ndarray:
+    """Quantiles along the last axis, in which a draw without a value counts as ``missing``, shape (levels, ...)."""
+    ordered = ranked(values, missing)
     return np.stack([upper_quantile(ordered, level) for level in levels])
 
 

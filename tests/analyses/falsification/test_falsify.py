@@ -121,3 +121,19 @@ def test_command(study, tmp_path, monkeypatch, capsys):
     assert guarded(["replay", told["replay"], "--draw", "0", "--csv", "w.csv"]) == 0
     assert dj.Study.load(told["witness_study"]).laws == {}
     assert guarded(["falsify", "planted.toml", "--budget", "7"]) == 2
+
+
+def test_a_robustness_that_is_no_number_can_be_stored(tmp_path):
+    """The root of a negative number is a NaN whose sign bit is set, and all simulations have one."""
+    table = {
+        "name": "root",
+        "draws": 4,
+        "loop": {"duration": 0.2, "sample_time": 0.01},
+        "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "initial": [-1.0, 0.0]},
+        "controller": {"kind": "pid", "k_p": 1.0},
+        "requirement": [{"formula": "always sqrt(e) > -1"}],
+    }
+    found = dj.falsify(dj.Study.from_table(table), budget=32)
+    assert found.slack == -np.inf
+    found.save(tmp_path / "found")
+    assert dj.load(tmp_path / "found").dataset["slack"].shape == found.dataset["slack"].shape

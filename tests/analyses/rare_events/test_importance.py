@@ -137,3 +137,17 @@ def test_splitting_answers_where_importance_sampling_cannot():
     assert found.answer.refusal == "no search ended at the border of failure"
     with pytest.raises(dj.ConfigError, match="no answer"):
         dj.rare(study, splitting=None)
+
+
+def test_a_start_that_diverges_begins_no_search():
+    """It has the slack -inf and slopes of 0; the other start finds the design point, without a warning of NumPy."""
+
+    def slack(points, noise):
+        return np.where(points[:, 0] < -1.0, -np.inf, 3.0 - points[:, 0])
+
+    def slope(points, noise):
+        slopes = np.where(points[:, :1] < -1.0, 0.0, -np.eye(1, 2))
+        return slack(points, noise), slopes
+
+    (found,) = find_design_points(slope, np.array([[-2.0, 0.5], [1.0, 0.5]]), np.zeros(2, int))
+    assert found.point == pytest.approx([3.0, 0.0], abs=1e-3)

@@ -1,5 +1,7 @@
 """The worst case of the linearised loop, against closed forms and a dense grid of loops that NumPy builds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -164,3 +166,11 @@ def test_laws_without_ends_are_cut(worst):
     assert side.low == pytest.approx(0.9)
     assert side.high == pytest.approx(1.1)
     assert not worst.answer.box["plant.b.1"].cut
+
+
+def test_a_stable_box_without_a_bound_says_so(worst):
+    """Stability may be proved where the bounds of the gains stay infinite."""
+    unbounded = replace(worst, dataset=worst.dataset.assign(guaranteed=np.nan * worst.dataset["guaranteed"]))
+    assert "with a disk margin of at least" in worst.headline
+    assert "with no margin that is guaranteed" in unbounded.headline
+    assert "nan" not in unbounded.headline

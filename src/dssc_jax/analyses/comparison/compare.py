@@ -143,7 +143,11 @@ class Contest(NamedTuple):
             data = self.dataset.sel(controller=name)
             failures = int(data["failed"].sum())
             draws = data.sizes["draw"]
-            medians = {metric: upper_quantiles(data[metric].values, [0.5])[0] for metric in self.metrics(study)}
+            medians = {}
+            for measure in study.measures:
+                if measure.name in data:
+                    values = data[measure.name].values
+                    medians[measure.name] = upper_quantiles(values, [0.5], measure.metric.worst)[0]
             low, high = clopper_pearson(failures, draws, confidence)
             controllers[name] = ControllerAnswer(table, failures, failures / draws, (low, high), medians)
         return ContestAnswer(controllers, self.pairs(study, confidence))

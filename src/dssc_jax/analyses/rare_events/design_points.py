@@ -76,6 +76,8 @@ def find_design_points(slope: SlopeFunction, starts: np.ndarray, noise: np.ndarr
     slacks, slopes = slope(points, noise)
     steps = np.ones(len(points))
     running = np.isfinite(slacks) & np.isfinite(slopes).all(axis=1)
+    slacks = np.where(running, slacks, np.nan)  # no search starts from a draw that ended early
+    slopes = np.where(running[:, None], slopes, np.nan)
     for _ in range(ITERATIONS):
         active = np.flatnonzero(running)
         if not active.size:

@@ -167,8 +167,10 @@ class WorstLoop(Analysis):
             return f"broken at {loop}: some loops of the box are unstable, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
+        known = np.isfinite(disk.guaranteed)
+        least = f"a disk margin of at least {disk.guaranteed:.3g}" if known else "no margin that is guaranteed"
         return (
-            f"broken at {loop}: stable on all of the box, with a disk margin of at least {disk.guaranteed:.3g} "
+            f"broken at {loop}: stable on all of the box, with {least} "
             f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_guaranteed:.3g} "
             "times its size"
         )

@@ -18,6 +18,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
+from dssc_jax.proofs.claims import not_proved_text
 from dssc_jax.proofs.prove import AnyProved, check_certificate, prove
 from dssc_jax.proofs.prove_vehicle import VEHICLE_KIND
 from dssc_jax.proofs.reach import proved_up_to
@@ -56,7 +57,7 @@ def run(options: Prove) -> int:
     if options.as_json:
         print(json.dumps(proved.summary(), allow_nan=False))
     else:
-        show_proof(proved.summary(), options.out)
+        show_proof(proved.summary(), options.out, not_proved_text(study))
     return DONE if proved.complete else FAILS
 
 
