@@ -63,3 +63,9 @@ def test_every_law_is_tested():
 def test_bad_laws(table, message):
     with pytest.raises(ValueError, match=message):
         parse_law(table)
+
+
+def test_a_choice_of_many_values_is_read_at_once():
+    """Its rules are checked once, and not for every pair of ends of every value."""
+    values = [float(value) for value in range(2000)]
+    assert parse_law({"choice": values}).quantile(np.array([0.0, 1.0])).tolist() == [0.0, 1999.0]

@@ -346,7 +346,8 @@ def parse_law(table: TomlTable) -> Law:
         raise ValueError(f"{kind} takes {spec.signature}, got {len(arguments)} arguments {arguments}")
     rule, holds = spec.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
-    if not all(holds(corner) for corner in product(*ranges)):  # the rules are linear, so that they hold in between
+    corners = product(*(dict.fromkeys(ends) for ends in ranges))  # the rules are linear, so that they hold in between
+    if not all(holds(corner) for corner in corners):
         raise ValueError(f"{kind} {spec.signature}: {rule}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
     return RangedLaw(kind, middles, ranges) if ranged else Law(kind, middles)
