@@ -39,7 +39,7 @@ class WrongLaws:
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(AMOUNTS), width=300)
         self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST, step=STEP, value=0.0, width=300)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)
-        self.how_wrong = pn.widgets.Button(label="How wrong may the laws be?")
+        self.how_wrong = pn.widgets.Button(label="Largest law errors")
         self.how_wrong.on_click(lambda _: search())
         self.answer = html_pane("")
         for widget in (self.kind, self.size):
