@@ -16,10 +16,13 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.certified_premises import certified_premises
 from dssc_jax.proofs.prove_vehicle import prove_vehicle
 from dssc_jax.proofs.search.vehicle.bounds import linear_channels
+from dssc_jax.proofs.search.vehicle.deviations import points_of
 from dssc_jax.proofs.search.vehicle.nominal import answer_of, drives_of
 from dssc_jax.proofs.vehicle_coverage import vehicle_problem_of
 from dssc_jax.proofs.vehicle_problem import vehicle_problem_from
+from dssc_jax.proofs.vehicle_words import vehicle_in_words
 from dssc_jax.proofs.verifier.balls import Rejected
+from dssc_jax.proofs.verifier.vehicle.deviations import deviations_of
 from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
@@ -202,6 +205,29 @@ def test_what_is_left_of_the_remainders_stays_within_its_bounds():
     assert smaller > 100
 
 
+@pytest.mark.parametrize("start", ["matched", "midpoint"])
+def test_the_first_sum_deviates_by_no_more_than_its_bound(start):
+    """q_(-1) of ``midpoint`` holds phi_2 itself, and so all of omega_q, however small its rest omega_r is."""
+    content = problem()
+    sigma = 0.5
+    half = {"matched": 0.0, "midpoint": 0.5 * content["sample_time"]}[start]
+    points = points_of(vehicle_problem_from(content), "x", sigma)
+    size = np.abs(points.sigma)
+    k_1, k_2, k_3 = linear_proof(content, "x", DAMPING)["slopes"]
+    first = (points.columns["mean"] - k_1) * size
+    integral = (points.columns["k_i"] - k_2) * size
+    command = first + (points.columns["k_n"] - k_3) * size
+    last = np.argmax(size)
+    share = float(integral[last] / command[last])
+    assert abs(integral - share * command).max() < 0.5 * abs(integral).max()
+    with ball_precision():
+        proof = linear_proof(content, "x", DAMPING, share)
+        t = arb(content["sample_time"])
+        bound = float(deviations_of(content, "x", proof, sigma).of_start(start, arb(sigma), t, arb(share)))
+    reached = abs(first + half * integral).max()
+    assert reached <= bound * (1.0 + 1e-9) <= 1.1 * reached
+
+
 MISSION = {
     "reference": {"kind": "mission"},
     "plant.position": [0.0, 20.0, 5.0],
@@ -282,6 +308,7 @@ def test_a_mission_flies_from_its_certificate_and_has_no_monitor(design):
     """The study of the problem has this problem; a monitor's refusal says why."""
     content = design.certificate["problem"]
     again = plain(vehicle_problem_of(study_of(content, 10.0)).to_dict())
+    assert "x: 20.0 sin(2 pi t/40.0 + 0.0), y:" in vehicle_in_words(content)["reference"]
     assert again["reference"] == content["reference"]
     for name, channel in content["channels"].items():
         assert again["channels"][name].pop("initial") == pytest.approx(channel["initial"], abs=1e-11)

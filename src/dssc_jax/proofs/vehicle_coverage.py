@@ -106,7 +106,7 @@ def require_laws(study: Study) -> None:
 
 
 def require_loop(study: Study) -> None:
-    """Refuse a moving reference, and sensors, differentiators and disturbances of the channels."""
+    """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
     loop = study.loop
     if loop.reference not in (HOVER, WHOLE_MISSION):
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")

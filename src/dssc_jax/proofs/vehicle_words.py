@@ -1,7 +1,7 @@
 """The vehicle of a certificate in words, with its numbers as they are, and what its verdict says."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.verifier.vehicle.certificate import ChannelProblem, VehicleProblem
@@ -22,9 +22,10 @@ def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
         "drag": f"structure {drag[0]}, {drag[0]}, {drag[1]} N s^2/m^2, "
         f"propeller {problem['propeller_drag']} N s^2/(m rad)",
         "wind": f"any with |w_h| <= {problem['wind'][0]} m/s and |w_z| <= {problem['wind'][1]} m/s",
+        "reference": reference_words(problem["reference"]),
     }
     names = {"x": "x and y", "z": "z", "psi": "psi"}
-    return words | {names[name]: channel_words(channel) for name, channel in problem["channels"].items()}
+    return words | {names[name]: channel_words(name, channel) for name, channel in problem["channels"].items()}
 
 
 def inner_words(problem: VehicleProblem) -> str:
@@ -50,10 +51,19 @@ def rotor_words(problem: VehicleProblem) -> str:
     return f"{place}, {lag}, {limit}, {coefficients}, I_z = {problem['rotor_inertia']} kg m^2"
 
 
-def channel_words(channel: ChannelProblem) -> str:
+def reference_words(sines: Mapping[str, Sequence[float]] | None) -> str:
+    """What the axes follow, but for constants."""
+    if sines is None:
+        return "at rest"
+    waves = [f"{axis}: {size} sin(2 pi t/{period} + {phase})" for axis, (size, period, phase) in sines.items()]
+    return f"{', '.join(waves)}, in m and rad, besides constants"
+
+
+def channel_words(name: str, channel: ChannelProblem) -> str:
     """The controller of a channel, and its start."""
+    rate = "psi'" if name == "psi" else "e'"
     e, e_dot = channel["initial"]
-    start = f"predictor's start {channel['start']}, |e| <= {e} and |e'| <= {e_dot} at t = 0"
+    start = f"predictor's start {channel['start']}, |e| <= {e} and |{rate}| <= {e_dot} at t = 0"
     law = f"l_0 = {channel['l0']} 1/s, rho = {channel['rho']}, {functions_words(channel['functions'])}"
     return f"{law}, nominal {nominal_words(channel['nominal'])}, {start}"
 

@@ -42,16 +42,17 @@ class ChannelDeviations:
         return min(self.distance[2], self.ratio[2] * sigma)
 
     def of_integral(self, sigma: float) -> float:
-        """Bound of |omega_q|."""
+        """Bound of what omega_q has besides its share of omega_u."""
         return min(self.distance[1], self.ratio[1] * sigma)
 
     def of_start(self, start: str, first: float, sample_time: float) -> float:
-        """Bound of what q_(-1) deviates by, at the first |sigma|."""
+        """Bound of what q_(-1) deviates by, at the first |sigma|; ``midpoint`` takes all of omega_q."""
         if start == "zero":
             return 0.0
         deviation = min(self.distance[0], self.ratio[0] * first)
         if start == "midpoint":
-            deviation += 0.5 * sample_time * self.of_integral(first)
+            integral = self.of_integral(first) + abs(self.slopes[3]) * self.of_command(first)
+            deviation += 0.5 * sample_time * integral
         return deviation
 
 

@@ -142,7 +142,7 @@ def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np
 
 
 def input_sizes(name: str, inputs: Inputs, remainders: Sequence[str]) -> list[float]:
-    """Bounds of omega_u and of what is left of omega_q along one axis, and of the remainders, rounded up."""
+    """Bounds of omega_u and omega_r along one axis, and of the remainders, rounded up."""
     law = inputs.deviations[name]
     sigma = inputs.sigma[name]
     rests = inputs.remainders.channels[name]

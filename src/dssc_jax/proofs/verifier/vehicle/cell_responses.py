@@ -25,20 +25,20 @@ from dssc_jax.proofs.verifier.vehicle.deviations import float_above
 from dssc_jax.proofs.verifier.vehicle.responses import KNOWN, SeenChannel, integral_within
 
 OMEGAS = 2
-"""The inputs omega_u and omega_q, before the remainders."""
+"""The inputs omega_u and omega_r, before the remainders."""
 SMALL = 1e-6
 """Share of a response's peak at which the rest of it no longer counts in the last cell."""
 
 
 class CellResponses(NamedTuple):
-    """Upper bounds for J cells and the last one. The inputs are omega_u, omega_q and the remainders.
+    """Upper bounds for J cells and the last one. The inputs are omega_u, omega_r and the remainders.
 
     Args:
         signals: The signal of each row.
-        remainders: The names of the inputs after omega_u and omega_q.
-        most: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
-        least: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
-        whole: Bound of the limit of G, (rows, inputs).
+        remainders: The names of the inputs after omega_u and omega_r.
+        upper: Bounds of G_(c m + c - 1) for m < J, (J, rows, inputs).
+        lower: G_(c m - 1), or eps_0 for m = 0, of the same eps_l, from below, (J, rows, inputs).
+        total_sum: Bound of the limit of G, (rows, inputs).
         starts: E_0 |response to e = 1| + V_0 |response to e' = 1| + the size of that to what is known of the start, the
             largest in each cell, (J + 1, rows).
         deviations: The largest response to a deviation 1 of the first sum q, (J + 1, rows).

@@ -48,7 +48,7 @@ class SampledChannel(NamedTuple):
     Args:
         a: A, (m, m).
         by_command: b_u, the column of omega_u with its share of omega_q, (m, 1).
-        by_integral: b_q, the column of what is left of omega_q, (m, 1).
+        by_integral: b_q, the column of omega_r, (m, 1).
         acting: Row of U, (1, m), without the omegas of the same sample.
         fresh: The share of u_k in U.
         equivalent: Row of u_av, (1, m), without omega_q of the same sample.

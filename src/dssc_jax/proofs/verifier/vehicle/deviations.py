@@ -47,16 +47,17 @@ class Deviations(NamedTuple):
         return least(self.d_b, self.share_b * sigma)
 
     def of_integral(self, sigma: arb) -> arb:
-        """Bound of what is left of |omega_q|."""
+        """Bound of |omega_r|."""
         return least(self.d_2, self.share_2 * sigma)
 
-    def of_start(self, start: str, sigma: arb, sample_time: arb) -> arb:
-        """Bound of the deviation of the first sum q, at the first |sigma|."""
+    def of_start(self, start: str, sigma: arb, sample_time: arb, share: arb) -> arb:
+        """Bound of the deviation of the first sum q, at the first |sigma|; ``midpoint`` takes all of omega_q."""
         if start == "zero":
             return arb(0)
         result = least(self.d_1, self.share_1 * sigma)
         if start == "midpoint":
-            result = result + sample_time / 2 * self.of_integral(sigma)
+            integral = self.of_integral(sigma) + abs(share) * self.of_command(sigma)
+            result = result + sample_time / 2 * integral
         return result.upper()
 
 

@@ -163,8 +163,10 @@ def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
     first = first_sigma(vehicle.problem, name).upper()
     if first == 0:
         return [e, e_dot, arb(0)]
-    deviations = deviations_of(vehicle.problem, name, vehicle.middles[name], float_above(first))
-    return [e, e_dot, deviations.of_start(controller["start"], first, arb(vehicle.problem["sample_time"]))]
+    proof = vehicle.middles[name]
+    deviations = deviations_of(vehicle.problem, name, proof, float_above(first))
+    t = arb(vehicle.problem["sample_time"])
+    return [e, e_dot, deviations.of_start(controller["start"], first, t, arb(proof["share"]))]
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:

@@ -1,7 +1,8 @@
 """The nominal flight of a moving reference: the periodic answer of the linear channels to sums of sines, in balls.
 
-For every frequency f a sampled channel has the answer Z e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z = B, where B
-holds what drives the channel within a sample. A signal at the time t_k + s is the real part of X(s) e^(2 pi i f t_k).
+For every frequency f = 1/T_f a sampled channel has the answer Z e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z = D,
+where D is what drives the channel within a sample; Z_f and D_f of the page. A signal at the time t_k + s is the real
+part of X(s) e^(2 pi i f t_k).
 """
 
 from collections.abc import Mapping, Sequence
@@ -69,12 +70,12 @@ class Coupling(NamedTuple):
     """Bounds of what couples the channels of a vehicle whose reference moves.
 
     Args:
-        alpha: Of |alpha - alpha_0|.
-        wanted: Of |a_h - alpha_0|.
-        lift: Of |a_z - z_m''|.
-        yaw: Of |psi' - psi_m'|.
-        lift_known: Of |z_m''|.
-        yaw_known: Of |psi_m'|.
+        alpha: G_alpha, of |alpha - alpha_0|.
+        wanted: G_a, of |a_h - alpha_0|.
+        lift: G_z, of |a_z - z_m''|.
+        yaw: G_psi, of |psi' - psi_m'|.
+        lift_known: Z_m, of |z_m''|.
+        yaw_known: P_m, of |psi_m'|.
     """
 
     alpha: arb

@@ -57,7 +57,7 @@ class SignalResponse(NamedTuple):
 
     Args:
         command: To |omega_u| <= 1.
-        integral: To |omega_q| <= 1.
+        integral: To |omega_r| <= 1.
         remainders: To each |r_j| <= 1.
         constant: To a constant 1 in place of o, from t = 0 on.
         settled_constant: The same as time grows.
@@ -82,7 +82,7 @@ class Sight(NamedTuple):
         time: Time since the sample [s].
         row: Its row over z_k, (1, m).
         direct: Its direct effect of omega_u of the same sample.
-        direct_integral: Its direct effect of what is left of omega_q.
+        direct_integral: Its direct effect of omega_r of the same sample.
     """
 
     signal: str
@@ -103,7 +103,7 @@ class SeenChannel(NamedTuple):
         sights: The signals at their times.
         rows: Their rows, (sights, m).
         curved: The columns of the remainders within a sample.
-        inputs: omega_u, omega_q, points and bend of each remainder, and the unit columns of chi, (m, inputs).
+        inputs: omega_u, omega_r, points and bend of each remainder, and the unit columns of chi, (m, inputs).
         starts: e, e', the first sum q, the constant, and what is known of the start along each axis, (m, 4 + axes).
         offsets: What is added to the responses to the starts, (sights, 4 + axes).
         flight: Bounds of the nominal flight's signals; empty without a reference.
