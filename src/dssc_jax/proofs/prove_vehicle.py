@@ -105,7 +105,9 @@ class VehicleProved:
         errors = f"|e_x|, |e_y| <= {e_x} m, |e_z| <= {e_z} m, |e_psi| <= {e_psi} rad"
         tilt = f"a tilt of {digits_above(math.degrees(self.verdict.tilt))} degrees"
         rotors = f"between {digits_below(self.verdict.rotor_min)} and {digits_above(self.verdict.rotor_max)} N"
-        opening = "For" if self.problem.reference is None else "On the mission, flown from its first point, for"
+        opening = "For"
+        if self.problem.reference is not None:
+            opening = "On the mission, from its first point on, level and without a turn there, for"
         return (
             f"{opening} {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle "
             f"never exceeds {errors} and {tilt}. Its rotors stay {rotors}.{ends}"
