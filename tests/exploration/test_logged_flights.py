@@ -9,7 +9,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.exploration.study_page import StudyPage
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import curves_of_draws, study_references
-from dssc_jax.report.elements import number
+from dssc_jax.statistics.conformal import flights_to_confirm, flights_to_refute
 from dssc_jax.study.tables import to_toml
 
 SAMPLES = 300
@@ -50,16 +50,16 @@ def test_the_next_flight_on_request(live, explored, logs):
     assert "12 flights do not refute the study" in told
     assert "with a probability of at least 90 %" in told
     assert "<svg" in told
-    assert "flights to refute" in told
-    assert "flights to confirm" in told
+    compared = PAGE_DRAWS // 2
+    assert f"<td>{flights_to_refute(0.5, compared)}</td><td>{flights_to_confirm(0.5, compared)}</td>" in told
     desired = study_references(explored, SAMPLES)[0, 0]
     errors = np.sort([np.abs(log.columns["y"].value - desired).max() for log in logs])
-    assert f">{number(errors[11])}<" in told  # 0.9 (12 + 1), rounded up, is 12
+    assert f">{errors[11]:.4g}<" in told  # 0.9 (12 + 1), rounded up, is 12
     page.flights.probability.value = 0.5
     page.flights.compare.clicks += 1
     told = page.flights.answer.object
     assert "with a probability of at least 50 %" in told
-    assert f">{number(errors[6])}<" in told
+    assert f">{errors[6]:.4g}<" in told
     page.move({"unmodelled.mu": 0.2})
     assert page.flights.answer.object == ""
     page.flights.compare.clicks += 1
@@ -79,6 +79,7 @@ def test_too_few_flights(live, logs):
     page = StudyPage(live, logs=logs[:3])
     page.flights.compare.clicks += 1
     assert "a set for the next one with 90 % needs 9" in page.flights.answer.object
+    assert "<td>too few flights</td>" in page.flights.answer.object
 
 
 def test_a_single_log(explored, logs):

@@ -5,21 +5,24 @@ from collections.abc import Callable, Sequence
 import htpy as h
 import panel as pn
 
+from dssc_jax.console.flight import beyond_text, counts_table, limit_table
 from dssc_jax.exploration.actions import Question
 from dssc_jax.exploration.live import LiveRun
 from dssc_jax.exploration.page import PAGE_STYLE, markup
 from dssc_jax.flight_logs.comparison import compare_log
-from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
+from dssc_jax.flight_logs.next_flight import PROBABILITY, NextFlight, next_flight
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.plotting import BLUE, GREEN, GREY, ORANGE, RED
 from dssc_jax.report import analysis_sections
+from dssc_jax.report.elements import table
 from dssc_jax.report.subject import AnalysisSubject
+from dssc_jax.report.vector import inline
 from dssc_jax.results.analysis import Analysis
 
 CARD_STYLE = f"""
 :host {{ --blue: {BLUE}; --orange: {ORANGE}; --green: {GREEN}; --red: {RED}; --grey: {GREY}; }}
 svg.plot {{ width: 100%; max-width: 1000px; height: auto; }}
-figure {{ margin: 8px 0; }}
+table {{ margin: 8px 0; }}
 caption {{ text-align: left; font-weight: 600; }}
 th, td {{ text-align: left; font-weight: 400; padding: 2px 16px 2px 0; vertical-align: top; }}
 .meaning {{ display: block; color: #555c64; font-size: 12px; }}
@@ -66,11 +69,17 @@ class LoggedFlights:
         return answer
 
     def show(self, analysis: Analysis) -> None:
-        """Show an answer as its report does: the headline, the figure and all numbers."""
-        subject = AnalysisSubject(analysis)
-        answer = analysis_sections.answer(subject)
-        numbers = analysis_sections.numbers(subject)
-        self.answer.object = markup(h.div(role="status")[answer.body, numbers.body])
+        """Show an answer: the headline, the numbers and the figure."""
+        if isinstance(analysis, NextFlight):
+            answer = analysis.answer
+            limits = table("Limits of the next flight", *limit_table(answer))
+            counts = table("Flights that refute or confirm the study", *counts_table(answer.study_test))
+            numbers = [limits, h.p[f"{beyond_text(answer)}."], counts]
+        else:
+            numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
+        headline = f"{analysis.headline}."
+        picture = inline(analysis.figure, headline, "flights")
+        self.answer.object = markup(h.div(role="status")[h.p[h.strong[headline]], numbers, picture])
 
     def clear(self) -> None:
         """Show no answer, as that of a run before would be wrong."""
