@@ -19,6 +19,7 @@ from dssc_jax.report.subject import AnalysisSubject
 from dssc_jax.report.vector import inline
 from dssc_jax.results.analysis import Analysis
 
+CONDITION = "This is exact for sliders that were set without looking at these flights."
 CARD_STYLE = f"""
 :host {{ --blue: {BLUE}; --orange: {ORANGE}; --green: {GREEN}; --red: {RED}; --grey: {GREY}; }}
 svg.plot {{ width: 100%; max-width: 1000px; height: auto; }}
@@ -79,7 +80,7 @@ class LoggedFlights:
             numbers = analysis_sections.numbers(AnalysisSubject(analysis)).body
         headline = f"{analysis.headline}."
         picture = inline(analysis.figure, headline, "flights")
-        self.answer.object = markup(h.div(role="status")[h.p[h.strong[headline]], numbers, picture])
+        self.answer.object = markup(h.div(role="status")[h.p[h.strong[headline]], h.p[CONDITION], numbers, picture])
 
     def clear(self) -> None:
         """Show no answer, as that of a run before would be wrong."""
