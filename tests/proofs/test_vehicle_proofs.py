@@ -201,6 +201,7 @@ def test_the_command_proves_and_verifies(tmp_path, capsys: pytest.CaptureFixture
     file = tmp_path / "proof.json"
     assert guarded(["prove", TUNED, "--out", str(file), "--json"]) == 0
     proved = json.loads(capsys.readouterr().out)
+    assert proved["integration"]["change"] < 1e-6
     assert guarded(["prove", str(file), "--json"]) == 0
     verified = json.loads(capsys.readouterr().out)
     assert verified["bounds"] == proved["bounds"]

@@ -81,7 +81,7 @@ def margin_text(value: float, form: Callable[[float], str]) -> str:
 
 
 def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
-    """Print the worst margins of every break point: drawn, found and guaranteed."""
+    """Print the worst margins of every break point: drawn, found and bounded."""
     answer = worst.answer
     console = output()
     console.print(f"[bold]{escape(worst.study.name)}[/bold]  {escape(worst.headline)}", soft_wrap=True)
@@ -90,9 +90,9 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
         for name, margin in loop.margins.items():
             text, form = MARGIN_ROWS[name]
             numbers = ", ".join(f"{number} = {value:.6g}" for number, value in margin.numbers.items())
-            values = (margin.drawn, margin.found, margin.guaranteed)
+            values = (margin.drawn, margin.found, margin.bounded)
             rows.append((text, *(margin_text(value, form) for value in values), numbers))
-        head = (broken_at, f"worst of {answer.draws} draws", "worst found", "guaranteed", "found at")
+        head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
         console.print(growth_text(loop), markup=False, soft_wrap=True)
     cut = [name for name, side in answer.box.items() if side.cut]
@@ -110,6 +110,6 @@ def growth_text(loop: LoopWorst) -> str:
         nearest = f"; unstable from {loop.growth_found:.4g} times its size on, at {numbers}"
     else:
         nearest = f"; no unstable loop was found up to {loop.growable:.4g} times its size"
-    if loop.growth_guaranteed == 0.0:
-        return f"robust stability: nothing is guaranteed after {loop.cells} cells{nearest}"
-    return f"robust stability: stable up to {loop.growth_guaranteed:.4g} times the box{nearest}"
+    if loop.growth_bounded == 0.0:
+        return f"robust stability: nothing is bounded after {loop.cells} cells{nearest}"
+    return f"robust stability: stable up to {loop.growth_bounded:.4g} times the box{nearest}"

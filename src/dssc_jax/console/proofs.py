@@ -1,5 +1,6 @@
 """Show a proof of the sampled loop, and a verifier's verdict."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,8 @@ MOST_SHOWN = 12
 """Boxes without a proof that are listed."""
 
 
-def show_proof(summary: dict[str, Any], path: Path | None, not_proved: str = "") -> None:
-    """Print the statement, the boxes that are not proved, and of which requirements no proof speaks."""
+def show_proof(summary: dict[str, Any], path: Path | None, remarks: Sequence[str] = ()) -> None:
+    """Print the statement, the boxes that are not proved, and remarks, of which empty ones are left out."""
     console = output()
     console.print(summary["statement"], soft_wrap=True, markup=False)
     if any(failure["box"] for failure in summary["failures"]):  # a vehicle is no box: the statement has the reason
@@ -19,8 +20,8 @@ def show_proof(summary: dict[str, Any], path: Path | None, not_proved: str = "")
             ranges = [f"{low:.4g} .. {high:.4g}" for low, high in failure["box"].values()]
             rows.append((*ranges, failure["text"]))
         show_table((*summary["failures"][0]["box"], "not proved because"), rows)
-    if not_proved:
-        console.print(not_proved, soft_wrap=True, markup=False)
+    for remark in filter(None, remarks):
+        console.print(remark, soft_wrap=True, markup=False)
     if path is not None:
         console.print(f"wrote {path}", soft_wrap=True, markup=False)
 

@@ -1,4 +1,4 @@
-"""Worst margins of the linearised loop: drawn, found and guaranteed."""
+"""Worst margins of the linearised loop: drawn, found and bounded."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,13 +19,13 @@ PANELS = {
 MARKS = {
     "drawn": ("o", BLUE, "worst drawn"),
     "found": ("D", ORANGE, "worst found in the box"),
-    "guaranteed": ("|", GREEN, "guaranteed on all of the box"),
+    "bounded": ("|", GREEN, "bounded on all of the box"),
 }
 
 
 @styled
 def worst_loop(worst: Analysis) -> Figure:
-    """Plot the worst drawn, the worst found and the guaranteed value of each margin, at every break point.
+    """Plot the worst drawn, the worst found and the bounded value of each margin, at every break point.
 
     Args:
         worst: The return value of :func:`dssc_jax.worst_loop`.

@@ -105,9 +105,10 @@ class VehicleProved:
         errors = f"|e_x|, |e_y| <= {e_x} m, |e_z| <= {e_z} m, |e_psi| <= {e_psi} rad"
         tilt = f"a tilt of {digits_above(math.degrees(self.verdict.tilt))} degrees"
         rotors = f"between {digits_below(self.verdict.rotor_min)} and {digits_above(self.verdict.rotor_max)} N"
+        opening = "For" if self.problem.reference is None else "On the mission, flown from its first point, for"
         return (
-            f"For {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle never "
-            f"exceeds {errors} and {tilt}. Its rotors stay {rotors}.{ends}"
+            f"{opening} {wind}{vehicle}, all four sampled channels slide from the first sample on, and the vehicle "
+            f"never exceeds {errors} and {tilt}. Its rotors stay {rotors}.{ends}"
         )
 
     def certificate(self) -> JsonObject:
@@ -118,8 +119,6 @@ class VehicleProved:
 def vehicle_words(problem: VehicleProblem) -> list[str]:
     """The vehicle's intervals, its lag and its delay, in words."""
     words = []
-    if problem.reference is not None:
-        words.append("a flight of the mission from where it begins")
     if problem.thrust_deviation:
         words.append("every thrust over mass in [{:.4g}, {:.4g}] of the believed one".format(*problem.thrust))
     if problem.turn_deviation:

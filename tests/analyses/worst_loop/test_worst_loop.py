@@ -58,16 +58,16 @@ def test_bounds_hold_and_are_near_the_worst_of_a_dense_grid(worst, grid):
     margins = worst.answer.loops["input"].margins
     assert worst.answer.loops["input"].stable
     for name, peak in zip(("sensitivity_peak", "complementary_peak"), grid[:2], strict=True):
-        assert peak * (1.0 - 1e-4) <= margins[name].found <= margins[name].guaranteed
-        assert margins[name].guaranteed <= 1.051 * margins[name].found
+        assert peak * (1.0 - 1e-4) <= margins[name].found <= margins[name].bounded
+        assert margins[name].bounded <= 1.051 * margins[name].found
         assert margins[name].found == pytest.approx(peak, rel=1e-3)
     assert margins["disk"].found == pytest.approx(1.0 / grid[2], rel=1e-3)
-    assert 0.951 / grid[2] <= margins["disk"].guaranteed <= 1.0 / grid[2] * (1.0 + 1e-4)
-    assert margins["delay"].guaranteed <= SAMPLE_TIME / grid[3] * (1.0 + 1e-4)
-    assert margins["delay"].guaranteed <= margins["delay"].found
-    assert margins["phase"].guaranteed <= margins["phase"].found
-    assert margins["gain_upper"].guaranteed <= margins["gain_upper"].found
-    assert margins["gain_lower"].guaranteed >= margins["gain_lower"].found
+    assert 0.951 / grid[2] <= margins["disk"].bounded <= 1.0 / grid[2] * (1.0 + 1e-4)
+    assert margins["delay"].bounded <= SAMPLE_TIME / grid[3] * (1.0 + 1e-4)
+    assert margins["delay"].bounded <= margins["delay"].found
+    assert margins["phase"].bounded <= margins["phase"].found
+    assert margins["gain_upper"].bounded <= margins["gain_upper"].found
+    assert margins["gain_lower"].bounded >= margins["gain_lower"].found
 
 
 def test_found_is_no_better_than_drawn_and_its_numbers_have_it(worst):
@@ -78,7 +78,7 @@ def test_found_is_no_better_than_drawn_and_its_numbers_have_it(worst):
     assert float(again.values.min()) == pytest.approx(answer.found, rel=1e-6)
 
 
-def test_the_guaranteed_disk_is_python_controls(worst):
+def test_the_bounded_disk_is_python_controls(worst):
     control = pytest.importorskip("control")
     answer = worst.answer.loops["input"].margins["disk"]
     numbers = answer.numbers
@@ -88,13 +88,13 @@ def test_the_guaranteed_disk_is_python_controls(worst):
     omega = np.geomspace(1e-2, np.pi / SAMPLE_TIME, 20000)
     margin = control.disk_margins(loop, omega)[0]
     assert answer.found == pytest.approx(float(margin), rel=1e-4)
-    assert answer.guaranteed <= float(margin) * (1.0 + 1e-9)
+    assert answer.bounded <= float(margin) * (1.0 + 1e-9)
 
 
 def test_growth_of_the_box_reaches_an_instability_that_a_run_shows(worst):
     answer = worst.answer.loops["input"]
-    assert 1.0 < answer.growth_guaranteed < answer.growth_found
-    assert answer.growth_guaranteed > 0.5 * answer.growth_found
+    assert 1.0 < answer.growth_bounded < answer.growth_found
+    assert answer.growth_bounded > 0.5 * answer.growth_found
     numbers = answer.unstable
     radius = np.abs(np.linalg.eigvals(closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])[0])).max()
     assert radius == pytest.approx(1.0, abs=1e-4)
@@ -136,7 +136,7 @@ def test_an_unstable_box_has_a_counterexample():
     worst = dj.worst_loop(study, cells=500)
     loop = worst.answer.loops["input"]
     assert loop.stable is False
-    assert loop.growth_guaranteed < loop.growth_found < 1.0
+    assert loop.growth_bounded < loop.growth_found < 1.0
     numbers = loop.unstable
     poles = np.linalg.eigvals(closed_loop(numbers["plant.a.1.1"], numbers["plant.b.1"])[0])
     assert np.abs(poles).max() > 1.0 - 1e-6
@@ -170,7 +170,7 @@ def test_laws_without_ends_are_cut(worst):
 
 def test_a_stable_box_without_a_bound_says_so(worst):
     """Stability may be proved where the bounds of the gains stay infinite."""
-    unbounded = replace(worst, dataset=worst.dataset.assign(guaranteed=np.nan * worst.dataset["guaranteed"]))
+    unbounded = replace(worst, dataset=worst.dataset.assign(bounded=np.nan * worst.dataset["bounded"]))
     assert "with a disk margin of at least" in worst.headline
-    assert "with no margin that is guaranteed" in unbounded.headline
+    assert "with no bound of its margins" in unbounded.headline
     assert "nan" not in unbounded.headline

@@ -28,10 +28,10 @@ class LoopCase(NamedTuple):
         drawn: Worst margins of the draws, shape (margins,).
         found: Worst margins found in the box.
         numbers: The numbers that have them, by name, for each margin.
-        guaranteed: Margins that hold on all of the box; NaN: none.
+        bounded: Margins that hold on all of the box; NaN: none.
         growth_found: Smallest growth of the box found that reaches an unstable loop; infinite: none was found.
         unstable: The numbers of that loop, by name.
-        growth_guaranteed: Growth up to which the loop is stable.
+        growth_bounded: Growth up to which the loop is stable.
         growable: Largest growth that was searched.
         cells: Cells computed.
     """
@@ -40,10 +40,10 @@ class LoopCase(NamedTuple):
     drawn: np.ndarray
     found: np.ndarray
     numbers: list[dict[str, float]]
-    guaranteed: np.ndarray
+    bounded: np.ndarray
     growth_found: float
     unstable: dict[str, float]
-    growth_guaranteed: float
+    growth_bounded: float
     growable: float
     cells: int
 
@@ -55,7 +55,7 @@ class WorstMargin:
     unit: Annotated[str, Quantity("", "its unit")]
     drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
     found: Annotated[float, Quantity(MARGIN_UNIT, "worst found in the box; None: infinite, or a loop is unstable")]
-    guaranteed: Annotated[float, Quantity(MARGIN_UNIT, "bound that holds on all of the box; None: none was found")]
+    bounded: Annotated[float, Quantity(MARGIN_UNIT, "bound that holds on all of the box; None: none was found")]
     numbers: Annotated[dict[str, float], Quantity("that of the number", "the numbers that have the value found")]
 
 
@@ -64,7 +64,7 @@ class LoopWorst:
     """The worst case of the loop broken at one place."""
 
     stable: Annotated[bool | None, Quantity("", "whether it is stable on all of the box; None: undecided")]
-    growth_guaranteed: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
+    growth_bounded: Annotated[float, Quantity("1", "growth of the box up to which the loop is stable")]
     growth_found: Annotated[float, Quantity("1", "growth that reaches an unstable loop; None: none was found")]
     growable: Annotated[float, Quantity("1", "largest growth that was searched")]
     unstable: Annotated[dict[str, float], Quantity("that of the number", "numbers of that loop; empty: none was found")]
@@ -84,7 +84,7 @@ class BoxSide:
 
 @dataclass(frozen=True)
 class WorstLoopAnswer:
-    """Worst margins over the box of the laws, found and guaranteed, beside those of the draws."""
+    """Worst margins over the box of the laws, found and bounded, beside those of the draws."""
 
     draws: Annotated[int, Quantity("1", "number of draws")]
     sigma: Annotated[float, Quantity("1", "standard deviations at which laws without ends are cut")]
@@ -98,7 +98,7 @@ class WorstLoopAnswer:
 class WorstLoop(Analysis):
     """Worst case of the linearised loop over the box of the laws.
 
-    The dataset has along ``loop`` (the break point) and ``margin``: ``drawn``, ``found`` and ``guaranteed``, and the
+    The dataset has along ``loop`` (the break point) and ``margin``: ``drawn``, ``found`` and ``bounded``, and the
     ``perturbation`` (along ``number``) that has the value found.
 
     Args:
@@ -167,11 +167,11 @@ class WorstLoop(Analysis):
             return f"broken at {loop}: some loops of the box are unstable, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
-        known = np.isfinite(disk.guaranteed)
-        least = f"a disk margin of at least {disk.guaranteed:.3g}" if known else "no margin that is guaranteed"
+        known = np.isfinite(disk.bounded)
+        least = f"a disk margin of at least {disk.bounded:.3g}" if known else "no bound of its margins"
         return (
             f"broken at {loop}: stable on all of the box, with {least} "
-            f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_guaranteed:.3g} "
+            f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_bounded:.3g} "
             "times its size"
         )
 
@@ -189,17 +189,17 @@ class WorstLoop(Analysis):
                 MARGIN_KINDS[name].unit,
                 float(values["drawn"]),
                 float(values["found"]),
-                float(values["guaranteed"]),
+                float(values["bounded"]),
                 self.numbers(loop, name),
             )
         found = float(data["growth_found"])
-        guaranteed = float(data["growth_guaranteed"])
-        stable = True if guaranteed >= 1.0 else (False if found <= 1.0 else None)
+        bounded = float(data["growth_bounded"])
+        stable = True if bounded >= 1.0 else (False if found <= 1.0 else None)
         depends = data["depends"].values
         names = tuple(map(str, self.dataset["number"].values[depends]))
         growable = float(data["growable"])
         unstable = self.unstable(loop)
-        return LoopWorst(stable, guaranteed, found, growable, unstable, names, int(data["cells"]), margins)
+        return LoopWorst(stable, bounded, found, growable, unstable, names, int(data["cells"]), margins)
 
     @property
     def answer(self) -> WorstLoopAnswer:
@@ -246,13 +246,13 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     for name, meaning in {
         "drawn": "worst margin of all draws",
         "found": "worst margin found in the box",
-        "guaranteed": "margin that holds on all of the box",
+        "bounded": "margin that holds on all of the box",
     }.items():
         values = np.stack([getattr(case, name) for case in found])
         columns[name] = (table, values, of_margin | {"long_name": meaning})
     for name, meaning in {
         "growth_found": "growth of the box that reaches an unstable loop",
-        "growth_guaranteed": "growth of the box up to which the loop is stable",
+        "growth_bounded": "growth of the box up to which the loop is stable",
         "growable": "largest growth that was searched",
         "cells": "cells computed",
     }.items():

@@ -1,4 +1,4 @@
-"""Worst case of every loop of a study over the box of its laws: found perturbations beside guaranteed bounds."""
+"""Worst case of every loop of a study over the box of its laws: found perturbations beside bounds."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ def worst_loop(
         >>> import dssc_jax as dj
         >>> study = dj.Study.load("studies/motor.toml").override({"unmodelled.mu": 0.01, "draws": 64})
         >>> worst = dj.worst_loop(study).summary()["loops"]["input"]["margins"]["disk"]
-        >>> worst["guaranteed"] <= worst["found"] <= worst["drawn"]
+        >>> worst["bounded"] <= worst["found"] <= worst["drawn"]
         True
     """
     began = time.perf_counter()
@@ -114,7 +114,7 @@ def worst_loop(
 
 
 class Bounds(NamedTuple):
-    """Bounds of the gains on the box, and the growth of the box up to which stability is guaranteed."""
+    """Bounds of the gains on the box, and the growth of the box up to which stability is bounded."""
 
     covered: Covered
     growth: float
@@ -139,10 +139,10 @@ def loop_case(
         drawn=worst_drawn,
         found=np.array([worst.value for worst in found]),
         numbers=[broken.numbers(worst.point) for worst in found],
-        guaranteed=guaranteed_margins(bounds.covered.gains, sample_time),
+        bounded=bounded_margins(bounds.covered.gains, sample_time),
         growth_found=instability.growth,
         unstable=broken.numbers(instability.point),
-        growth_guaranteed=bounds.growth,
+        growth_bounded=bounds.growth,
         growable=growable,
         cells=bounds.covered.cells,
     )
@@ -190,7 +190,7 @@ def bounds_of(
     return Bounds(covered._replace(cells=spent), growth)
 
 
-def guaranteed_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
+def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
     """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN: none.
 
     A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases; the widest range counts.

@@ -17,6 +17,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.design.certification import NotCovered
+from dssc_jax.engine.integration import integration_error
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 from dssc_jax.proofs.claims import not_proved_text
 from dssc_jax.proofs.prove import AnyProved, check_certificate, prove
@@ -54,10 +55,13 @@ def run(options: Prove) -> int:
     except NotCovered as error:
         raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
     write_certificate(proved, options.out)
+    integration = None if options.no_check else integration_error(study)
     if options.as_json:
-        print(json.dumps(proved.summary(), allow_nan=False))
+        check = integration.to_dict() if integration else None
+        print(json.dumps(proved.summary() | {"integration": check}, allow_nan=False))
     else:
-        show_proof(proved.summary(), options.out, not_proved_text(study))
+        simulated = f"simulations of this loop: {integration.text}" if integration else ""
+        show_proof(proved.summary(), options.out, [not_proved_text(study), simulated])
     return DONE if proved.complete else FAILS
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.declarations.types import Json, Local, Native, Set
+from dssc_jax.cli.declarations.types import Json, Local, Native, NoCheck, Set
 from dssc_jax.proofs import BOXES, SWEEP_BOXES
 
 Latex = Annotated[bool, typer.Option("--latex", help="Print the tables as LaTeX (booktabs).")]
@@ -65,8 +65,9 @@ class Prove:
     The proof covers every value of k_p, a_p and mu within the support of their laws and every disturbance within its
     bounds, with sampling and lag. For a vehicle that hovers, it covers every wind within its bounds, and every vehicle
     within the support of the laws. A verifier in exact ball arithmetic accepts it, or it does not count. A
-    certificate's file is verified from the file alone. With --over, each value is proved on its own, from the safe end
-    LO on, and the last one that is proved is told.
+    certificate's file is verified from the file alone. The proved loop moves continuously; some draws, simulated with
+    twice the substeps, tell how far the simulated loop is from it. With --over, each value is proved on its own, from
+    the safe end LO on, and the last one that is proved is told.
     """
 
     study: Annotated[
@@ -83,6 +84,7 @@ class Prove:
         str | None, typer.Option("--over", metavar="NAME=LO:HI", help="Find the last value that is proved, from LO on.")
     ] = None
     log: Annotated[bool, typer.Option("--log", help="Bisect --over on a logarithmic scale.")] = False
+    no_check: NoCheck = False
     settings: Set = None
     as_json: Json = False
     allow_local: Local = False

@@ -85,9 +85,9 @@ class Loop(OutputOptions, DrawsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class WorstLoop(OutputOptions, DrawsOptions):
-    """Worst margins of the linearised loop over the box of the laws, found and guaranteed.
+    """Worst margins of the linearised loop over the box of the laws, found and bounded.
 
-    Gain, phase, delay and disk margins, M_s and M_t: the worst drawn, the worst found, and what is guaranteed for all
+    Gain, phase, delay and disk margins, M_s and M_t: the worst drawn, the worst found, and what is bounded for all
     numbers between the ends of their laws, at all frequencies. Also the robust stability factor: how far the box may
     grow before a loop is unstable (1/mu). Prints the numbers of each worst case, and writes them as studies
     (witnesses/LOOP-MARGIN.toml, for `loop` and `run`). The study's [sweep] is ignored.
