@@ -3,13 +3,16 @@
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.flight_logs.comparison import LogAnswer, LogComparison
-from dssc_jax.flight_logs.next_flight import NextFlight
+from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 
 SIGNIFICANCE = 0.05  # of the test of a log
+
+Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
+"""Head and rows."""
 
 
 def show_code(summary: dict[str, Any]) -> None:
@@ -83,29 +86,43 @@ def show_next_flight(found: NextFlight, files: list[Path]) -> None:
     say = partial(output().print, soft_wrap=True, markup=False)
     say(f"{found.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
     say(found.headline)
-    share = f"{100 * answer.probability:g} %"
+    show_table(*limit_table(answer))
+    for name in answer.without_spread:
+        say(f"{name} is the same in all draws, and is left out")
+    say(beyond_text(answer))
+    show_table(*counts_table(answer.study_test))
+    show_files(files)
+
+
+def limit_table(answer: NextFlightAnswer) -> Table:
+    """Head and rows on the metrics' limits for the next flight."""
     rows = []
     for name, metric in answer.metrics.items():
         beyond = "" if metric.draws_beyond is None else f"{100 * metric.draws_beyond:.3g} %"
         limit = "too few flights" if metric.limit is None else f"{metric.limit:.4g}"
         row = (f"{name} [{metric.unit}]", limit, f"{metric.largest:.4g}", f"{metric.median_of_draws:.4g}", beyond)
         rows.append(row)
-    show_table((f"the next flight, {share}", "at most", "largest so far", "median of draws", "draws beyond"), rows)
-    for name in answer.without_spread:
-        say(f"{name} is the same in all draws, and is left out")
+    share = f"{100 * answer.probability:g} %"
+    return (f"the next flight, {share}", "at most", "largest so far", "median of draws", "draws beyond"), rows
+
+
+def beyond_text(answer: NextFlightAnswer) -> str:
+    """How many flights depart farther than 95 % of the draws, and what this tells of their share."""
     test = answer.study_test
     low, high = test.share_interval
-    say(
+    return (
         f"{test.beyond} of {answer.flights} flights depart farther than 95 % of the draws (p = {test.p_value:.3g}); "
         f"that share lies in [{low:.3g}, {high:.3g}]"
     )
+
+
+def counts_table(test: StudyTest) -> Table:
+    """Head and rows on the numbers of flights that refute or confirm the study."""
     rows = []
     for share, refute in test.flights_to_refute.items():
-        counts = ("too many" if count is None else str(count) for count in (refute, test.flights_to_confirm[share]))
+        counts = ["too many" if count is None else str(count) for count in (refute, test.flights_to_confirm[share])]
         rows.append((f"{100 * float(share):g} %", *counts))
-    head = ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right")
-    show_table(head, rows)
-    show_files(files)
+    return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
 
 
 def show_rank(answer: LogAnswer) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.live import LiveStudy
+from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.results.result import Result
 from dssc_jax.study import Study
 
@@ -31,7 +32,11 @@ def require_panel() -> None:
 
 
 def explore(
-    subject: Study | Result, *, sliders: Sequence[str] | None = None, draws: int | None = None
+    subject: Study | Result,
+    *,
+    sliders: Sequence[str] | None = None,
+    draws: int | None = None,
+    logs: Sequence[FlightLog] = (),
 ) -> "StudyPage | ResultPage":
     """A page on which a study's numbers are moved, or a result's draws are brushed and seen again.
 
@@ -43,6 +48,8 @@ def explore(
         sliders: For a study, dotted names of the numbers to move; None: the swept ones, gains, unmodelled dynamics and
             laws.
         draws: For a study, number of draws; None: 1,000, for a vehicle 64.
+        logs: For a study, logged flights, see :func:`dssc_jax.read_log`; the page tells what they say of the next one,
+            see :func:`dssc_jax.next_flight`, or of a single one, see :func:`dssc_jax.compare_log`.
 
     Returns:
         The page. Of a study: ``move({name: value})``, ``now`` (the run that is shown), ``before``, ``save_as(name)``.
@@ -56,11 +63,11 @@ def explore(
 
     pn.extension()
     if isinstance(subject, Result):
-        if sliders is not None or draws is not None:
-            raise ConfigError("explore", "sliders and draws are for a study; a result has its own")
+        if sliders is not None or draws is not None or logs:
+            raise ConfigError("explore", "`sliders`, `draws` and `logs` are for a study; a result has its own draws")
         from dssc_jax.exploration.result_page import ResultPage
 
         return ResultPage(subject)
     from dssc_jax.exploration.study_page import StudyPage
 
-    return StudyPage(LiveStudy(subject, sliders, draws))
+    return StudyPage(LiveStudy(subject, sliders, draws), logs=logs)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,8 @@ from dssc_jax.study import Study
 PROOF_BOXES = 4
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}\.toml")
 
-Question: TypeAlias = Callable[[LiveRun, Callable[..., None]], str]
+Answer = TypeVar("Answer")
+Question: TypeAlias = Callable[[LiveRun, Callable[..., None]], Answer]
 """Answers for a run; calls its second argument now and then."""
 
 
@@ -39,7 +40,7 @@ def ending_when(stale: Stale) -> Callable[..., None]:
     return check
 
 
-def margins_of(slider: Slider, position: float) -> Question:
+def margins_of(slider: Slider, position: float) -> Question[str]:
     """How far a number may go from a position in both directions before draws fail, within the ends of its slider."""
 
     def answer(run: LiveRun, check: Callable[..., None]) -> str:
@@ -53,7 +54,7 @@ def margins_of(slider: Slider, position: float) -> Question:
     return answer
 
 
-def over_ranges(study: Study) -> Question:
+def over_ranges(study: Study) -> Question[str]:
     """The failure probability over all laws of a study whose arguments are ranges."""
 
     def answer(_: LiveRun, check: Callable[..., None]) -> str:

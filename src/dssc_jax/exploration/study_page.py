@@ -1,5 +1,6 @@
 """The page of a study: sliders, and what they do to failures, signals and the worst draw."""
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import panel as pn
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.actions import (
+    Answer,
     Question,
     Superseded,
     differing_draws,
@@ -27,10 +29,13 @@ from dssc_jax.exploration.figures import (
     shown_signals,
 )
 from dssc_jax.exploration.live import LiveRun, LiveStudy
+from dssc_jax.exploration.logged_flights import LoggedFlights
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
+from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.result import interval_method
 
 COLOUR_KEY = "blue: now (median, half and 90 % of the draws); grey: before; red: one draw, chosen here or by a click"
@@ -47,10 +52,18 @@ class StudyPage(Page):
         live: The study with its sliders.
         background: Whether to run in a thread; a served page does.
         folder: Where "save as study" writes.
+        logs: Logged flights; with at least one, the page has the card "The next flight".
     """
 
-    def __init__(self, live: LiveStudy, background: bool = False, folder: Path | None = None) -> None:
+    def __init__(
+        self,
+        live: LiveStudy,
+        background: bool = False,
+        folder: Path | None = None,
+        logs: Sequence[FlightLog] = (),
+    ) -> None:
         super().__init__(background)
+        self.flights = LoggedFlights(logs, self.ask_flights) if logs else None
         self.live = live
         self.folder = folder or Path.cwd()
         self.now: LiveRun | None = None
@@ -120,6 +133,7 @@ class StudyPage(Page):
             pn.Row(self.draw_choice, self.draw_axis),
             pn.Row(self.margin, self.margin_number, self.prove, *ranges),
             self.answer,
+            *([self.flights.view] if self.flights else []),
             html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
             self.status,
@@ -183,6 +197,8 @@ class StudyPage(Page):
         """Show a run."""
         if run is not self.now:
             self.answer.object = ""
+            if self.flights is not None:
+                self.flights.clear()
             self.now = run
             self.show_wrong_laws()
         self.before = self.before or run
@@ -256,8 +272,17 @@ class StudyPage(Page):
         study = self.live.ranged_at(self.positions)
         self.ask(over_ranges(study), "simulating the laws within their ranges")
 
-    def ask(self, question: Question, activity: str) -> None:
+    def ask_flights(self) -> None:
+        """Tell what the logged flights say of the next one, and of the study as it stands."""
+        if self.flights is not None:
+            self.answer_by(self.tell_flights, self.flights.question, "comparing the flights with the draws")
+
+    def ask(self, question: Question[str], activity: str) -> None:
         """Answer a question about the present run; a newer move ends the search for the answer."""
+        self.answer_by(self.tell, question, activity)
+
+    def answer_by(self, tell: Callable[[LiveRun, Answer], None], question: Question[Answer], activity: str) -> None:
+        """Answer a question as :meth:`ask` does, and show the answer by a function."""
         run = self.now
         if run is None:
             return
@@ -265,20 +290,26 @@ class StudyPage(Page):
 
         def work(stale: Stale) -> None:
             try:
-                text = question(run, ending_when(stale))
+                answer = question(run, ending_when(stale))
             except Superseded:
                 return
             except Exception as error:  # as of a run: the page goes on
                 self.update(self.complain, f"{activity} ended: {error}")
             else:
                 if not stale():
-                    self.update(self.tell, run, text)
+                    self.update(tell, run, answer)
 
         self.work(work)
 
     def tell(self, run: LiveRun, text: str) -> None:
         """Show the answer to a question about a run."""
         self.answer.object = markup(h.p(role="status")[text])
+        self._say_draw(run)
+
+    def tell_flights(self, run: LiveRun, analysis: Analysis) -> None:
+        """Show what the logged flights say of a run's study."""
+        if self.flights is not None:
+            self.flights.show(analysis)
         self._say_draw(run)
 
     def compare_with_this(self) -> None:

@@ -37,7 +37,7 @@ class WrongLaws:
 
     def __init__(self, follow: Callable[[], None], search: Callable[[], None]) -> None:
         self.kind = pn.widgets.Select(label="The laws may be wrong by a", options=list(AMOUNTS), width=300)
-        self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST, step=STEP, value=0.0, width=300)
+        self.size = pn.widgets.FloatSlider(label="of up to", start=0.0, end=MOST, step=STEP, value=0.0, width=260)
         self.limit = pn.widgets.FloatInput(label="may fail", value=LIMIT, start=0.0, end=1.0, step=0.01, width=100)
         self.how_wrong = pn.widgets.Button(label="Largest law errors")
         self.how_wrong.on_click(lambda _: search())

@@ -7,7 +7,7 @@ from dssc_jax.cli.analysing import attempt, finish, free_folder
 from dssc_jax.cli.declarations.flight import CompareLog
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
-from dssc_jax.cli.parsing import parse_assignment
+from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.running import require_unset
 from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight
 from dssc_jax.console.terminal import output, progress_bar
@@ -16,9 +16,9 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
-from dssc_jax.flight_logs.reader import FlightLog, read_log
+from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
-from dssc_jax.study import Study, read_toml
+from dssc_jax.study import Study
 
 
 def run(options: CompareLog) -> int:
@@ -56,22 +56,6 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
         found = next_flight(study, logs, probability=probability, progress=advance)
     finish(found, folder, options, show_next_flight)
     return DONE
-
-
-def logged_flight(options: CompareLog, path: Path, study: Study) -> FlightLog:
-    """A log, with the table of its columns and the options that change it."""
-    table = read_toml(options.columns) if options.columns is not None else {}
-    named = dict(parse_assignment(text, "--column") for text in options.column or [])
-    if named:
-        table = {**table, "signals": {**table.get("signals", {}), **named}}
-    if options.start is not None:
-        table = {**table, "start": options.start}
-    try:
-        return read_log(path, study.loop.channels, table)
-    except ConfigError as error:
-        if options.columns is not None and path.is_file():
-            raise error.within(str(options.columns)) from None
-        raise
 
 
 def fit(study: Study, log: FlightLog, names: list[str], out: Path | None, as_json: bool) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from dssc_jax.cli.declarations.simulation import Explore
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import load_study, stored_result
+from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.output import say
 from dssc_jax.cli.parsing import parse_changes
 from dssc_jax.core.errors import ConfigError
@@ -22,18 +23,23 @@ def run(options: Explore) -> int:
     """Serve the page until Ctrl-C."""
     require_panel()
     folder = Path(options.subject)
+    reading = {"--columns": options.columns, "--column": options.column, "--start": options.start}
     if folder.is_dir():
-        require_none("a result", {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws})
+        of_studies = {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws}
+        require_none("with a result", of_studies | {"--log": options.logs} | reading)
         result = stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
         title = f"{result.study.name}: explore"
         server = page_server(lambda: ResultPage(result, background=True), title, options.port)
     else:
         study = load_study(options.subject, parse_changes(options.settings), options.allow_local, options.allow_native)
+        if not options.logs:
+            require_none("without --log", reading)
+        logs = [logged_flight(options, path, study) for path in options.logs or []]
         live = LiveStudy(study, options.sliders, options.draws)
         say(f"{study.name}: compiling")
         live.compile()
         title = f"{study.name}: explore"
-        server = page_server(lambda: StudyPage(live, background=True), title, options.port)
+        server = page_server(lambda: StudyPage(live, background=True, logs=logs), title, options.port)
     print(server.url, flush=True)
     say("the page is served to this machine only; Ctrl-C ends it")
     with server.opened_in_browser() if options.browser else nullcontext():
@@ -41,11 +47,11 @@ def run(options: Explore) -> int:
     return DONE
 
 
-def require_none(subject: str, options: dict[str, object]) -> None:
+def require_none(where: str, options: dict[str, object]) -> None:
     """Require that options without a meaning here are not given."""
     for option, value in options.items():
-        if value:
-            raise ConfigError(option, f"has no meaning with {subject}")
+        if value is not None and value != []:
+            raise ConfigError(option, f"has no meaning {where}")
 
 
 def page_server(page: Callable[[], Page], title: str, port: int) -> PageServer:

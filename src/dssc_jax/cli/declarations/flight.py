@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.cli.declarations.types import DrawsOptions, Json, OutputOptions, StudyOptions
+from dssc_jax.cli.declarations.types import DrawsOptions, Json, LogOptions, OutputOptions, StudyOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class Library:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CompareLog(OutputOptions, DrawsOptions):
+class CompareLog(OutputOptions, LogOptions, DrawsOptions):
     """Is this logged flight one of the flights that were analysed?
 
     Replays the logged measurements through the analysed controller and compares its commands with the logged ones. Lays
@@ -100,17 +100,6 @@ class CompareLog(OutputOptions, DrawsOptions):
         list[Path],
         typer.Argument(metavar="LOG...", help="CSV or Parquet files, or ULogs of PX4 (.ulg); one for each flight."),
     ]
-    columns: Annotated[
-        Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
-    ] = None
-    column: Annotated[
-        list[str] | None,
-        typer.Option("--column", metavar="SIGNAL=COLUMN", help="The column of a signal; may be repeated."),
-    ] = None
-    start: Annotated[
-        float | None,
-        typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
-    ] = None
     probability: Annotated[
         float | None,
         typer.Option("--probability", metavar="P", help="Of the next flight, with several logs [0.9]; needs P/(1-P)."),

@@ -1,6 +1,7 @@
 """Options of the commands that simulate: run, sweep, simulate, replay, explore."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar
 
 import typer
@@ -9,6 +10,7 @@ from dssc_jax.cli.declarations.types import (
     DrawsOptions,
     Json,
     Local,
+    LogOptions,
     Native,
     NoCheck,
     OutputOptions,
@@ -116,12 +118,15 @@ class Replay(TrajectoryOptions, StoredOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Explore:
+class Explore(LogOptions):
     """Move a study's numbers and see its failures move, or brush a result's draws: a page in the browser.
 
     For a study, all draws are simulated again whenever a slider moves: failure probability with interval, fans of the
     signals, and the worst draw. "Save" writes a study file that reproduces what is shown. For a result, brushed draws
     are counted, and a click on a draw simulates it again.
+
+    With --log the page of a study also tells, on request, what logged flights say of the next flight and of the study,
+    as `compare-log` does.
 
     The page is served to this machine only (127.0.0.1), under an address with a random token. Ctrl-C ends it.
     """
@@ -134,6 +139,10 @@ class Explore:
     ] = None
     draws: Annotated[
         int | None, typer.Option("--draws", metavar="N", help="Number of draws [1000; 64 for a vehicle].")
+    ] = None
+    logs: Annotated[
+        list[Path] | None,
+        typer.Option("--log", metavar="FILE", help="A logged flight, as of compare-log; may be repeated."),
     ] = None
     port: Annotated[int, typer.Option("--port", metavar="P", min=0, max=65535, help="Port; 0: any free one.")] = 0
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True

@@ -78,6 +78,23 @@ class OutputOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogOptions:
+    """How a logged flight is read."""
+
+    columns: Annotated[
+        Path | None, typer.Option("--columns", metavar="FILE", help="Table of the log's columns, in TOML.")
+    ] = None
+    column: Annotated[
+        list[str] | None,
+        typer.Option("--column", metavar="SIGNAL=COLUMN", help="The column of a signal; may be repeated."),
+    ] = None
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class StatedOptions:
     """Amounts by which the laws may be wrong."""
 

@@ -1,0 +1,25 @@
+"""Reading of logged flights by the options that several commands share."""
+
+from pathlib import Path
+
+from dssc_jax.cli.declarations.types import LogOptions
+from dssc_jax.cli.parsing import parse_assignment
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.reader import FlightLog, read_log
+from dssc_jax.study import Study, read_toml
+
+
+def logged_flight(options: LogOptions, path: Path, study: Study) -> FlightLog:
+    """A log, with the table of its columns and the options that change it."""
+    table = read_toml(options.columns) if options.columns is not None else {}
+    named = dict(parse_assignment(text, "--column") for text in options.column or [])
+    if named:
+        table = {**table, "signals": {**table.get("signals", {}), **named}}
+    if options.start is not None:
+        table = {**table, "start": options.start}
+    try:
+        return read_log(path, study.loop.channels, table)
+    except ConfigError as error:
+        if options.columns is not None and path.is_file():
+            raise error.within(str(options.columns)) from None
+        raise
