@@ -8,13 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-import zarr
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
-from dssc_jax.results.arrays import EVERY_CHUNK
 from dssc_jax.results.digests import sum_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
@@ -74,7 +72,8 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     """
     require_free(folder, kind, study)
     files.make_folder(folder)
-    plain, labels = with_codes(dataset)
+    coded, labels = with_codes(dataset)
+    plain = with_one_nan(coded)
     sums = sums_of(plain)
     description = {
         "study": study.table,
@@ -87,8 +86,7 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
         **code_entries(study),
     }
     write_sealed(folder / f"{kind}.json", description)
-    with zarr.config.set(EVERY_CHUNK):
-        plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
+    plain.to_zarr(ArrayFiles(folder / DATA), mode="w", consolidated=False, zarr_format=3)
     write_json(folder / SUMMARY, summary)
     if read_description(folder, kind)["sums"] != sums or sums_of(stored_dataset(folder)) != sums:
         raise ConfigError(str(folder), "does not hold what was written; run the analysis again")
@@ -99,6 +97,15 @@ def stored_dataset(folder: Path) -> xr.Dataset:
     """The dataset in the folder of an analysis, with codes in place of text."""
     stored = ArrayFiles(folder / DATA, read_only=True)
     return xr.open_zarr(stored, consolidated=False, zarr_format=3, chunks=None).load()
+
+
+def with_one_nan(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset with the same bits in every NaN: Zarr leaves out a chunk that holds NaN alone, whatever its bits."""
+    changed = {}
+    for name, variable in dataset.data_vars.items():
+        if variable.dtype.kind == "f":
+            changed[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
+    return dataset.assign(changed)
 
 
 def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:

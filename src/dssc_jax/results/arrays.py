@@ -27,7 +27,7 @@ from dssc_jax.results.schema import (
 from dssc_jax.study import Study
 
 MEND = "`resume` recomputes corrupted blocks"
-EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too: presence has a meaning, and a NaN its bits
+EVERY_CHUNK = {"array.write_empty_chunks": True}  # chunks of NaN too, since presence has a meaning
 Extent = tuple[tuple[int, ...], tuple[int, ...]]
 """Shape and chunks of an array."""
 
