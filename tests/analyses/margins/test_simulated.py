@@ -95,6 +95,10 @@ FORMS = {
     "rate_limit": ({"rate": 50.0}, "rate", (50.0, 0.05)),
     "saturation": ({"limit": 5.0}, "limit", (5.0, 0.02)),
     "quantisation": ({"resolution": 0.001}, "resolution", (0.001, 20.0)),
+    "dead_zone": ({"half_width": 0.001}, "half_width", (0.001, 20.0)),
+    "backlash": ({"half_width": 0.001}, "half_width", (0.001, 20.0)),
+    "lost_command": ({"probability": 0.01}, "probability", (0.01, 0.999)),
+    "rational": ({"numerator": [1.0], "denominator": [0.02, 1.0]}, "denominator.0", (0.02, 1.5)),
 }
 
 
