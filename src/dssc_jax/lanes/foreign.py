@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
@@ -134,9 +133,9 @@ def as_words(operand: jax.Array) -> jax.Array:
     return words[..., None] if operand.dtype.itemsize == WORD else words
 
 
-def abstract(*operands: ShapedArray, function: ForeignFunction) -> list[ShapedArray]:
-    """Shapes and types of the results."""
-    return [ShapedArray(operands[0].shape, place.dtype) for place in function.results]
+def abstract(*operands: jax.ShapeDtypeStruct, function: ForeignFunction) -> list[object]:
+    """Shapes and types of the results, as JAX's traces have them."""
+    return [jax.typeof(jax.ShapeDtypeStruct(operands[0].shape, place.dtype)) for place in function.results]
 
 
 def batched(
