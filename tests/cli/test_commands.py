@@ -95,7 +95,20 @@ def test_simulate_and_replay(study, capsys):
     assert guarded(["simulate", str(study), "--draw", "7", "--csv", "a.csv", "--figure", "a.png", "--json"]) == 0
     single = last_json(capsys)
     head, *rows = (study.parent / "a.csv").read_text().splitlines()
-    assert head.split(",") == ["t", "y", "y_dot", "y_ref", "e", "sigma", "sigma_measured", "u", "u_total", "integral"]
+    assert head.split(",") == [
+        "t",
+        "y",
+        "y_dot",
+        "y_ref",
+        "e",
+        "sigma",
+        "y_measured",
+        "y_dot_measured",
+        "sigma_measured",
+        "u",
+        "u_total",
+        "integral",
+    ]
     assert len(rows) == 200
     assert guarded(["run", str(study), "--json"]) == 0
     capsys.readouterr()
