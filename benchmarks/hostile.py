@@ -22,7 +22,7 @@ from unittest import mock
 import xarray as xr
 
 import dssc_jax as dj
-from dssc_jax.cli.commands import run
+from dssc_jax.cli.commands import run, sweep
 from dssc_jax.cli.main import guarded
 from dssc_jax.console.environment import machine
 
@@ -70,7 +70,9 @@ def study_files(count: int, seed: int) -> Tally:
     """Mutated study files, as ``run`` meets them; valid ones stop where the simulation would begin."""
     tally = Tally()
     random = Random(seed)
-    unsimulated = mock.patch.multiple(run, computed_result=mock.DEFAULT, print_result=mock.DEFAULT)
+    unsimulated = contextlib.ExitStack()
+    for command in (run, sweep):
+        unsimulated.enter_context(mock.patch.multiple(command, computed_result=mock.DEFAULT, print_result=mock.DEFAULT))
     with unsimulated, tempfile.TemporaryDirectory() as place:
         path, out = Path(place) / "study.toml", Path(place) / "out"
         for number in range(count):
