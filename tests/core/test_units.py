@@ -140,7 +140,7 @@ def test_units_by_channel():
     ("units", "complaint"),
     [
         ({"output": "rad per s^"}, r"units.output: must be a product of powers"),
-        ({"outputs": "rad"}, r"units.outputs: unknown name; did you mean 'output'"),
+        ({"outpt": "rad"}, r"units.outpt: unknown name; did you mean 'output'"),
         ({"output": 3}, r"units.output: must be a unit"),
         ({"output_meaning": "two\nlines"}, r"units.output_meaning"),
     ],
