@@ -52,14 +52,14 @@ class MarginKind:
 
 
 MARGIN_KINDS = {
-    "gain": MarginKind("gain_upper", "gain_margin", "least destabilising factor above 1", RATIO, "large", 1.0),
+    "gain": MarginKind("gain_upper", "gain_margin", "gain margin", RATIO, "large", 1.0),
     "gain_lower": MarginKind(
-        "gain_lower", "gain_lower_margin", "largest destabilising factor below 1", RATIO, "small", 1.0
+        "gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", 1.0
     ),
     "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", 0.0),
     "delay": MarginKind("delay", "delay_margin", "delay margin", TIME, "large", 0.0),
     "disk": MarginKind("disk", "disk_margin", "disk margin alpha", RATIO, "large", 0.0),
-    "modulus": MarginKind("modulus", "modulus_margin", "smallest distance of L from -1", RATIO, "large", 0.0),
+    "modulus": MarginKind("modulus", "modulus_margin", "modulus margin", RATIO, "large", 0.0),
     "sensitivity": MarginKind("sensitivity_peak", "sensitivity_peak", "peak sensitivity M_s", RATIO, "small", math.inf),
     "complementary": MarginKind(
         "complementary_peak", "complementary_peak", "peak complementary sensitivity M_t", RATIO, "small", math.inf

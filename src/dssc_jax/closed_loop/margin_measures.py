@@ -28,7 +28,7 @@ def margin_measure(margin: LoopMargin, usual_place: str) -> Measure:
     place = "" if margin.place == usual_place else margin.place.replace(" ", "_")
     metric = Metric(
         kind.unit,
-        f"{kind.meaning} of the linearised loop, broken at {margin.place}",
+        f"{kind.meaning} at {margin.place}",
         unchanged,
         itself,
         certain_after=first_sample,
