@@ -53,9 +53,7 @@ class MarginKind:
 
 MARGIN_KINDS = {
     "gain": MarginKind("gain_upper", "gain_margin", "gain margin", RATIO, "large", 1.0),
-    "gain_lower": MarginKind(
-        "gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", 1.0
-    ),
+    "gain_lower": MarginKind("gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", 1.0),
     "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", 0.0),
     "delay": MarginKind("delay", "delay_margin", "delay margin", TIME, "large", 0.0),
     "disk": MarginKind("disk", "disk_margin", "disk margin alpha", RATIO, "large", 0.0),
