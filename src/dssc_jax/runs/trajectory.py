@@ -14,7 +14,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -103,7 +103,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         key = draw_key(study.config.seed, index)
         return simulate_recorded(study.loop, study.params(values), key, study.measures, study.requirements, every)
 
-    program = cache(lambda: forms.compiled_single(lane, [*study.axes, *study.laws], plain))
+    program = cache(lambda: kernels.compiled_single(lane, [*study.axes, *study.laws], plain))
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
         values = lane_values(study, draw, point)

@@ -23,7 +23,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
-from dssc_jax.study.components import Component, as_table, explain
+from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.fitting import fitted, medians
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import kinds_of, measured
@@ -55,6 +55,7 @@ from dssc_jax.study.slots import (
     with_units,
 )
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
+from dssc_jax.study.table_errors import explain
 from dssc_jax.study.tables import PARAMETERS
 
 FIXED_TABLES: dict[str, type[BaseModel]] = {

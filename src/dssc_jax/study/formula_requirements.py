@@ -64,8 +64,12 @@ def formula_signals(
 
     Args:
         channels: Names of the channels.
-        units: Their units and meanings.
+        units: Units and meanings of each channel's output and command.
         loop_signals: Every signal of the loop, by the name of its column in a trajectory.
+
+    Returns:
+        The signals by their names in formulas: those of the loop, the time ``t``, those of each channel with the
+        channel's name as suffix, and those of the vehicle that this loop has.
     """
     signals = {name: FormulaSignal(*signal) for name, signal in loop_signals.items()}
     signals |= {"t": FormulaSignal("s", "time", time_of)}

@@ -12,7 +12,7 @@ from dssc_jax.analyses.linearisation.smooth_parts import (
     Finding,
     LoopPart,
     declared_places,
-    require_smooth_there,
+    require_smooth_at,
     stated,
     substituted,
     with_inner_sides,
@@ -176,7 +176,7 @@ def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarra
     Raises:
         ConfigError: a part has no derivative at one of them.
     """
-    notes = require_smooth_there(study, places, findings)
+    notes = require_smooth_at(study, places, findings)
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 

@@ -13,7 +13,7 @@ from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.analyses.linearisation.part_slopes import examination
 from dssc_jax.analyses.linearisation.smooth_parts import (
     declared_places,
-    require_smooth_there,
+    require_smooth_at,
     stated,
     substituted,
     with_inner_sides,
@@ -114,7 +114,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
-        for text in require_smooth_there(study, places, findings):
+        for text in require_smooth_at(study, places, findings):
             if text not in taken:
                 taken.append(text)
         return np.linalg.eigvals(linear.matrix)
