@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 from dssc_jax.core.contracts import Plant, Preset
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot, root_abs
+from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Registry, Slot, single
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
@@ -15,9 +15,10 @@ from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate, pseudo_inverse
+from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loop import Demand, InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
-from dssc_jax.models.uav.rotors import gyroscopic_torque, net, rotor_motion
+from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
@@ -46,7 +47,10 @@ class InnerModel(NamedTuple):
 
 
 class UavParams(NamedTuple):
-    """Parameters of the UAV; ``allocation`` follows from the vehicle's nominal geometry before tracing."""
+    """Parameters of the UAV; ``allocation`` follows from the vehicle's nominal geometry before tracing.
+
+    ``believed_rotors`` are the nominal k_T of rotors anywhere; those on a circle share that of ``believed``.
+    """
 
     vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
     believed: Believed = Believed()
@@ -55,6 +59,8 @@ class UavParams(NamedTuple):
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
     allocation: tuple = ()
+    desaturation: Desaturation = Desaturation.CLIP
+    believed_rotors: tuple = ()
 
     @property
     def inner_model(self) -> InnerModel:
@@ -64,6 +70,11 @@ class UavParams(NamedTuple):
         assert inertia is not None
         assert thrust_coefficient is not None
         return InnerModel(mass, Vec3(*inertia), thrust_coefficient)
+
+    @property
+    def believed_coefficients(self) -> tuple[Scalar, ...]:
+        """The nominal k_T of each rotor, complete after :func:`prepare` [N s^2/rad^2]."""
+        return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
 
 
 class UavState(NamedTuple):
@@ -101,9 +112,7 @@ def init(params: UavParams) -> UavState:
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if vehicle.motor_lag is not None:
-        believed = params.inner_model
-        hover = root_abs(believed.mass * GRAVITY / vehicle.rotors / believed.thrust_coefficient)
-        speeds = (hover,) * vehicle.rotors
+        speeds = hover_speeds(params)
     return UavState(
         Vec3(*params.position),
         Vec3(*params.velocity),
@@ -112,6 +121,16 @@ def init(params: UavParams) -> UavState:
         Integrals(zero, 0.0),
         speeds,
     )
+
+
+def hover_speeds(params: UavParams) -> tuple[Scalar, ...]:
+    """Speeds of the rotors at which the believed vehicle hovers [rad/s]."""
+    believed = params.inner_model
+    rotors = params.vehicle.rotors
+    if not params.vehicle.rotor:
+        return (root_abs(believed.mass * GRAVITY / rotors / believed.thrust_coefficient),) * rotors
+    lift = (row[0] * believed.mass * GRAVITY for row in params.allocation)
+    return tuple(root_abs(f / k) for f, k in zip(lift, params.believed_coefficients, strict=True))
 
 
 def demanded_thrusts(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Demand, Thrusts]:
@@ -129,25 +148,27 @@ def demanded_thrusts(params: UavParams, state: UavState, drive: PlantInput) -> t
         Vec3(x, y, z),
         psi,
     )
-    return demanded, allocate(params.allocation, demanded.thrust, demanded.moment, params.vehicle.thrust_limit)
+    limit = params.vehicle.thrust_limit
+    return demanded, allocate(params.allocation, demanded.thrust, demanded.moment, limit, params.desaturation)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     inner, thrusts = demanded_thrusts(params, state, drive)
-    speeds, accelerations = rotor_motion(
-        vehicle, thrusts.commanded, params.inner_model.thrust_coefficient, state.speeds
-    )
-    spin_up = -dot(vehicle.spins, accelerations) if accelerations else 0.0
-    thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
+    motion = rotor_motion(vehicle, thrusts.commanded, params.believed_coefficients, state.speeds)
+    speeds = motion.speeds
+    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
     air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
-    spin = -dot(vehicle.spins, speeds)
-    torque = moment + air.torque + gyroscopic_torque(state.rate, vehicle.rotor_inertia_z, spin, spin_up)
+    force = air.force
+    if across:
+        force = force + rotation @ Vec3(across[0], across[1], 0.0)
+    torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, air.force, torque, rotation)
-    return UavState(*slope, inner.integrals, accelerations)
+    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, inner.integrals, motion.accelerations)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -207,7 +228,16 @@ def prepare(params: UavParams) -> UavParams:
     believed = vehicle_values._replace(**chosen)
     if len(chosen.get("inertia", (0, 0, 0))) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
-    return params._replace(believed=believed, allocation=allocation)
+    return params._replace(believed=believed, allocation=allocation, believed_rotors=believed_rotors(params))
+
+
+def believed_rotors(params: UavParams) -> tuple[float, ...]:
+    """The nominal k_T of rotors anywhere: that of ``[plant.believed]`` for all, or each rotor's own."""
+    vehicle = params.vehicle
+    if not vehicle.rotor:
+        return ()
+    given = params.believed.thrust_coefficient
+    return tuple(nominal(value if given is None else given) for value in vehicle.thrust_coefficients)
 
 
 UAV = Plant(
