@@ -21,7 +21,7 @@ from dssc_jax.models.references.flights import HOVER, WHOLE_MISSION
 from dssc_jax.models.references.sine import MISSION
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.models.uav.desaturation import Desaturation
-from dssc_jax.models.uav.inner_loop import AttitudeReference, InnerGains, ThrustRule
+from dssc_jax.models.uav.inner_loops.article import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.proofs.problem import Interval
@@ -124,6 +124,8 @@ def require_loop(study: Study) -> None:
 def require_inner_loop(plant: Ends) -> InnerGains:
     """The inner loops' gains; refuse variants that the theorem does not cover."""
     inner = plant.low.inner_loop
+    if not getattr(inner, "has_proof", False):
+        raise NotCovered("plant.inner_loop is sampled; a proof of the vehicle takes plant.inner_loop.kind = 'article'")
     if inner != plant.high.inner_loop:
         raise NotCovered("a gain of the inner loops is uncertain")
     if inner.thrust is not ThrustRule.PROJECTION:
