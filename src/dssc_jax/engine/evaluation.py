@@ -14,8 +14,9 @@ import numpy as np
 from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
+from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
 from dssc_jax.engine.forms import Form
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")

@@ -13,7 +13,8 @@ import numpy as np
 from dssc_jax.closed_loop.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
-from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
     Positions,
