@@ -14,6 +14,7 @@ from dssc_jax.flight_logs.ulog import (
     LogTopic,
     Segment,
     TopicData,
+    chosen_segment,
     list_topics,
     read_topics,
     segments_of,
@@ -142,3 +143,39 @@ def table_contents(path: Path) -> LogContents:
     time = columns.get(TIME, np.zeros(1))
     span = float(np.nanmax(time) - np.nanmin(time))
     return LogContents(path.name, {}, span, (), (), (0, 0.0), None, fields)
+
+
+def topic_table(
+    path: Path, topic: str, segment: str | None = None, start: float | None = None
+) -> dict[str, np.ndarray]:
+    """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
+
+    Messages without a stamp, or from before the start, are left out.
+
+    Args:
+        path: A ULog of PX4.
+        topic: ``topic`` or ``topic:1``.
+        segment: The part to take.
+        start: Time of the log at which t is 0 [s]; None: the beginning of the segment, or of the log.
+
+    Raises:
+        ConfigError: the file cannot be read, or it lacks the topic or the segment.
+    """
+    with errors_under(str(path)):
+        name, _, instance = topic.partition(":")
+        data, begin = read_topics(path, [name, *SEGMENT_TOPICS])
+        own = data.get(f"{name}:{instance or 0}")
+        if own is None:
+            known = [topic.name for topic in list_topics(path).topics]
+            raise ConfigError("--topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
+        time = stamps(own, begin)
+        whole = Segment("whole", 0.0, np.inf)
+        part = whole if segment is None else chosen_segment(segment, segments_of(data, begin))
+        origin = part.begin if start is None else start
+        inside = (time >= max(part.begin, origin)) & (time <= part.end)
+        table = {TIME: time[inside] - origin}
+        for field in [*derived_fields(name, own), *own]:
+            values = field_values(name, own, field)
+            if values is not None and not field.startswith("timestamp"):
+                table[field] = values[inside]
+        return table

@@ -54,7 +54,7 @@ class ColumnMap(NamedTuple):
 
     signals: dict[str, SignalSource]
     time: str  # the column with the time [s], of a CSV or Parquet file
-    start: float | None  # time of the log at which the study begins [s]; None: the first sample of all signals
+    start: float | None  # time of the log at which the study begins [s]; None: that of the segment, or the first sample
     segment: str | None = None  # part of a ULog to read: armed or airborne
 
 
@@ -159,14 +159,16 @@ def read_log(
         is_ulog = file.suffix.lower() == ".ulg"
         if columns.segment is not None and not is_ulog:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
-        raw = ulog_columns(file, columns, channels) if is_ulog else table_columns(file, columns, channels)
+        raw, begin = (
+            ulog_columns(file, columns, channels) if is_ulog else (table_columns(file, columns, channels), None)
+        )
         if not any(name.endswith(("y", "u_total")) for name in raw):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
             raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
         converted = {}
         for name, column in raw.items():
             converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
-    first = min(float(column.time[0]) for column in converted.values())
+    first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
     return FlightLog(file.name, converted, first if columns.start is None else columns.start)
 
 
@@ -207,8 +209,11 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
 
 
-def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> dict[str, Column]:
-    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log."""
+def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> tuple[dict[str, Column], float | None]:
+    """The fields of a ULog's topics by the signals' names, and the beginning of the segment [s], None without one.
+
+    Times count from the beginning of the log.
+    """
     sources = {name: (source.column,) for name, source in columns.signals.items()} or vehicle_columns(channels)
     if not sources:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
@@ -219,10 +224,10 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> d
         found = [column for column in choices if has_column(topics, column)]
         if columns.signals or found:
             raw[name] = ulog_column(topics, begin, name, found[0] if found else choices[0])
-    if columns.segment is not None:
-        segment = chosen_segment(columns.segment, segments_of(topics, begin))
-        raw = {name: within_segment(name, column, segment) for name, column in raw.items()}
-    return raw
+    if columns.segment is None:
+        return raw, None
+    segment = chosen_segment(columns.segment, segments_of(topics, begin))
+    return {name: within_segment(name, column, segment) for name, column in raw.items()}, segment.begin
 
 
 class ColumnPlace(NamedTuple):

@@ -97,6 +97,17 @@ class Log:
         list[str] | None,
         typer.Option("--topic", metavar="NAME", help="A topic whose fields to show; may be repeated."),
     ] = None
+    csv: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="OUT", help="Write the one --topic of the one FILE as a table with its times t."),
+    ] = None
+    segment: Annotated[
+        str | None, typer.Option("--segment", metavar="NAME", help="With --csv, only the part armed or airborne.")
+    ] = None
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="With --csv, the time of the log at which t is 0 [its beginning]."),
+    ] = None
     as_json: Json = False
 
 
