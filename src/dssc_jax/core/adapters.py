@@ -62,6 +62,13 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         return PlantInput(command, disturbance, drive.wind, drive.inputs)
 
     remainder = plant.remainder
+    software = plant.software
+    if software is not None:
+        sample, tick = software.sample, software.tick
+        software = software._replace(
+            sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt),
+            tick=lambda params, state, drive, index, dt: tick(params, state, plain(drive), index, dt),
+        )
     return Plant(
         plant.params,
         plant.init,
@@ -83,6 +90,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         info=plant.info,
         outputs=plant.outputs,
         inputs=plant.inputs,
+        software=software,
     )
 
 
@@ -185,6 +193,7 @@ def static_unmodelled(
     held: bool = True,
     smooth: Declaration = None,
     continuous: bool = False,
+    prepare: Callable[[Params], Params] = as_given,
 ) -> Unmodelled:
     """Unmodelled dynamics without a state: their output depends on the present command alone."""
     return Unmodelled(
@@ -192,6 +201,7 @@ def static_unmodelled(
         init=lambda params: (),
         step=lambda params, state, command, dt: state,
         output=lambda params, state, command: output(params, command),
+        prepare=prepare,
         held=held,
         smooth=smooth,
         continuous=continuous,

@@ -123,6 +123,9 @@ def parsed_parts(table: TomlTable) -> Parts:
     tables = {slot: parameters.resolved(getattr(config, section_of(config, slot)), slot) for slot in SLOTS}
     parameters.resolved(config.compare, "compare")  # read when controllers are compared
     plant = parse_whole(tables["plant"], "plant")
+    if plant.model.software is not None:
+        with errors_under("plant"):
+            plant.model.software.check_clock(plant.params, config.loop.sample_time, config.loop.substeps)
     channels = plant.model.channels or ("",)
     has_several_channels = len(channels) > 1
     units = parse_units(config.units, plant.model, channels)
