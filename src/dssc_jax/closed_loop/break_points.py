@@ -5,7 +5,7 @@ dynamics, sensors and the sampled controller. The loop stays closed; a signal is
 signal before the sum is read. The loop transfer function at that place follows from this pair exactly.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -32,6 +32,11 @@ class BreakPoint(StrEnum):
     INPUT = "input"
     OUTPUT = "output"
     RATE = "rate"
+
+
+def place_names(channels: Sequence[str]) -> list[str]:
+    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
+    return [f"{channel} {point}".strip() for channel in channels for point in BreakPoint]
 
 
 class WithAdded(NamedTuple):
@@ -118,8 +123,8 @@ def sample_map(
 
 
 def break_points(loop: Loop) -> list[str]:
-    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
-    return [f"{channel} {point}".strip() for channel in loop.channels for point in BreakPoint]
+    """Name of each break point, in the order of the channels."""
+    return place_names(loop.channels)
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
