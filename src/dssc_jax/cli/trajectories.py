@@ -1,7 +1,7 @@
 """What the commands simulate and replay share: the files of a trajectory."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -33,15 +33,15 @@ def require_writable(options: Simulate | Replay) -> None:
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
-def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay) -> None:
-    """Write the requested files of a trajectory, and show how the draw ended."""
+def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, others: Sequence[Path] = ()) -> None:
+    """Write the requested files of a trajectory, and show how the draw ended, with all files and ``others``."""
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
         (options.csv, lambda path: write_table(trajectory, path)),
         (options.parquet, lambda path: write_parquet(trajectory, path)),
         (options.mcap, lambda path: write_mcap(trajectory, path)),
         (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
     ]
-    written = []
+    written = [*others]
     for path, write in writers:
         if path is not None:
             attempt(path, partial(write, path))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import xarray as xr
 
+from dssc_jax.closed_loop.requirements import VIOLATED_AT
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
@@ -197,8 +198,8 @@ def verdicts(trajectory: xr.Dataset) -> Iterator[Written]:
     end = float(trajectory["t"].values[-1])
     lines = [(0.0, Log.INFO, f"{attributes.get('study', '')}, draw {attributes.get('draw', '')}")]
     for name, value in attributes.items():
-        if str(name).startswith("violated_at_") and np.isfinite(value):
-            requirement = str(name).removeprefix("violated_at_")
+        if str(name).startswith(VIOLATED_AT) and np.isfinite(value):
+            requirement = str(name).removeprefix(VIOLATED_AT)
             lines.append((float(value), Log.ERROR, f"requirement {requirement} is violated"))
     failed_at = float(attributes.get("failed_at", np.nan))
     if np.isfinite(failed_at):
