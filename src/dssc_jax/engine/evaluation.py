@@ -218,6 +218,6 @@ def require_independent(study: Study, purpose: str) -> None:
     Raises:
         ConfigError: The study's draws are points of a design.
     """
-    kind = study.config.sampling
-    if kind != "random":
+    if not study.config.independent:
+        kind = study.config.sampling
         raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")

@@ -154,7 +154,7 @@ class LiveStudy:
     def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
         self.vehicle = len(study.loop.channels) > 1
         default = VEHICLE_DRAWS if self.vehicle else DRAWS
-        if study.config.sampling != "random":
+        if not study.config.independent:
             default = study.config.draws
         count = draws or default
         self.swept = study.override({"draws": count})

@@ -90,7 +90,7 @@ def test_px4_parameters_become_the_table():
 def test_what_assumes_the_article_s_inner_loop_refuses():
     """Linearisation and the proof of the vehicle name the inner loop, and what to choose instead."""
     study = study_of("px4", STEPS["small"])
-    with pytest.raises(NotCovered, match="plant.inner_loop is sampled"):
+    with pytest.raises(NotCovered, match=r"plant\.inner_loop is sampled"):
         require_inner_loop(Ends(study.template.plant, study.template.plant))
     meaning = declared_smoothness(UAV, study.template.plant).meaning
     assert "sampled inner loop" in meaning
