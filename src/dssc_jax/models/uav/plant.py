@@ -131,7 +131,9 @@ class UavState(NamedTuple):
 class UavInfo(NamedTuple):
     """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
 
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
+    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
+    ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
+    ``rotor_speed`` the speeds |thetadot_i| [rad/s].
     """
 
     phi: Annotated[Scalar, Quantity("rad", "roll")]
@@ -144,6 +146,9 @@ class UavInfo(NamedTuple):
     rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
     rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
     wind: Annotated[Vec3, Quantity("m/s", "wind along")]
+    attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
+    rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
+    rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
 
 
 def init(params: UavParams) -> UavState:
@@ -277,7 +282,9 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, drive.wind)
+    motion = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = drive.wind, state.attitude, state.rate, motion.speeds
+    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, *body)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
