@@ -3,11 +3,12 @@
 import math
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import piecewise
 from dssc_jax.core.units import ANGLE, POSITION
@@ -17,17 +18,13 @@ from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate, pseudo_inverse
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loop import Demand, InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
-from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
+from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
 
 
 class Believed(NamedTuple):
@@ -156,19 +153,46 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     inner, thrusts = demanded_thrusts(params, state, drive)
-    motion = rotor_motion(vehicle, thrusts.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, thrusts.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind_at(state, drive), speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    return UavState(*slope, inner.integrals, motion.accelerations)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, inner.integrals, turning.accelerations)
+
+
+def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
+    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
+    if condition is None or (not condition.effectiveness and condition.voltage is None):
+        return motion
+    voltage = 1.0 if condition.voltage is None else condition.voltage
+    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
+    factors = [root_abs(share) * voltage for share in shares]
+    speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
+    if not motion.accelerations:
+        return RotorMotion(speeds, ())
+    return RotorMotion(speeds, tuple(f * w for f, w in zip(factors, motion.accelerations, strict=True)))
+
+
+def wind_at(state: UavState, drive: PlantInput) -> Vec3:
+    """The wind at the vehicle, with the shears of its condition [m/s]."""
+    wind: Vec3 = drive.wind
+    for shear in drive.condition.shears if drive.condition is not None else ():
+        wind = wind + shear.gradient * (state.position.z - shear.height)
+    return wind
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -193,7 +217,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = thrusts.limited, inner.bounded
     rotors = thrusts.commanded, params.vehicle.thrust_limit
-    return UavInfo(*euler_of(rotation), tilt, inner.thrust, *limits, *rotors, drive.wind)
+    return UavInfo(*euler_of(rotation), tilt, inner.thrust, *limits, *rotors, wind_at(state, drive))
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
