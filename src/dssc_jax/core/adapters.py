@@ -59,7 +59,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,) = drive.command
         (disturbance,) = drive.disturbance
-        return PlantInput(command, disturbance, drive.wind, drive.inputs)
+        return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
     remainder = plant.remainder
     software = plant.software

@@ -24,6 +24,7 @@ from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table
+from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted, medians
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import kinds_of, measured
@@ -152,6 +153,8 @@ def parsed_parts(table: TomlTable) -> Parts:
         for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
     ]
     columns["signal_sensor"] = parse_signal_sensors(sensors, known)
+    events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
+    columns["unmodelled"] = with_command_events(columns["unmodelled"], events, channels)
     columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
     for part in columns["controller"]:
         require_signals(part.model, part.params, measures)
@@ -164,6 +167,8 @@ def parsed_parts(table: TomlTable) -> Parts:
         with_bounded_jitter(part, dotted("sensor", name), config.loop.sample_time)
         for name, part in zip(channels, columns["sensor"], strict=True)
     ]
+    columns["sensor"] = with_sensor_events(columns["sensor"], events, channels)
+    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     loop = Loop(
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
@@ -171,6 +176,7 @@ def parsed_parts(table: TomlTable) -> Parts:
         measures=measures,
         input_names=tuple(signal.name for signal in inputs),
         outputs=plant.model.reported(plant.params),
+        rotors=plant.params.vehicle.rotors if columns["events"] else 0,
         **clock(config),
     )
     template = LoopParams(

@@ -353,6 +353,7 @@ class StudyTable(BaseModel):
     wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )
+    event: list[TomlTable] = Field(default=[], description="what happens to a vehicle at a time")
     compare: dict[str, TomlTable] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")

@@ -6,12 +6,13 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
@@ -23,17 +24,13 @@ from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
-from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
+from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
 
 
 class Believed(NamedTuple):
@@ -245,19 +242,46 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind_at(state, drive), speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    return UavState(*slope, commands.slope, motion.accelerations)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, commands.slope, turning.accelerations)
+
+
+def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
+    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
+    if condition is None or (not condition.effectiveness and condition.voltage is None):
+        return motion
+    voltage = 1.0 if condition.voltage is None else condition.voltage
+    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
+    factors = [root_abs(share) * voltage for share in shares]
+    speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
+    if not motion.accelerations:
+        return RotorMotion(speeds, ())
+    return RotorMotion(speeds, tuple(f * w for f, w in zip(factors, motion.accelerations, strict=True)))
+
+
+def wind_at(state: UavState, drive: PlantInput) -> Vec3:
+    """The wind at the vehicle, with the shears of its condition [m/s]."""
+    wind: Vec3 = drive.wind
+    for shear in drive.condition.shears if drive.condition is not None else ():
+        wind = wind + shear.gradient * (state.position.z - shear.height)
+    return wind
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -282,9 +306,9 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    motion = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
-    body = drive.wind, state.attitude, state.rate, motion.speeds
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, *body)
+    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind_at(state, drive), *body)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
