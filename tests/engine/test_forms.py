@@ -44,7 +44,9 @@ def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
     assert Engine(axis(), 8).kernel == "strict"
     assert Engine(axis(), 8, kernel="scan").kernel == "scan"
     assert f"{forms.KERNEL_VARIABLE}=strict" in computing()["compiler"]
-    with pytest.raises(ConfigError, match=r"kernel: must be lanes, strict or scan, got 'scam'; did you mean 'scan'\?"):
+    with pytest.raises(
+        ConfigError, match=r"kernel: must be lanes, strict, scan, gpu or gpu-strict, got 'scam'; did you mean 'scan'\?"
+    ):
         Engine(axis(), 8, kernel="scam")
 
 

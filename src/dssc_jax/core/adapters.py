@@ -190,6 +190,7 @@ def static_unmodelled(
     held: bool = True,
     smooth: Declaration = None,
     continuous: bool = False,
+    prepare: Callable[[Params], Params] = as_given,
 ) -> Unmodelled:
     """Unmodelled dynamics without a state: their output depends on the present command alone."""
     return Unmodelled(
@@ -197,6 +198,7 @@ def static_unmodelled(
         init=lambda params: (),
         step=lambda params, state, command, dt: state,
         output=lambda params, state, command: output(params, command),
+        prepare=prepare,
         held=held,
         smooth=smooth,
         continuous=continuous,

@@ -22,7 +22,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine import forms
-from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
 
@@ -32,9 +32,6 @@ VERSIONS = ("dssc_jax", "jax", "jaxlib", "llvmlite", "numpy", "scipy", "xarray",
 
 Block = tuple[slice, ...]
 """A box of the grid."""
-
-Arrays = dict[Any, np.ndarray]
-"""Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
 
 Lanes = tuple[np.ndarray, ...]
 """Lanes of a result: their index along every swept parameter and along the draws, shape (n,) each."""

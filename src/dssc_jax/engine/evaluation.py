@@ -14,8 +14,9 @@ import numpy as np
 from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import BLOCK, Arrays, Engine, Lane, drawn, evaluate, lane_of_study
+from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
 from dssc_jax.engine.forms import Form
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 NOT_DIFFERENTIATED = ("outcome", "failed_at", "settled_at")
@@ -217,6 +218,6 @@ def require_independent(study: Study, purpose: str) -> None:
     Raises:
         ConfigError: The study's draws are points of a design.
     """
-    kind = study.config.sampling
-    if kind != "random":
+    if not study.config.independent:
+        kind = study.config.sampling
         raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")

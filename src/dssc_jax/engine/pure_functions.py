@@ -15,8 +15,8 @@ import numpy as np
 from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.batching import Arrays, Lane, lane_numbers, lane_of_study
-from dssc_jax.engine.sampling import draw_key
+from dssc_jax.engine.batching import Lane, lane_numbers, lane_of_study
+from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 Values = Mapping[str, Scalar]

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from dssc_jax.engine.batching import Arrays, Lanes, lane_numbers, lane_of_study
+from dssc_jax.engine.batching import Lanes, lane_numbers, lane_of_study
 from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 

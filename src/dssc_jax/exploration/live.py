@@ -13,7 +13,8 @@ import numpy as np
 from dssc_jax.closed_loop.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
-from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
     Positions,
@@ -150,7 +151,7 @@ class LiveStudy:
     def __init__(self, study: Study, names: Sequence[str] | None = None, draws: int | None = None) -> None:
         self.vehicle = len(study.loop.channels) > 1
         default = VEHICLE_DRAWS if self.vehicle else DRAWS
-        if study.config.sampling != "random":
+        if not study.config.independent:
             default = study.config.draws
         count = draws or default
         self.swept = study.override({"draws": count})

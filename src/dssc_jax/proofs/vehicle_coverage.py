@@ -20,6 +20,7 @@ from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.models.references.flights import HOVER, WHOLE_MISSION
 from dssc_jax.models.references.sine import MISSION
 from dssc_jax.models.sensors import IDEAL
+from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.article import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import Vehicle
@@ -141,6 +142,13 @@ def require_inner_loop(plant: Ends) -> InnerGains:
 def require_geometry(plant: Ends) -> None:
     """Refuse rotors that are not equally spaced with alternating spins, and drag that differs between x and y."""
     vehicle: Vehicle = plant.low.vehicle
+    if vehicle.rotor:
+        raise NotCovered(
+            "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
+            "rotor_angles and spins"
+        )
+    if plant.low.desaturation is not Desaturation.CLIP:
+        raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors
     angles = np.array(vehicle.rotor_angles, dtype=float)
     steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))

@@ -7,7 +7,8 @@ import xarray as xr
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays, Block, Layout, lanes_in
+from dssc_jax.engine.batching import Block, Layout, lanes_in
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results import lock
 from dssc_jax.results.arrays import laid_out, lay_out, require_coordinates, reshape
 from dssc_jax.results.blocks import Chunks, writing

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import simulate_recorded
-from dssc_jax.engine.batching import Arrays, Engine, Lane, evaluate, results_of
-from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.engine.batching import Engine, Lane, evaluate, results_of
+from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.runs.trajectory import trajectory_columns
 from dssc_jax.study import Study
 

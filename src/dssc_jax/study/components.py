@@ -63,6 +63,12 @@ class FieldSpec:
         return self.mark is None and hasattr(self.core, "_fields")
 
     @property
+    def listed(self) -> Any:
+        """The parameter type of the items of a list of tables; None if the field is none."""
+        items = typing.get_args(self.core) if typing.get_origin(self.core) is tuple else ()
+        return items[0] if self.mark is None and items and hasattr(items[0], "_fields") else None
+
+    @property
     def named(self) -> Any:
         """The type of a table's items if the study names them; None otherwise."""
         return typing.get_args(self.core)[1] if typing.get_origin(self.core) is dict else None
@@ -75,7 +81,7 @@ class FieldSpec:
     @property
     def part(self) -> bool:
         """Whether the field is a separate table, of a kind chosen by the study or of a fixed kind."""
-        return isinstance(self.mark, Slot) or self.nested or self.named is not None
+        return isinstance(self.mark, Slot) or self.nested or self.named is not None or self.listed is not None
 
     @property
     def enum(self) -> type[Enum] | None:
@@ -297,6 +303,10 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     slot = spec.mark if isinstance(spec.mark, Slot) else None
     preset = defaults.get(name)
     value = table.get(name, {})
+    if spec.listed is not None:
+        return parse_list(spec.listed, table.get(name), preset or ())
+    if slot is not None and isinstance(value, str):
+        value = {"kind": value}
     if name not in table and (slot is None or slot.default is None):
         if name not in defaults:
             raise ConfigError("", "is required and missing")
@@ -314,6 +324,34 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     return component.params, tuple(
         replace(number, name="") if number.name == first else number for number in component.numbers
     )
+
+
+def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Number, ...]]:
+    """The items of a list of tables, or those of a preset with the numbers that a table gives by index.
+
+    Raises:
+        ConfigError: As in :func:`parse_params`, with the index of the item.
+    """
+    if isinstance(value, list | tuple):
+        tables = {index: as_table(table, str(index)) for index, table in enumerate(value)}
+        presets: tuple[Any, ...] = (None,) * len(tables)
+    else:
+        given = as_table({} if value is None else value)
+        known = [str(index) for index in range(len(preset))]
+        unknown = next((key for key in given if key not in known), None)
+        if unknown is not None:
+            there = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
+            raise ConfigError(unknown, f"is no index of an item; {there}")
+        tables = {index: as_table(given.get(str(index), {}), str(index)) for index in range(len(preset))}
+        presets = preset
+    items = []
+    numbers: list[Number] = []
+    for index, table in tables.items():
+        with errors_under(str(index)):
+            part, inner = parse_params(table, item, presets[index])
+        items.append(part)
+        numbers += [number.under(str(index), str(index)) for number in inner]
+    return tuple(items), tuple(numbers)
 
 
 def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:

@@ -291,7 +291,9 @@ class StudyTable(BaseModel):
     description: str = Field(default="", description="one line for people")
     seed: int = Field(default=0, ge=0, lt=2**32, description="seed of all random numbers")
     draws: int = Field(default=1, ge=1, le=10**8, description="draws at each point of the sweep")
-    sampling: Literal["random", "sobol", "lhs"] = Field(default="random", description="design of the draws")
+    sampling: Literal["random", "sobol", "lhs", "auto"] = Field(
+        default="random", description="design of the draws; `auto`: a run chooses it after a pilot"
+    )
     replicates: int = Field(
         default=8, ge=8, le=1024, description="independent randomisations of a Sobol or Latin-hypercube design"
     )
@@ -333,11 +335,17 @@ class StudyTable(BaseModel):
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
         return self
 
+    @property
+    def independent(self) -> bool:
+        """Whether draws are independent; with ``auto`` they are, unless a run chooses a design."""
+        return self.sampling in ("random", "auto")
+
     @model_validator(mode="after")
     def _design(self) -> "StudyTable":
-        if self.sampling == "random":
+        if self.independent:
             if "replicates" in self.model_fields_set:
-                raise ValueError("replicates belong to sampling = 'sobol' or 'lhs'; random draws have none")
+                none = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
+                raise ValueError(f"replicates belong to sampling = 'sobol' or 'lhs'; {none}")
             return self
         share, remainder = divmod(self.draws, self.replicates)
         if self.sampling == "lhs" and (remainder or share < 2):

@@ -75,12 +75,13 @@ def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterat
     """Each section of a parameter type, and a field that it may have."""
     for name, spec in field_specs(params).items():
         inner = table.get(name)
+        inner = {"kind": inner} if isinstance(inner, str) else inner
         inner = inner if isinstance(inner, Mapping) else {}
         if isinstance(spec.mark, Slot):
             entry = spec.mark.registry.get(inner.get("kind", spec.mark.default) or "")
             if entry is not None:
                 yield from places_in(entry, f"{section}.{name}", inner)
-        elif spec.nested:
-            yield from fields_in(spec.core, f"{section}.{name}", inner)
+        elif spec.nested or spec.listed is not None:
+            yield from fields_in(spec.listed or spec.core, f"{section}.{name}", inner)
         elif not spec.derived:
             yield section, name

@@ -12,8 +12,8 @@ from dssc_jax.analyses.tuning.plan import Plan
 from dssc_jax.closed_loop.requirements import Requirement, ended_early
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome
-from dssc_jax.engine.batching import Arrays
 from dssc_jax.engine.evaluation import Derivative, Evaluator
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics, quantile_interval
 
 SHARPNESS = 0.1  # temperature of the soft worst case, in standard deviations of the draws' costs

@@ -1,4 +1,4 @@
-"""Options of the commands on flight computers and logs: airframe, code, compare-log."""
+"""Options of the commands on flight computers and logs: airframe, code, log, compare-log."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,6 +74,39 @@ class Library:
     ] = None
     include: Annotated[
         list[Path] | None, typer.Option("--include", metavar="DIR", help="A folder of headers; may be repeated.")
+    ] = None
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """What does this log hold?
+
+    Lists the topics of a ULog of PX4 with their number of messages, rate and span, and when the vehicle was armed and
+    airborne. Times count from the beginning of the log. With --topic also the fields of a topic with their values;
+    those marked with * are in the axes of the model: position in east, north, up, and the angles phi, theta, psi of a
+    body whose axes point forward, left, up. Of a CSV or Parquet file, lists the columns.
+
+    A file of any size is read message by message: memory holds the topics of --topic, and no others.
+    """
+
+    file: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="ULogs of PX4 (.ulg), CSV or Parquet files; any number.")
+    ]
+    topic: Annotated[
+        list[str] | None,
+        typer.Option("--topic", metavar="NAME", help="A topic whose fields to show; may be repeated."),
+    ] = None
+    csv: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="OUT", help="Write the one --topic of the one FILE as a table with its times t."),
+    ] = None
+    segment: Annotated[
+        str | None, typer.Option("--segment", metavar="NAME", help="With --csv, only the part armed or airborne.")
+    ] = None
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="With --csv, the time of the log at which t is 0 [its beginning]."),
     ] = None
     as_json: Json = False
 

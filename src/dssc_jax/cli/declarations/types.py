@@ -92,6 +92,10 @@ class LogOptions:
         float | None,
         typer.Option("--start", metavar="T", help="Time of the log at which the study begins [its first]."),
     ] = None
+    segment: Annotated[
+        str | None,
+        typer.Option("--segment", metavar="NAME", help="Part of a ULog: armed or airborne; armed:2 the second one."),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Plant, Preset
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot, root_abs
+from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Registry, Slot, single
@@ -18,12 +18,13 @@ from dssc_jax.core.units import ANGLE, POSITION
 from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.allocation import Thrusts, allocate, pseudo_inverse
+from dssc_jax.models.uav.allocation import Thrusts, allocate, geometry, pseudo_inverse
+from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
 from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
-from dssc_jax.models.uav.rotors import gyroscopic_torque, net, rotor_motion
+from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
@@ -54,8 +55,9 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
-    ``allocation`` and ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N], follow from the
-    vehicle's nominal values before tracing.
+    The fields after ``desaturation`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
+    circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
 
     vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
@@ -64,7 +66,10 @@ class UavParams(NamedTuple):
     position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
+    desaturation: Desaturation = Desaturation.CLIP
     allocation: tuple = ()
+    moments: tuple = ()
+    believed_rotors: tuple = ()
     rotor_limit: float = 0.0
 
     @property
@@ -77,10 +82,23 @@ class UavParams(NamedTuple):
         return InnerModel(mass, Vec3(*inertia), thrust_coefficient)
 
     @property
+    def believed_coefficients(self) -> tuple[Scalar, ...]:
+        """The nominal k_T of each rotor, complete after :func:`prepare` [N s^2/rad^2]."""
+        return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
+
+    @property
+    def hover_thrusts(self) -> tuple[Scalar, ...]:
+        """Thrusts of the rotors at which the believed vehicle hovers, complete after :func:`prepare` [N]."""
+        weight = self.inner_model.mass * GRAVITY
+        if not self.vehicle.rotor:
+            return (weight / self.vehicle.rotors,) * self.vehicle.rotors
+        return tuple(row[0] * weight for row in self.allocation)
+
+    @property
     def craft(self) -> Craft:
         """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
         model = self.inner_model
-        return Craft(model.mass, model.inertia, self.allocation, self.rotor_limit)
+        return Craft(model.mass, model.inertia, self.allocation, self.moments, self.rotor_limit)
 
 
 class HeldLoop(NamedTuple):
@@ -137,9 +155,8 @@ def init(params: UavParams) -> UavState:
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if vehicle.motor_lag is not None:
-        believed = params.inner_model
-        hover = root_abs(believed.mass * GRAVITY / vehicle.rotors / believed.thrust_coefficient)
-        speeds = (hover,) * vehicle.rotors
+        hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
+        speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
     state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
     return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
@@ -161,9 +178,7 @@ def required_loop(params: UavParams) -> SampledInnerLoop:
 def software_start(params: UavParams, state: UavState) -> HeldLoop:
     """A sampled inner loop in hover."""
     software = required_loop(params).init(params.craft, readings_of(state))
-    weight = params.inner_model.mass * GRAVITY
-    rotors = params.vehicle.rotors
-    return HeldLoop(software, weight, (weight / rotors,) * rotors, 0.0)
+    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
 
 
 def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
@@ -196,7 +211,8 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     demanded = demand(
         gains, model.mass, model.inertia, state.velocity, rotation, state.rate, state.inner, command, yaw_command
     )
-    rotors = allocate(params.allocation, demanded.thrust, demanded.moment, params.vehicle.thrust_limit)
+    limit = params.vehicle.thrust_limit
+    rotors = allocate(params.allocation, demanded.thrust, demanded.moment, limit, params.desaturation)
     return RotorCommands(demanded.thrust, rotors, demanded.bounded, demanded.integrals)
 
 
@@ -223,31 +239,32 @@ def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: f
 def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
     craft = params.craft
-    software, wrench = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
-    thrusts = allocate(params.allocation, wrench.thrust, wrench.moment, params.rotor_limit)
-    missing = wrench.moment - allocated_moment(craft, thrusts.commanded)
+    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
+    missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
     unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
     software = software._replace(unallocated=unallocated)
     limited = jnp.where(thrusts.limited, 1.0, 0.0)
-    return state._replace(inner=HeldLoop(software, wrench.thrust, thrusts.commanded, limited))
+    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    speeds, accelerations = rotor_motion(
-        vehicle, commands.rotors.commanded, params.inner_model.thrust_coefficient, state.speeds
-    )
-    spin_up = -dot(vehicle.spins, accelerations) if accelerations else 0.0
-    thrust, moment = net(vehicle, tuple(vehicle.thrust_coefficient * w * w for w in speeds))
+    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    speeds = motion.speeds
+    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
     air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
-    spin = -dot(vehicle.spins, speeds)
-    torque = moment + air.torque + gyroscopic_torque(state.rate, vehicle.rotor_inertia_z, spin, spin_up)
+    force = air.force
+    if across:
+        force = force + rotation @ Vec3(across[0], across[1], 0.0)
+    torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, air.force, torque, rotation)
-    return UavState(*slope, commands.slope, accelerations)
+    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, commands.slope, motion.accelerations)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -318,8 +335,22 @@ def prepare(params: UavParams) -> UavParams:
     if len(chosen.get("inertia", (0, 0, 0))) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
     limit = vehicle.max_thrust
-    rotor_limit = 2.0 * nominal(vehicle.mass) * GRAVITY / vehicle.rotors if limit is None else nominal(limit)
-    return params._replace(believed=believed, allocation=allocation, rotor_limit=rotor_limit)
+    return params._replace(
+        believed=believed,
+        allocation=allocation,
+        moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
+        believed_rotors=believed_rotors(params),
+        rotor_limit=2.0 * nominal(vehicle.mass) * GRAVITY / vehicle.rotors if limit is None else nominal(limit),
+    )
+
+
+def believed_rotors(params: UavParams) -> tuple[float, ...]:
+    """The nominal k_T of rotors anywhere: that of ``[plant.believed]`` for all, or each rotor's own."""
+    vehicle = params.vehicle
+    if not vehicle.rotor:
+        return ()
+    believed = params.believed.thrust_coefficient
+    return tuple(nominal(value if believed is None else believed) for value in vehicle.thrust_coefficients)
 
 
 UAV = Plant(

@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
-from dssc_jax.core.numerics import clip
+from dssc_jax.core.numerics import clip, dot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Quaternion, Vec3
 
@@ -26,12 +25,14 @@ class Craft(NamedTuple):
         mass: M [kg].
         inertia: Diagonal of J [kg m^2].
         allocation: Rows (f, M_x, M_y, M_z) -> f_i, one for each rotor.
+        moments: Rows f_i -> M_x, M_y, M_z.
         rotor_limit: Largest thrust of a rotor [N].
     """
 
     mass: Scalar
     inertia: Vec3
     allocation: tuple[tuple[float, ...], ...]
+    moments: tuple[tuple[float, ...], ...]
     rotor_limit: Scalar
 
     @property
@@ -49,8 +50,7 @@ class Wrench(NamedTuple):
 
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
     """The moment of rotor thrusts in the geometry that the inner loop knows [N m]."""
-    rows = np.linalg.pinv(np.array(craft.allocation))[1:]
-    return Vec3(*(sum(entry * f for entry, f in zip(row.tolist(), thrusts, strict=True)) for row in rows))
+    return Vec3(*(dot(row, thrusts) for row in craft.moments))
 
 
 def limited(vector: Vec3, limit: Vec3) -> Vec3:

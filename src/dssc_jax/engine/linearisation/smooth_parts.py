@@ -1,7 +1,7 @@
 """Parts of a loop that are linearised, with their declarations and their substitutes.
 
 Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
-the substitute that it states, or refused. :mod:`dssc_jax.analyses.linearisation.part_slopes` classifies a part at an
+the substitute that it states, or refused. :mod:`dssc_jax.engine.linearisation.part_slopes` classifies a part at an
 operating point. At a corner the substitute for its inner side replaces the part.
 """
 
