@@ -64,11 +64,8 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     remainder = plant.remainder
     software = plant.software
     if software is not None:
-        sample, tick = software.sample, software.tick
-        software = software._replace(
-            sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt),
-            tick=lambda params, state, drive, index, dt: tick(params, state, plain(drive), index, dt),
-        )
+        sample = software.sample
+        software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
     return Plant(
         plant.params,
         plant.init,

@@ -115,13 +115,16 @@ class HeldLoop(NamedTuple):
 
 
 class UavState(NamedTuple):
-    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s]."""
+    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
+
+    ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
+    """
 
     position: Vec3
     velocity: Vec3
     attitude: Quaternion
     rate: Vec3
-    inner: Integrals | HeldLoop
+    inner: State
     speeds: tuple[Scalar, ...]
 
 
@@ -156,13 +159,28 @@ def init(params: UavParams) -> UavState:
     if vehicle.motor_lag is not None:
         hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
         speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
-    velocity = Vec3(*params.velocity)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
-    inner: Integrals | HeldLoop = Integrals(zero, 0.0)
-    if not isinstance(params.inner_loop, InnerGains):
-        software = params.inner_loop.init(params.craft, Readings(velocity, attitude, zero))
-        inner = HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
-    return UavState(Vec3(*params.position), velocity, attitude, zero, inner, speeds)
+    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
+    return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
+
+
+def sampled_loop(params: UavParams) -> SampledInnerLoop | None:
+    """The sampled inner loop; None: it is the article's."""
+    gains = params.inner_loop
+    return None if isinstance(gains, InnerGains) else gains
+
+
+def required_loop(params: UavParams) -> SampledInnerLoop:
+    """The sampled inner loop of parameters that have one."""
+    loop = sampled_loop(params)
+    assert loop is not None
+    return loop
+
+
+def software_start(params: UavParams, state: UavState) -> HeldLoop:
+    """A sampled inner loop in hover."""
+    software = required_loop(params).init(params.craft, readings_of(state))
+    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
 
 
 def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
@@ -185,7 +203,9 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held = state.inner
-        rotors = Thrusts(held.rotor, held.limited > 0.5)
+        limit = params.vehicle.thrust_limit
+        given = tuple(jnp.minimum(f, limit) for f in held.rotor)
+        rotors = Thrusts(given, held.limited > 0.5)
         return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
     model = params.inner_model
     rotation = state.attitude.matrix()
@@ -200,7 +220,8 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 def software_period(params: UavParams) -> float | None:
     """Time between two ticks of a sampled inner loop [s]."""
-    return None if isinstance(params.inner_loop, InnerGains) else params.inner_loop.period
+    loop = sampled_loop(params)
+    return None if loop is None else loop.period
 
 
 def readings_of(state: UavState) -> Readings:
@@ -208,34 +229,25 @@ def readings_of(state: UavState) -> Readings:
     return Readings(state.velocity, state.attitude, state.rate)
 
 
-def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: Scalar) -> UavState:
+def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
     """Velocity control of a sampled inner loop."""
     command, yaw_command = velocity_commands(drive)
-    software = params.inner_loop.sample(
+    software = required_loop(params).sample(
         params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
     )
     return state._replace(inner=state.inner._replace(software=software))
 
 
-def software_tick(params: UavParams, state: UavState, drive: PlantInput, index: Scalar, dt: Scalar) -> UavState:
+def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
-    del drive
-    return state._replace(
-        inner=ticked(params, params.vehicle.thrust_limit, state.inner.software, readings_of(state), index, dt)
-    )
-
-
-def ticked(
-    params: UavParams, limit: Scalar, software: State, readings: Readings, index: Scalar, dt: Scalar
-) -> HeldLoop:
-    """One tick of a sampled inner loop with the allocation, whose rotors give at most ``limit`` [N] each."""
     craft = params.craft
-    software, wanted = params.inner_loop.tick(craft, software, readings, index, dt)
-    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, limit, params.desaturation)
+    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
     missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
     unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
     software = software._replace(unallocated=unallocated)
-    return HeldLoop(software, wanted.thrust, thrusts.commanded, jnp.where(thrusts.limited, 1.0, 0.0))
+    limited = jnp.where(thrusts.limited, 1.0, 0.0)
+    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
@@ -318,10 +330,11 @@ def broken(params: UavParams, state: UavState) -> Scalar:
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
     """k_p of each channel: the velocity loops' proportional gains [1/s]."""
-    if not isinstance(params.inner_loop, InnerGains):
-        return params.inner_loop.input_gain(params.craft)
-    linear = params.inner_loop.kd_velocity
-    return linear, linear, linear, params.inner_loop.kd_yaw
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return gains.input_gain(params.craft)
+    linear = gains.kd_velocity
+    return linear, linear, linear, gains.kd_yaw
 
 
 def smoothness(params: UavParams) -> Smoothness:
@@ -392,5 +405,13 @@ UAV = Plant(
     ),
     smooth=smoothness,
     info=UavInfo,
-    software=Onboard(software_period, software_sample, software_tick, frequency="inner_loop.frequency"),
+    software=Onboard(
+        period=software_period,
+        start=software_start,
+        held=lambda state: state.inner,
+        holding=lambda state, held: state._replace(inner=held),
+        sample=software_sample,
+        tick=software_tick,
+        frequency="inner_loop.frequency",
+    ),
 )
