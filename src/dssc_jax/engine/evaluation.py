@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
-from dssc_jax.engine.forms import Form
+from dssc_jax.engine.kernels import Form
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
@@ -233,6 +233,6 @@ def require_independent(study: Study, purpose: str) -> None:
     Raises:
         ConfigError: The study's draws are points of a design.
     """
-    kind = study.config.sampling
-    if kind != "random":
+    if not study.config.independent:
+        kind = study.config.sampling
         raise ConfigError(study.source, f"{purpose} needs independent draws: sampling = 'random', got '{kind}'")

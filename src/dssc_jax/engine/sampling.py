@@ -113,6 +113,7 @@ def replicated_latin(study: Study, streams: tuple[int, ...], indices: np.ndarray
 
 SAMPLING_DESIGNS: dict[str, Callable[[Study, tuple[int, ...], np.ndarray], np.ndarray]] = {
     "random": random_points,
+    "auto": random_points,  # of analyses; a run chooses first, see runs/design_choice.py
     "sobol": replicated_sobol,
     "lhs": replicated_latin,
 }

@@ -15,7 +15,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
@@ -108,7 +108,7 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
         return simulate_recorded(study.loop, study.params(values), key, *judged, every, margins)
 
     names = [*study.axes, *study.laws, *margins_of(study.measures)]
-    program = cache(lambda: forms.compiled_single(lane, names, plain))
+    program = cache(lambda: kernels.compiled_single(lane, names, plain))
     margins_at = margin_values(study)
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:

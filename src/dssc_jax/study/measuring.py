@@ -13,12 +13,21 @@ from dssc_jax.closed_loop.step_response import STEP_RESPONSE, envelope_metric
 from dssc_jax.closed_loop.window import Window
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
-from dssc_jax.study.formula_requirements import CHANNEL_SIGNALS, Constants, formula_requirement, formula_signals
+from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import imported
 from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
+
+ENVELOPE_SIGNALS = {
+    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
+    "e": ("y", "the output error e", lambda s: s.e),
+    "sigma": ("y/s", "sigma", lambda s: s.sigma),
+    "u": ("u", "the robust command u", lambda s: s.u),
+    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
+}
+"""Unit, meaning and value, at a channel's sample, of each signal that an envelope can bound."""
 
 
 def kinds_of(config: StudyTable) -> dict[str, Metric]:
@@ -96,7 +105,7 @@ def measured(
         if kind not in known:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
     measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
-    formula_terms = formula_signals(channels, units, signals)
+    formula_terms = formula_signals(signals)
     requirements = []
     for index, table in enumerate(config.requirement):
         place = f"requirement.{index}"
@@ -191,7 +200,7 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
             raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
         number = channels.index(channel)
         kind = f"envelope_{table.signal}"
-        unit, meaning, signal = CHANNEL_SIGNALS[table.signal]
+        unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
         metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
         earlier = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
         name = suffixed(kind, channel) + (f"_{earlier + 1}" if earlier else "")

@@ -326,7 +326,9 @@ class StudyTable(BaseModel):
     description: str = Field(default="", description="one line for people")
     seed: int = Field(default=0, ge=0, lt=2**32, description="seed of all random numbers")
     draws: int = Field(default=1, ge=1, le=10**8, description="draws at each point of the sweep")
-    sampling: Literal["random", "sobol", "lhs"] = Field(default="random", description="design of the draws")
+    sampling: Literal["random", "sobol", "lhs", "auto"] = Field(
+        default="random", description="design of the draws; `auto`: a run chooses it after a pilot"
+    )
     replicates: int = Field(
         default=8, ge=8, le=1024, description="independent randomisations of a Sobol or Latin-hypercube design"
     )
@@ -351,6 +353,7 @@ class StudyTable(BaseModel):
     wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )
+    event: list[TomlTable] = Field(default=[], description="what happens to a vehicle at a time")
     compare: dict[str, TomlTable] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")
@@ -368,11 +371,17 @@ class StudyTable(BaseModel):
             raise ValueError(f"draws times sweep points must be <= {MOST_LANES:.0e}, got {lanes:.3g}")
         return self
 
+    @property
+    def independent(self) -> bool:
+        """Whether draws are independent; with ``auto`` they are, unless a run chooses a design."""
+        return self.sampling in ("random", "auto")
+
     @model_validator(mode="after")
     def _design(self) -> "StudyTable":
-        if self.sampling == "random":
+        if self.independent:
             if "replicates" in self.model_fields_set:
-                raise ValueError("replicates belong to sampling = 'sobol' or 'lhs'; random draws have none")
+                none = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
+                raise ValueError(f"replicates belong to sampling = 'sobol' or 'lhs'; {none}")
             return self
         share, remainder = divmod(self.draws, self.replicates)
         if self.sampling == "lhs" and (remainder or share < 2):

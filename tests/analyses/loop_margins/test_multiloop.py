@@ -44,7 +44,7 @@ def test_two_channels_have_the_closed_form_and_the_brute_force():
 
 
 def test_the_example_of_python_control():
-    """The spinning satellite: its tests expect 0.3754 at the lowest frequency, by a bound of SLICOT that is not tight."""
+    """The spinning satellite: its tests expect 0.3754 at the lowest frequency, by a bound that is not tight."""
     plant = control.ss([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
     gains = np.array([[1.0, -2.0], [0.0, 1.0]])
     omega = np.geomspace(0.1, 1000.0, 4000)

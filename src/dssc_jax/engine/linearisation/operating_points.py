@@ -16,7 +16,7 @@ from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
     Finding,
     LoopPart,
-    require_smooth_there,
+    require_smooth_at,
     substituted,
     with_inner_sides,
 )
@@ -151,7 +151,7 @@ def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarra
     Raises:
         ConfigError: a part has no derivative at one of them.
     """
-    notes = require_smooth_there(study, places, findings)
+    notes = require_smooth_at(study, places, findings)
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
