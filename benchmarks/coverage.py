@@ -22,6 +22,7 @@ from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.engine.sampling import latin_design, sobol_points
+from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
 from dssc_jax.statistics import (
     CONFIDENCE,
     FixedCount,
@@ -58,11 +59,40 @@ def half_space(points: np.ndarray, p: float) -> np.ndarray:
 
 def sobol(p: float, draws: int) -> Trial:
     """Failures of scrambled Sobol replicates."""
+    return nets(p, lambda points: half_space(points, p), REPLICATES, draws // REPLICATES)
+
+
+def nets(p: float, fails: Callable[[np.ndarray], np.ndarray], replicates: int, size: int) -> Trial:
+    """Failures in three numbers by independently scrambled Sobol nets."""
 
     def trial(seed: int) -> np.ndarray:
-        nets = [sobol_points(3, 0, draws // REPLICATES, (seed, r)) for r in range(REPLICATES)]
-        failed = half_space(np.stack(nets, axis=1).reshape(draws, 3), p)
-        return side(Replicated(REPLICATES, "Sobol").interval(failed), p)
+        points = [sobol_points(3, 0, size, (seed, r)) for r in range(replicates)]
+        failed = fails(np.stack(points, axis=1).reshape(replicates * size, 3))
+        return side(Replicated(replicates, "Sobol").interval(failed), p)
+
+    return trial
+
+
+def two_modes(points: np.ndarray, p: float) -> np.ndarray:
+    """Failures at both ends of the first number."""
+    return np.abs(points[..., 0] - 0.5) > 0.5 * (1.0 - p)
+
+
+def behind_bend(points: np.ndarray, p: float) -> np.ndarray:
+    """Failures outside a sphere around the median."""
+    return np.sum(special.ndtri(points) ** 2, axis=-1) > stats.chi2(3).isf(p)
+
+
+def automatic(p: float, fails: Callable[[np.ndarray, float], np.ndarray], draws: int) -> Trial:
+    """A run of ``sampling = "auto"``: the pilot's choice, then the run."""
+    replicates, size = nets_of(draws)
+
+    def trial(seed: int) -> np.ndarray:
+        points = [sobol_points(3, 0, PILOT // PILOT_NETS, (seed, 1, r)) for r in range(PILOT_NETS)]
+        expected = (np.count_nonzero(fails(np.concatenate(points), p)) + 0.5) / (PILOT + 1) * draws
+        if min(expected, draws - expected) >= SEEN:
+            return nets(p, lambda cube: fails(cube, p), replicates, size)(seed)
+        return side(FixedCount().interval(fails(np.random.default_rng(seed).random((draws, 3)), p)), p)
 
     return trial
 
@@ -265,6 +295,11 @@ CASES: dict[str, tuple[str, Trial]] = {
     "Sobol replicates, p = 0.004, n = 1024": ("failure probability", sobol(0.004, 1024)),
     "Latin-hypercube replicates, p = 0.1, n = 1000": ("failure probability", latin(0.1, 1000)),
     "Latin-hypercube replicates, p = 0.004, n = 1000": ("failure probability", latin(0.004, 1000)),
+    **{
+        f"chosen design, {name}, p = {p:g}, n = {draws:,}": ("failure probability", automatic(p, fails, draws))
+        for name, fails in (("half space", half_space), ("two modes", two_modes), ("curved border", behind_bend))
+        for p, draws in ((0.2, 1000), (0.05, 1000), (0.05, 4096), (0.01, 10_000), (1e-4, 20_000))
+    },
     "median, lognormal, n = 100": ("quantile", quantile(0.5, 100)),
     "95 % quantile, lognormal, n = 200": ("quantile", quantile(0.95, 200)),
     "0.06 against 0.04, n = 500": ("paired difference", paired(0.06, 0.04, 500)),

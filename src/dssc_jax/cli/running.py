@@ -17,6 +17,7 @@ from dssc_jax.results.result import Result
 from dssc_jax.results.stated_errors import StatedAmounts
 from dssc_jax.results.store import read_dataset
 from dssc_jax.runs import run as runs
+from dssc_jax.runs.design_choice import recorded_choice
 from dssc_jax.study import Study
 
 
@@ -75,6 +76,11 @@ def complete_result(study: Study, out: Path) -> Result | None:
     if not (out / MANIFEST).exists():
         return None
     try:
+        if study.config.sampling == "auto":
+            choice = recorded_choice(study, out, resume=False)
+            if choice is None:
+                return None
+            study = choice.study
         manifest = read_manifest(out)
         complete = manifest["hash"] == study.hash and manifest.get("complete") and not manifest.get("stopping")
         if not complete or machinery_differences(manifest, {**computing(), **code_entries(study)}):

@@ -7,10 +7,11 @@ from pathlib import Path
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
-from dssc_jax.analyses.loop_margins.result import EQUILIBRIUM, LoopStatistics
+from dssc_jax.analyses.loop_margins.result import LoopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
 from dssc_jax.analyses.worst_loop.result import LoopWorst
 from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM
 from dssc_jax.statistics import wilks_draws
 from dssc_jax.study import Described, Study
 

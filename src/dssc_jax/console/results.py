@@ -19,6 +19,7 @@ from dssc_jax.statistics import compare_failures, describe_probability, rounded_
 
 if TYPE_CHECKING:
     from dssc_jax.results.result import Result
+    from dssc_jax.statistics import DesignEffect
     from dssc_jax.study import Study
 
 WIDEST_ROWS = 40
@@ -37,6 +38,8 @@ def show_result(result: "Result") -> None:
     console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
     if not axes:
         console.print(describe_probability(result.failed.values, result.method), markup=False)
+        if effect := result.design_effect:
+            console.print(effect_text(effect, result.study.config.draws), markup=False)
         if stopping := result.manifest.get("stopping"):
             console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
         if result.stated:
@@ -47,7 +50,7 @@ def show_result(result: "Result") -> None:
     else:
         show_points(result)
         show_paired(result)
-    for text in filter(None, (idle_text(result), result.certificate, result.integration)):
+    for text in filter(None, (result.design_reason, idle_text(result), result.certificate, result.integration)):
         console.print(text, markup=False)
     times = result.manifest["times"]
     console.print(
@@ -60,6 +63,15 @@ def show_result(result: "Result") -> None:
     console.print(f"result  {result.path}", soft_wrap=True, markup=False)
 
 
+def effect_text(effect: "DesignEffect", draws: int) -> str:
+    """What a design of so many draws saved, in words."""
+    low, high = effect.ratio_interval
+    ratio = f"variance {effect.variance_ratio:.2g} in [{low:.2g}, {high:.2g}] of that of independent draws"
+    saved = effect.plain_draws - draws
+    cost = f"{saved:,} saved" if saved >= 0 else f"{-saved:,} more than they would take"
+    return f"{ratio}; an interval as narrow takes {effect.plain_draws:,} of these: {cost}"
+
+
 def show_paired(result: "Result") -> None:
     """Print how the failure probability of a short sweep over one axis differs from that at its first value.
 
@@ -67,7 +79,7 @@ def show_paired(result: "Result") -> None:
     """
     axes = result.study.axes
     values = [value for axis in axes.values() for value in axis]
-    if len(axes) != 1 or not 2 <= len(values) <= MOST_PAIRED or result.study.config.sampling != "random":
+    if len(axes) != 1 or not 2 <= len(values) <= MOST_PAIRED or not result.study.config.independent:
         return
     (name,) = axes
     failures = result.failed.transpose(name, "draw").values

@@ -59,9 +59,13 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,) = drive.command
         (disturbance,) = drive.disturbance
-        return PlantInput(command, disturbance, drive.wind, drive.inputs)
+        return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
     remainder = plant.remainder
+    software = plant.software
+    if software is not None:
+        sample = software.sample
+        software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
     return Plant(
         plant.params,
         plant.init,
@@ -83,6 +87,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         info=plant.info,
         outputs=plant.outputs,
         inputs=plant.inputs,
+        software=software,
     )
 
 

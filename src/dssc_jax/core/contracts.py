@@ -12,6 +12,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 
 from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
 from dssc_jax.core.setting import LoopSetting
@@ -111,6 +112,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
         inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
             ``input.inputs`` in this order; None: there are none.
+        software: Sampled software on board, which runs between two samples of the loop; None: there is none.
     """
 
     params: type
@@ -133,6 +135,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     info: type | None = None
     outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+    software: Onboard | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""

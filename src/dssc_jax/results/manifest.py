@@ -35,6 +35,7 @@ TIMES = ("seconds", "compile_seconds", "rate")
 
 STOPPED = ("rule", "most", "verdict", "looks", "stops")
 CLUSTER = ("workers", "lost")
+DESIGN = ("reason", "pilot", "asked", "asked_draws")
 COMPUTING = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy")
 """Packages whose version may change a result in its last digits."""
 
@@ -120,7 +121,7 @@ def require_sound(path: Path, manifest: Manifest) -> None:
         if not is_number(value):
             raise ConfigError(str(path), f"is damaged: times.{name} must be a number, got {value!r}")
     require_fields(path, "times", manifest["times"], TIMES if manifest.get("complete") else ())
-    for name, fields in (("stopping", STOPPED), ("cluster", CLUSTER)):
+    for name, fields in (("stopping", STOPPED), ("cluster", CLUSTER), ("design", DESIGN)):
         if manifest.get(name) is not None:
             require_fields(path, name, manifest[name], fields)
     code = manifest.get("code", {})

@@ -10,7 +10,9 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import Layout
 from dssc_jax.proofs.claims import not_proved_text
@@ -22,7 +24,16 @@ from dssc_jax.results.scored_draws import ScoredDraws
 from dssc_jax.results.stated_errors import STATED, StatedAmounts, StatedError, confidence_of
 from dssc_jax.results.summary import Summary, SummaryRow, jsonable, lines, points
 from dssc_jax.results.theorem import theorem_mark
-from dssc_jax.statistics import CONFIDENCE, DataDriven, FixedCount, Look, Method, Replicated
+from dssc_jax.statistics import (
+    CONFIDENCE,
+    DataDriven,
+    DesignEffect,
+    FixedCount,
+    Look,
+    Method,
+    Replicated,
+    design_effect,
+)
 from dssc_jax.study import Study
 
 if TYPE_CHECKING:
@@ -160,6 +171,19 @@ class Result:
             yield row | {STATED: jsonable(self.stated_errors(amounts, confidence))} if amounts else row
 
     @property
+    def design_effect(self) -> DesignEffect | None:
+        """What the design saved beside independent draws; None: the draws are independent, or swept, or all agree."""
+        if self.method.independent or self.study.axes:
+            return None
+        return design_effect(self.failed.values, self.study.config.replicates)
+
+    @property
+    def design_reason(self) -> str:
+        """Why the tool chose this design of the draws; empty if the study names it."""
+        entry = self.manifest.get("design")
+        return f"{entry['reason']}; the choice took {entry['pilot']} simulations" if entry else ""
+
+    @property
     def stated(self) -> StatedAmounts | None:
         """Amounts by which the laws may be wrong, as given to the run; None if none were."""
         entry = self.manifest.get(STATED)
@@ -192,6 +216,7 @@ class Result:
             "confidence": confidence,
             "certificate": self.certificate,
             "interval_method": self.method.name,
+            "design": self._design_summary(),
             "stopping": self.manifest.get("stopping"),
             "integration": self.manifest.get("integration"),
             "requirements": [requirement.text for requirement in self.study.requirements],
@@ -201,6 +226,13 @@ class Result:
             "seconds": times.get("seconds"),
             "result": str(self.path) if self.path else None,
         }
+
+    def _design_summary(self) -> JsonObject | None:
+        """Why the design was chosen, and what it saved; None if the draws are independent and the study says so."""
+        effect = self.design_effect
+        if effect is None and not self.design_reason:
+            return None
+        return {"reason": self.design_reason, "effect": effect and effect._asdict()}
 
     def save(self, folder: str | Path) -> Path:
         """Write the results folder.
@@ -227,7 +259,7 @@ class Result:
 def interval_method(study: Study) -> Method:
     """The method of intervals from all draws of a study, whose number is fixed."""
     config = study.config
-    if config.sampling == "random":
+    if config.independent:
         return FixedCount()
     return Replicated(config.replicates, DESIGN_NAMES[config.sampling])
 
@@ -263,6 +295,18 @@ def headline_measure(study: Study) -> Measure:
     if study.requirements:
         return study.requirements[0].measure
     return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
+
+
+def most_violated(result: Result) -> Measure:
+    """The measure that the study's figures name, else that of the requirement which most draws violate.
+
+    Without a violation it is the headline metric.
+    """
+    requirements = result.study.requirements
+    if result.study.config.plot.metric or not requirements:
+        return headline(result)
+    counts = [int(np.count_nonzero(violated(result.dataset[rule.name].values))) for rule in requirements]
+    return requirements[int(np.argmax(counts))].measure
 
 
 def measure_named(result: Result, metric: str | None) -> Measure:

@@ -13,13 +13,15 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
+from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
 from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
+from dssc_jax.runs.design_choice import chosen_design
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.correlation import gaussian
 
@@ -56,7 +58,7 @@ def sampling_entry(study: Study) -> dict[str, object]:
     config = study.config
     return {
         "kind": config.sampling,
-        "replicates": config.replicates if config.sampling != "random" else None,
+        "replicates": None if config.independent else config.replicates,
         "correlation": {pair: {"rank": rank, "normal": gaussian(rank)} for pair, rank in config.correlation.items()},
     }
 
@@ -80,6 +82,9 @@ def run(
     widening: float | None = None,
 ) -> Result:
     """Simulate every draw of a study at every point of its sweep.
+
+    With ``sampling = "auto"`` the result's study has the design that the tool chose, see
+    :mod:`dssc_jax.runs.design_choice`.
 
     Args:
         study: The study, or its file; one with a ``[sweep]`` is swept, see :meth:`Study.without_sweep`.
@@ -107,6 +112,11 @@ def run(
             ``resume`` or ``cluster`` needs it; the cluster is lost; an amount is out of range, or the study does not
             admit it.
     """
+    entries: Manifest = {}
+    if study.config.sampling == "auto":
+        choice = chosen_design(study, None if out is None else Path(out), resume)
+        study = choice.study
+        entries = choice.entry
     stated = stated_entry(study, within, shift, widening)
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
@@ -115,7 +125,7 @@ def run(
         if resume:
             raise ConfigError("out", "is needed to resume")
         engine = Engine(study, layout.lanes, tile, devices)
-        return run_in_memory(study, layout, engine, progress, integration_entry(study, check) | stated)
+        return run_in_memory(study, layout, engine, progress, entries | integration_entry(study, check) | stated)
     require_startable(Path(out), study, resume)
     this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
@@ -126,12 +136,12 @@ def run(
             from dssc_jax.runs.cluster import connected  # needs an optional package
 
             workers = stack.enter_context(connected(cluster, notify, local))
-        manifest = run_manifest(study, layout, workers.machinery())
+        manifest = run_manifest(study, layout, workers.machinery()) | entries
         target = stack.enter_context(Store(Path(out), study, manifest, resume))
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
-            entries = workers.fill(target, advance)
-            target.complete(entries | integration_entry(study, check) | stated)
+            times = workers.fill(target, advance)
+            target.complete(times | integration_entry(study, check) | stated)
         elif stated and stated[STATED] != target.manifest.get(STATED):
             target.complete(stated)
         result = Result.of(study, *target.read(), Path(out))

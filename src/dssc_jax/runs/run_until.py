@@ -8,11 +8,13 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
-from dssc_jax.engine.batching import Arrays, Engine, Layout, computing, drawn, execute
+from dssc_jax.engine.batching import Engine, Layout, computing, drawn, execute
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
+from dssc_jax.runs.design_choice import DesignChoice, plain
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
 from dssc_jax.statistics.sequential import FIRST
@@ -57,6 +59,7 @@ def run_until(
             contains something else.
     """
     require_sequential(study)
+    study, entries = with_independent_draws(study)
     stated = stated_entry(study, within, shift, widening)
     if most < FIRST:
         raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
@@ -98,6 +101,7 @@ def run_until(
         "times": engine.times(began),
         **integration_entry(final, check),
         **stated,
+        **entries,
         "stopping": {
             "data_driven": True,
             "rule": rule.text,
@@ -111,6 +115,14 @@ def run_until(
     if out is not None:
         result.save(out)
     return result
+
+
+def with_independent_draws(study: Study) -> tuple[Study, Manifest]:
+    """The study with random draws if it leaves the design to the tool, and the manifest's entry on that."""
+    if study.config.sampling != "auto":
+        return study, {}
+    reason = "plain draws: the law of a data-driven stop is known for independent draws only"
+    return plain(study), DesignChoice(study, reason, 0, (study.hash, study.config.draws)).entry
 
 
 def require_sequential(study: Study) -> None:

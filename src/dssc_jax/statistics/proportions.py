@@ -5,7 +5,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import special
+from scipy import optimize, special
 
 from dssc_jax.statistics.multistage import Look, multistage_interval
 
@@ -186,6 +186,52 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
     spread = means.std(-1, ddof=1)
     half = special.stdtrit(replicates - 1, 0.5 * (1.0 + confidence)) * spread / math.sqrt(replicates)
     return np.stack([middle - half, middle + half], axis=-1)
+
+
+class DesignEffect(NamedTuple):
+    """What a replicated design saved in comparison with independent draws.
+
+    Args:
+        variance_ratio: Variance of the share from the design, relative to that from as many independent draws.
+        ratio_interval: Its interval, if the replicates' shares are normal.
+        plain_draws: Number of independent draws whose exact interval would be as wide.
+    """
+
+    variance_ratio: float
+    ratio_interval: tuple[float, float]
+    plain_draws: int
+
+
+def draws_as_narrow(share: float, width: float, confidence: float = CONFIDENCE) -> int:
+    """Number of independent draws, of which a share fails, whose exact interval has a width in (0, 1)."""
+
+    def excess(logarithm: float) -> float:
+        count = math.exp(logarithm)
+        low, high = clopper_pearson(share * count, count, confidence)
+        return float(high - low) - width
+
+    return math.ceil(math.exp(optimize.root_scalar(excess, bracket=(0.0, math.log(1e15))).root))
+
+
+def design_effect(happened: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> DesignEffect | None:
+    """Estimate from the draws of a replicated design what it saved; None if all draws or none have the event.
+
+    Args:
+        happened: Whether each draw has the event, shape (n,), n a multiple of R; draw i belongs to replicate i mod R.
+        replicates: R >= 2.
+        confidence: Coverage of the intervals.
+    """
+    share = float(happened.mean())
+    if not 0.0 < share < 1.0:
+        return None
+    draws = len(happened)
+    between = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
+    ratio = between * draws / (share * (1.0 - share))
+    freedom = replicates - 1
+    tail = 0.5 * (1.0 - confidence)
+    low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
+    ends = Replicated(replicates, "").interval(happened, confidence)
+    return DesignEffect(ratio, (float(low), float(high)), draws_as_narrow(share, float(ends[1] - ends[0])))
 
 
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:

@@ -6,19 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.break_points import break_points
-from dssc_jax.analyses.loop_margins.operating_points import Operating, StateMatrices, closure, operation
-from dssc_jax.analyses.loop_margins.response import (
+from dssc_jax.analyses.loop_margins.operation import operation
+from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset
+from dssc_jax.closed_loop.break_points import break_points
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices, closure
+from dssc_jax.engine.linearisation.response import (
     ClassicalMargins,
     classical_margins,
     common_grid,
     grid_with_poles,
     response_of,
 )
-from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset
-from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.study import Study, takes_file
 
 NO_EFFECT = 1e-12  # response of a break point without effect

@@ -1,0 +1,134 @@
+"""Linearise the sampled loop about an operating point, with inputs where it can be broken.
+
+What is differentiated is the step that the simulation runs: the plant's integrator over one sample, the unmodelled
+dynamics, sensors and the sampled controller. The loop stays closed; a signal is added where it may be broken, and the
+signal before the sum is read. The loop transfer function at that place follows from this pair exactly.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import StrEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import initial_state, measure, step
+from dssc_jax.core.contracts import NoParams, Reference, Sensor
+from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar, State
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.models.wind import NO_WIND
+
+
+class BreakPoint(StrEnum):
+    """Where a channel's loop is broken.
+
+    Broken at ``output`` or ``rate``, the measurement of y or of y' is changed, and the other one stays as it is. If
+    both are changed together, the numbers are those of ``input``, because the channel has one command.
+    """
+
+    INPUT = "input"
+    OUTPUT = "output"
+    RATE = "rate"
+
+
+def place_names(channels: Sequence[str]) -> list[str]:
+    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
+    return [f"{channel} {point}".strip() for channel in channels for point in BreakPoint]
+
+
+class WithAdded(NamedTuple):
+    """Parameters of a sensor, and the measurement added to its input."""
+
+    params: Params
+    added: Measurement
+
+
+def with_added_measurement(sensor: Sensor) -> Sensor:
+    """A sensor whose input is the plant's measurement and an added one."""
+
+    def sense(
+        p: WithAdded, z: State, m: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[State, Measurement]:
+        return sensor.step(p.params, z, Measurement(m.y + p.added.y, m.y_dot + p.added.y_dot), key, t, dt)
+
+    return Sensor(WithAdded, lambda p, m, key: sensor.init(p.params, m, key), sense)
+
+
+def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
+    """The loop at a constant reference, without disturbance, wind and sensor noise.
+
+    The reference of a plant of one channel is its constant level (``Reference.level``), or 0; that of several channels is
+    their outputs at t = 0: hover.
+    """
+    channels = range(len(loop.channels))
+    origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)
+    level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
+    desired = (ReferencePoint(level, 0.0, 0.0),)
+    if len(loop.channels) > 1:
+        start = measure(loop, params, loop.plant.init(params.plant), origin)
+        desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
+    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else desired[0])
+    quiet = tuple(NO_DISTURBANCE for _ in channels)
+    inputs = tuple(NO_DISTURBANCE for _ in loop.inputs)
+    undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=quiet, inputs=inputs)
+    undisturbed_params = params._replace(
+        reference=NoParams(),
+        wind=NoParams(),
+        sensor=tuple(map(without_noise, params.sensor)),
+        disturbance=tuple(NoParams() for _ in channels),
+        inputs=tuple(NoParams() for _ in loop.inputs),
+        signal_sensor=tuple(map(without_noise, params.signal_sensor)),
+    )
+    return undisturbed_loop, undisturbed_params
+
+
+def without_noise(sensor: Params) -> Params:
+    """The parameters of a sensor with every standard deviation 0."""
+    deviations = [name for name in getattr(sensor, "_fields", ()) if name.endswith("_std")]
+    return sensor._replace(**dict.fromkeys(deviations, 0.0))
+
+
+def sample_map(
+    loop: Loop, params: LoopParams, key: jax.Array, k: Scalar
+) -> Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+    """One sample of the loop as a function of its state and of what is added at the break points.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        key: The draw's random key.
+        k: Index of the sample.
+
+    Returns:
+        ``(state, added) -> (state after the sample, signals before the sums)``; the state is a vector, see
+        :func:`start_state`; break points are in the order of :func:`break_points`.
+    """
+    _, unravel = ravel_pytree(initial_state(loop, params, key))
+    opened = replace(loop, sensor=tuple(map(with_added_measurement, loop.sensor)))
+
+    def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
+        signals = added.reshape(len(loop.channels), len(BreakPoint))
+        sensors = []
+        for i, sensor in enumerate(params.sensor):
+            sensors.append(WithAdded(sensor, Measurement(signals[i, 1], signals[i, 2])))
+        with_inputs = params._replace(sensor=tuple(sensors))
+        after, recorded = step(opened, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
+        read = []
+        for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True):
+            read.append((sample.u_total, measurement.y, measurement.y_dot))
+        return ravel_pytree(after)[0], jnp.asarray(read).reshape(-1)
+
+    return sample
+
+
+def break_points(loop: Loop) -> list[str]:
+    """Name of each break point, in the order of the channels."""
+    return place_names(loop.channels)
+
+
+def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:
+    """The state after the first sample as a vector: a controller may treat its first sample unlike the others."""
+    return ravel_pytree(step(loop, params, key, initial_state(loop, params, key), 0)[0])[0]

@@ -1,0 +1,272 @@
+"""Linearise every draw's sampled loop at its operating points: its equilibrium, or places along its flight."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state, undisturbed
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.part_slopes import LaneLoop
+from dssc_jax.engine.linearisation.smooth_parts import (
+    Finding,
+    LoopPart,
+    require_smooth_at,
+    substituted,
+    with_inner_sides,
+)
+from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import Arrays, draw_key
+from dssc_jax.study import Study
+
+EQUILIBRIUM = "equilibrium"
+BATCH_LANES = 2048  # derivatives that are computed at once
+NEWTON_STEPS = 30  # towards an equilibrium
+EQUILIBRIUM_TOLERANCE = 1e-9  # largest change of the state by a sample, relative to 1 + |state|
+PUSH = 1e-7  # size of a test of smoothness
+PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivative, relative to the latter
+
+LoopWithParams = tuple[Loop, LoopParams]
+
+
+class StateMatrices(NamedTuple):
+    """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
+
+    Args:
+        after: The state after one sample, shape (n, states).
+        a: Shape (n, states, states).
+        b: Shape (n, states, break points).
+        c: Shape (n, break points, states).
+    """
+
+    after: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+
+Linearisation = Callable[[Arrays, np.ndarray, np.ndarray, int, np.ndarray], StateMatrices]
+"""(laws' values, draw indices, states, sample, findings) -> matrices of n draws; states and findings have n rows."""
+
+
+class Operating(NamedTuple):
+    """Matrices of all draws at one operating point.
+
+    Args:
+        matrices: Of all draws.
+        reached: Which draws have an operating point, shape (draws,).
+        taken: What is taken for parts that lie at a corner there, in words.
+    """
+
+    matrices: StateMatrices
+    reached: np.ndarray
+    taken: tuple[str, ...]
+
+
+def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
+    """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
+    return lambda values, index: (*linearised_loop(study, values, places, resting), draw_key(study.config.seed, index))
+
+
+def linearised_loop(
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], resting: bool
+) -> LoopWithParams:
+    """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
+    loop = study.loop
+    params = study.params(values)
+    if resting:
+        loop, params = undisturbed(loop, params)
+    return substituted(loop, params, places)
+
+
+def at_origin(study: Study) -> Study:
+    """The study of one channel with the plant's initial state at zero; a vehicle is unchanged."""
+    initial = study.table["plant"].get("initial")
+    if len(study.loop.channels) > 1 or not isinstance(initial, list):
+        return study
+    return replace(study.override({"plant.initial": [0.0] * len(initial)}), loop=study.loop)
+
+
+def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> Linearisation:
+    """The compiled linearisation of a study; without disturbances for a loop at rest.
+
+    A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
+    """
+    points = len(break_points(study.loop))
+
+    def derivative(
+        values: dict[str, jax.Array],
+        index: jax.Array,
+        state: jax.Array,
+        direction: jax.Array,
+        k: jax.Array,
+        findings: jax.Array,
+    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+        loop, params = with_inner_sides(*linearised_loop(study, values, places, resting), places, findings)
+        sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
+        at = (state, jnp.zeros(points, state.dtype))
+        return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
+
+    program = jax.jit(jax.vmap(derivative, in_axes=(0, 0, 0, 0, None, 0)), compiler_options=plain_options())
+
+    def linearise(
+        values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
+    ) -> StateMatrices:
+        count, order = states.shape
+        size = order + points
+        directions = np.eye(size)
+        parts = []
+        for first in range(0, count * size, BATCH_LANES):
+            lane = np.minimum(np.arange(first, first + BATCH_LANES), count * size - 1)
+            draw, direction = np.divmod(lane, size)
+            lane_values = {name: column[draw] for name, column in values.items()}
+            with arithmetic():
+                (after, _), slopes = program(
+                    lane_values, indices[draw], states[draw], directions[direction], k, findings[draw]
+                )
+                parts.append([np.asarray(part) for part in (after, *slopes)])
+        joined = [np.concatenate(part)[: count * size] for part in zip(*parts, strict=True)]
+        after, state_slopes, signal_slopes = joined
+        a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
+        c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
+        return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
+
+    return linearise
+
+
+def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
+    """Notes on the parts that lie at a corner, whose substitutes are taken.
+
+    Args:
+        study: The study.
+        places: The parts.
+        findings: At the operating points, shape (n, parts).
+        point: Name of the operating point.
+
+    Raises:
+        ConfigError: a part has no derivative at one of them.
+    """
+    notes = require_smooth_at(study, places, findings)
+    return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
+
+
+class Resting(NamedTuple):
+    """Equilibria of the undisturbed loop, and the matrices there.
+
+    Args:
+        states: Shape (n, states).
+        matrices: Of the loop without substitutes for corners.
+        settled: Which states are at rest, shape (n,).
+        felt: States on which the loop's signals depend, shape (n, states); others need not be at rest.
+    """
+
+    states: np.ndarray
+    matrices: StateMatrices
+    settled: np.ndarray
+    felt: np.ndarray
+
+
+class RestingLoop:
+    """The undisturbed loop of a study as compiled programs, for any values of its uncertain numbers.
+
+    Args:
+        study: The study, without a sweep.
+        places: Its parts.
+    """
+
+    def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
+        self.study = at_origin(study)
+        self.places = places
+        self.linearise = linearisation(self.study, places, resting=True)
+        self.start = jax.jit(jax.vmap(self._start), compiler_options=plain_options())
+
+    def _start(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        loop, params = linearised_loop(self.study, values, self.places, resting=True)
+        return start_state(loop, params, draw_key(self.study.config.seed, index))
+
+    def smooth(self, count: int) -> np.ndarray:
+        """Findings of a loop whose parts are all smooth, shape (count, parts)."""
+        return np.full((count, len(self.places)), Finding.SMOOTH.value)
+
+    def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
+        """Find the equilibria by Newton's method from the states at t = 0.
+
+        Args:
+            values: Of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+        """
+        with arithmetic():
+            states = np.asarray(self.start(values, indices))
+        smooth = self.smooth(len(indices))
+        trial = 0
+        while True:
+            matrices = self.linearise(values, indices, states, 1, smooth)
+            move = matrices.after - states
+            finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+            felt = closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+            settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
+            moving = finite & ~settled
+            if not moving.any() or trial == NEWTON_STEPS:
+                return Resting(states, matrices, settled, felt)
+            trial += 1
+            states = states.copy()
+            for draw in np.flatnonzero(moving):
+                kept = felt[draw]
+                slope = np.eye(int(np.count_nonzero(kept))) - matrices.a[draw][np.ix_(kept, kept)]
+                states[draw, kept] += np.linalg.lstsq(slope, move[draw, kept])[0]
+
+
+def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
+    """The states in ``begin`` and those that influence them, directly or not.
+
+    Args:
+        begin: Masks of states, shape (..., states).
+        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
+    """
+    reached = begin
+    while True:
+        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
+        if np.array_equal(wider, reached):
+            return reached
+        reached = wider
+
+
+def require_derivative(
+    study: Study,
+    after: Callable[[np.ndarray], np.ndarray],
+    states: np.ndarray,
+    matrices: StateMatrices,
+    plain: np.ndarray,
+    felt: np.ndarray,
+) -> None:
+    """Require that a small push of the equilibrium has the effect that the derivative predicts.
+
+    Args:
+        study: The study.
+        after: (states of shape (n, states)) -> the states after one sample.
+        states: The equilibria, shape (n, states).
+        matrices: Their derivatives.
+        plain: Which draws have an equilibrium and no part at a corner, shape (n,).
+        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (n, states).
+
+    Raises:
+        ConfigError: it has not: the loop switches, or its gain is infinite there.
+    """
+    push = PUSH * felt * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
+    for side in (push, -push):
+        predicted = np.einsum("nij,nj->ni", matrices.a, side)
+        actual = after(states + side) - matrices.after
+        excess = np.max(np.abs(actual - predicted) * felt, axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
+        worst = np.max(excess[plain])
+        if not worst <= PUSH_TOLERANCE:
+            raise ConfigError(
+                study.source,
+                f"has no linearisation at its equilibrium: the effect of a deviation of {PUSH:g} differs by "
+                f"{100.0 * worst:.3g} % from that of the derivative, as where a controller switches or its gain is "
+                "infinite there; describing functions (dssc-jax theory) cover such loops",
+            )

@@ -1,0 +1,282 @@
+"""Classical margins of many sampled loops at once, from the response of the closed loop to a signal added to it.
+
+With G(z) from the added signal to the signal before the sum, negative feedback has the loop transfer function
+L = -G/(1 + G), the sensitivity S = 1/(1 + L) = 1 + G and the complementary sensitivity T = L/(1 + L) = -G. The margins
+follow from G without cancellation:
+
+* L is real and negative where Im G = 0; the factor of the gain that brings a pole to the unit circle is 1 + 1/G.
+* |L| = 1 where Re G = -1/2; the phase to -180 degrees is the angle of G/(1 + G).
+* The disk margin of balanced disks is 1/max |S - T|/2 = 1/max |G + 1/2|.
+
+References:
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapter 10.
+    P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+FREQUENCIES = 240  # of the common grid
+FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
+DECADES = 6.0  # largest span below the Nyquist frequency
+ROOT_STEPS = 14
+PEAK_STEPS = 24
+SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+HALF_POWER = 0.5  # |T|^2 at the bandwidth
+
+Response = Callable[[np.ndarray], np.ndarray]
+"""Angles theta = omega T_s of shape (n, m) -> G(e^(i theta)), shape (n, m)."""
+
+
+class ClassicalMargins(NamedTuple):
+    """Margins of n loops that are stable; each of shape (n,).
+
+    Args:
+        gain_upper: Smallest factor > 1 of the loop gain at which the loop becomes unstable; infinite: none.
+        gain_lower: Largest factor < 1 at which it does; 0: none.
+        phase: Phase margin [rad]; infinite if the loop gain is never 1.
+        delay: Delay margin [s]; infinite if the loop gain is never 1.
+        disk: Balanced disk margin alpha, in [0, 2].
+        sensitivity_peak: M_s, the largest abs(S).
+        complementary_peak: M_t, the largest abs(T).
+        crossover: Frequency at which the phase margin is attained [rad/s]; NaN: none.
+        bandwidth: Frequency beyond which abs(T) stays below 1/sqrt(2) [rad/s]; infinite if it does not up to the
+            Nyquist frequency, NaN if it is nowhere that large.
+    """
+
+    gain_upper: np.ndarray
+    gain_lower: np.ndarray
+    phase: np.ndarray
+    delay: np.ndarray
+    disk: np.ndarray
+    sensitivity_peak: np.ndarray
+    complementary_peak: np.ndarray
+    crossover: np.ndarray
+    bandwidth: np.ndarray
+
+    @property
+    def modulus(self) -> np.ndarray:
+        """Modulus margin: smallest distance of L from -1, which is 1/M_s; shape (n,)."""
+        return 1.0 / self.sensitivity_peak
+
+
+def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
+    """G(z) = c (z - A)^-1 b of n loops.
+
+    Args:
+        a: Shape (n, states, states).
+        b: Shape (n, states).
+        c: Shape (n, states).
+    """
+    identity = np.eye(a.shape[-1])
+
+    def at(angles: np.ndarray) -> np.ndarray:
+        values = np.empty(angles.shape, complex)
+        for column, theta in enumerate(angles.T):
+            matrix = np.exp(1j * theta)[:, None, None] * identity - a
+            values[:, column] = np.einsum("ni,ni->n", c, np.linalg.solve(matrix, b[..., None])[..., 0])
+        return values
+
+    return at
+
+
+def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
+    """Angles in (0, pi), evenly spaced in the logarithm, that cover the dynamics of all loops.
+
+    Args:
+        poles: Closed-loop eigenvalues of all loops, any shape.
+        count: Number of angles.
+    """
+    rates = np.abs(np.log(poles[np.abs(poles) > SMALLEST_FACTOR].astype(complex)))
+    slowest = rates[rates > 10.0**-DECADES].min(initial=1.0)
+    return np.geomspace(max(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
+
+
+def own_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
+    """The :func:`common_grid` of each loop alone, shape (n, count).
+
+    Args:
+        poles: Closed-loop eigenvalues, shape (n, states).
+        count: Number of angles.
+    """
+    return np.stack([common_grid(row, count) for row in poles])
+
+
+def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """The angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
+
+    A pole above the real axis adds its damped frequency, any other one its natural frequency.
+
+    Args:
+        common: Angles of all loops, shape (count,), or of each, shape (n, count).
+        poles: Shape (n, poles).
+    """
+    natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
+    pole_angles = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
+    shared = np.broadcast_to(common, (len(poles), common.shape[-1]))
+    ends = np.broadcast_to([0.0, np.pi], (len(poles), 2))
+    return np.sort(np.concatenate([ends, shared, pole_angles], axis=1))
+
+
+def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Add the angles at which a function comes nearest to 0 between two angles, so that no pair of roots is missed.
+
+    Returns:
+        The ascending angles and the function there, shape (n, m + r).
+    """
+    left = values[:, :-2]
+    middle = values[:, 1:-1]
+    right = values[:, 2:]
+    size = np.abs(middle)
+    same_sign = (left * middle > 0.0) & (middle * right > 0.0)
+    places, nearest = chosen(same_sign & (size <= np.abs(left)) & (size <= np.abs(right)))
+    if not places.shape[1]:
+        return angles, values
+    columns = []
+    for column in range(places.shape[1]):
+        at = places[:, column : column + 1]
+        low = np.take_along_axis(angles, at, 1)
+        high = np.take_along_axis(angles, at + 2, 1)
+        sign = np.sign(np.take_along_axis(values, at + 1, 1))
+        columns.append(golden(lambda theta, sign=sign: -sign * function(theta), low, high)[0])
+    fresh = np.where(nearest, np.concatenate(columns, axis=1), np.take_along_axis(angles, places + 1, 1))
+    all_angles = np.concatenate([angles, fresh], axis=1)
+    all_values = np.concatenate([values, function(fresh)], axis=1)
+    order = np.argsort(all_angles, axis=1, kind="stable")
+    return np.take_along_axis(all_angles, order, 1), np.take_along_axis(all_values, order, 1)
+
+
+def chosen(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Column indices of the true entries of each row, padded to one length, and which of them are not padding."""
+    length = int(mask.sum(axis=1).max(initial=0))
+    places = np.argsort(~mask, axis=1, kind="stable")[:, :length]
+    return places, np.take_along_axis(mask, places, 1)
+
+
+def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of a real function of the angle, between neighbours of different sign, by the Illinois method.
+
+    Args:
+        function: (angles of shape (n, 1)) -> real values.
+        angles: Ascending, shape (n, m).
+        values: The function there.
+
+    Returns:
+        Angles and the mask of those that are roots, shape (n, r).
+    """
+    angles, values = with_touching(function, angles, values)
+    places, crossed = chosen(values[:, :-1] * values[:, 1:] < 0.0)
+    results = np.empty(places.shape)
+    for column in range(places.shape[1]):
+        at = places[:, column : column + 1]
+        low = np.take_along_axis(angles, at, 1)
+        high = np.take_along_axis(angles, at + 1, 1)
+        f_low = np.take_along_axis(values, at, 1)
+        f_high = np.take_along_axis(values, at + 1, 1)
+        for _ in range(ROOT_STEPS):
+            difference = f_high - f_low
+            middle = np.where(
+                difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0)
+            )
+            middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
+            f_middle = function(middle)
+            crossing = f_middle * f_high < 0.0  # between the middle and the high end
+            low = np.where(crossing, high, low)
+            f_low = np.where(crossing, f_high, 0.5 * f_low)
+            high = middle
+            f_high = f_middle
+        results[:, column] = high[:, 0]
+    return results, crossed
+
+
+def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest value of a real function with one peak in [low, high], and its place; shape (n, 1)."""
+    left = high - GOLDEN * (high - low)
+    right = low + GOLDEN * (high - low)
+    f_left = function(left)
+    f_right = function(right)
+    for _ in range(PEAK_STEPS):
+        rising = f_right > f_left
+        low = np.where(rising, left, low)
+        high = np.where(rising, high, right)
+        kept = np.where(rising, right, left)
+        f_kept = np.where(rising, f_right, f_left)
+        fresh = np.where(rising, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
+        f_fresh = function(fresh)
+        left = np.where(rising, kept, fresh)
+        right = np.where(rising, fresh, kept)
+        f_left = np.where(rising, f_kept, f_fresh)
+        f_right = np.where(rising, f_fresh, f_kept)
+    better = f_right > f_left
+    return np.where(better, right, left), np.where(better, f_right, f_left)
+
+
+def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Largest value of a real function, refined around the largest value of the grid; shape (n,)."""
+    top = np.argmax(values, axis=1)[:, None]
+    low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
+    high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
+    return np.maximum(np.max(values, axis=1), golden(function, low, high)[1][:, 0])
+
+
+def classical_margins(respond: Response, angles: np.ndarray, sample_time: float) -> ClassicalMargins:
+    """Margins of n stable loops.
+
+    Args:
+        respond: G of the loops.
+        angles: Ascending angles from 0 to pi at which crossings and peaks are looked for, shape (n, m).
+        sample_time: T_s [s].
+    """
+    g = respond(angles)
+    upper, lower = gain_margins(respond, angles, g)
+    crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
+    at = np.where(crossed, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
+    lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
+    size = np.where(crossed, np.abs(lag), np.inf)
+    delays = np.where(crossed, np.mod(lag, 2.0 * np.pi) * sample_time / np.where(crossed, crossings, 1.0), np.inf)
+    phase = np.full(len(g), np.inf)
+    crossover = np.full(len(g), np.nan)
+    if size.shape[1]:
+        nearest = np.argmin(size, axis=1)[:, None]
+        phase = np.take_along_axis(size, nearest, 1)[:, 0]
+        frequency = np.take_along_axis(crossings, nearest, 1)[:, 0] / sample_time
+        crossover = np.where(np.isfinite(phase), frequency, np.nan)
+
+    def largest(offset: float) -> np.ndarray:
+        return refined_peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
+
+    return ClassicalMargins(
+        gain_upper=upper,
+        gain_lower=lower,
+        phase=phase,
+        delay=delays.min(axis=1, initial=np.inf),
+        disk=1.0 / largest(0.5),
+        sensitivity_peak=largest(1.0),
+        complementary_peak=largest(0.0),
+        crossover=crossover,
+        bandwidth=bandwidth(respond, angles, g) / sample_time,
+    )
+
+
+def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Upper and lower gain margin, each of shape (n,); G is real at z = 1 and z = -1, the ends of the angles, too."""
+    crossings, crossed = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
+    at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
+    with np.errstate(all="ignore"):
+        factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
+    counts = np.isfinite(factors) & (factors > SMALLEST_FACTOR) & (factors < 1.0 / SMALLEST_FACTOR)
+    upper = np.where(counts & (factors > 1.0), factors, np.inf).min(axis=1)
+    lower = np.where(counts & (factors < 1.0), factors, 0.0).max(axis=1)
+    return upper, lower
+
+
+def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,)."""
+    excess = np.abs(g) ** 2 - HALF_POWER
+    crossings, crossed = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, excess)
+    largest = np.where(crossed, crossings, -np.inf).max(axis=1, initial=-np.inf)
+    largest = np.where(excess[:, -1] > 0.0, np.inf, largest)
+    return np.where(np.isneginf(largest), np.nan, largest)

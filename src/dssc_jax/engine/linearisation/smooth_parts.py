@@ -1,0 +1,290 @@
+"""Parts of a loop that are linearised, with their declarations and their substitutes.
+
+Every part declares where it is smooth, and an undeclared one is refused. A part that is smooth nowhere is replaced by
+the substitute that it states, or refused. :mod:`dssc_jax.engine.linearisation.part_slopes` classifies a part at an
+operating point. At a corner the substitute for its inner side replaces the part.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from enum import IntEnum
+from typing import NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import is_known
+from dssc_jax.core.signals import Params, Scalar
+from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
+from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in, section_of
+
+CHANNEL_SLOTS = ("sensor", "differentiator", "controller", "unmodelled")
+DISTURBANCE = "disturbance"
+SIGNAL_SENSOR = "signal_sensor"
+UNMODELLED = "unmodelled"
+INPUTS = "inputs"
+SECTIONS = {SIGNAL_SENSOR: "sensor", INPUTS: DISTURBANCE}
+"""Sections of the study that hold the parts of a slot of another name."""
+Part: TypeAlias = Plant | Controller | Sensor | Differentiator | Unmodelled | Disturbance
+"""A model that is linearised."""
+
+PART_FUNCTIONS: dict[type, tuple[str, ...]] = {
+    Controller: ("init", "step"),
+    Sensor: ("init", "step"),
+    Differentiator: ("init", "step"),
+    Unmodelled: ("init", "step", "output", "sample", "linear", "moments"),
+}
+"""The functions of a part that a choice between two parts has to make, where the part has them."""
+
+
+class LoopPart(NamedTuple):
+    """One part of the loop with what it declares.
+
+    Args:
+        slot: Name of the field of :class:`Loop`.
+        channel: Index of its channel; 0 for the plant.
+        label: Slot, channel and kind in words.
+        smoothness: Its declaration.
+        remaining: That of what is differentiated: of its substitute, if that is always taken, else its own.
+    """
+
+    slot: str
+    channel: int
+    label: str
+    smoothness: Smoothness
+    remaining: Smoothness
+
+    @property
+    def replaced(self) -> bool:
+        """Whether its substitute is always taken."""
+        return self.smoothness.extent == SmoothExtent.NOWHERE
+
+    def substitute(self, params: Params) -> tuple[Part, Params]:
+        """The part that is differentiated in its place, and the parameters of that."""
+        assert self.smoothness.substitute is not None  # held where places are declared
+        return self.smoothness.substitute(params)
+
+    def inner_side(self, params: Params) -> tuple[Part, Params]:
+        """The part within the boundaries of what is differentiated, and the parameters of that."""
+        assert self.remaining.substitute is not None  # held by the caller
+        return self.remaining.substitute(params)
+
+    @property
+    def inner(self) -> bool:
+        """Whether what is differentiated has a substitute for operating points on its boundaries."""
+        return self.remaining.extent == SmoothExtent.PIECEWISE and self.remaining.substitute is not None
+
+
+class Finding(IntEnum):
+    """Class of a part at an operating point: with a derivative, on a boundary, falsely declared, or beyond one."""
+
+    SMOOTH = 0
+    CORNER = 1
+    DEFECT = 2
+    BEYOND = 3
+
+
+class Chosen(NamedTuple):
+    """Parameters of a part and of its substitute, and whether the substitute is taken."""
+
+    part: Params
+    substitute: Params
+    taken: Scalar
+
+    @property
+    def l0(self) -> Scalar:
+        """The error pole of a controller."""
+        return self.part.l0
+
+
+def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
+    """Every part that a linearisation of the study differentiates: plant, parts of the channels, sensors of signals.
+
+    Args:
+        study: The study.
+        moving: Whether it is linearised along its flight, where disturbances matter.
+
+    Raises:
+        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; or something happens
+            to the vehicle at a time.
+    """
+    if study.config.event:
+        raise ConfigError(f"{study.source}: event", "changes the loop at a time, which a linearisation does not cover")
+    loop = study.loop
+    template = study.template
+    slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS
+    places = [declared_place(study, "plant", 0, loop.plant, template.plant)]
+    for slot in slots:
+        for index in range(len(loop.channels)):
+            part = getattr(loop, slot)[index]
+            places.append(declared_place(study, slot, index, part, getattr(template, slot)[index]))
+    for slot in (SIGNAL_SENSOR, INPUTS) if moving else (SIGNAL_SENSOR,):
+        for index, part in enumerate(getattr(loop, slot)):
+            places.append(declared_place(study, slot, index, part, getattr(template, slot)[index]))
+    return tuple(places)
+
+
+def named_kind(study: Study, slot: str, name: str) -> str:
+    """The kind of the part of a channel, of a measured signal, or of the disturbances at an input, by its name."""
+    table = getattr(study.config, SECTIONS.get(slot, slot))
+    if isinstance(table, list) or "input" in table:
+        tables = table if isinstance(table, list) else [table]
+        return " + ".join(str(part["kind"]) for part in tables if part.get("input", name) == name) or "none"
+    common = "none" if slot == INPUTS else "ideal" if slot == SIGNAL_SENSOR else table.get("kind", "ideal")
+    return str(table.get(name, {}).get("kind", common)) if name else str(common)
+
+
+def declared_place(study: Study, slot: str, index: int, part: Part, params: Params) -> LoopPart:
+    """A part with its declaration.
+
+    Raises:
+        ConfigError: as :func:`declared_places` says.
+    """
+    loop = study.loop
+    names = {"plant": ("",), SIGNAL_SENSOR: [signal.name for signal in loop.measures], INPUTS: loop.input_names}
+    channel = names.get(slot, loop.channels)[index]
+    kind = kind_in(study.config, slot, channel) if slot == UNMODELLED else named_kind(study, slot, channel)
+    section = SECTIONS.get(slot) or section_of(study.config, slot)
+    path = f"{study.source}: {section}{'.' if channel else ''}{channel}.kind"
+    try:
+        smoothness = declared_smoothness(part, params)
+    except ConfigError as error:
+        raise ConfigError(path, f"'{kind}' {error.rule}") from None
+    if smoothness.extent == SmoothExtent.NOWHERE and smoothness.substitute is None:
+        raise ConfigError(path, f"'{kind}' {smoothness.meaning}")
+    label = f"{section} '{kind}'" if not channel else f"{section} '{kind}' of {channel}"
+    remaining = smoothness
+    if smoothness.substitute is not None and smoothness.extent == SmoothExtent.NOWHERE:
+        substitute, values = smoothness.substitute(params)
+        remaining = declared_smoothness(substitute, values)
+    return LoopPart(slot, index, label, smoothness, remaining)
+
+
+def stated(places: Sequence[LoopPart]) -> list[str]:
+    """Notes on the substitutes of the parts that are smooth nowhere."""
+    return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
+
+
+def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
+    """The part in a place, and its parameters."""
+    if place.slot == "plant":
+        return loop.mimo_plant, params.plant
+    return getattr(loop, place.slot)[place.channel], getattr(params, place.slot)[place.channel]
+
+
+def with_part(
+    loop: Loop, params: LoopParams, place: LoopPart, part: Part, part_params: Params
+) -> tuple[Loop, LoopParams]:
+    """The loop with another part in a channel's place."""
+    models = list(getattr(loop, place.slot))
+    values = list(getattr(params, place.slot))
+    models[place.channel] = part
+    values[place.channel] = part_params
+    return replace(loop, **{place.slot: tuple(models)}), params._replace(**{place.slot: tuple(values)})
+
+
+def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
+    """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
+    for place in places:
+        if place.replaced:
+            _, part_params = part_of(loop, params, place)
+            loop, params = with_part(loop, params, place, *place.substitute(part_params))
+    return loop, params
+
+
+def with_inner_sides(
+    loop: Loop, params: LoopParams, places: Sequence[LoopPart], findings: jax.Array
+) -> tuple[Loop, LoopParams]:
+    """The loop in which parts at one of their corners are replaced by their substitutes.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters.
+        places: The parts.
+        findings: A :class:`Finding` for each of them; may be traced.
+    """
+    for place, finding in zip(places, findings, strict=True):
+        if place.inner:
+            part, part_params = part_of(loop, params, place)
+            substitute, substitute_params = place.inner_side(part_params)
+            taken = finding == Finding.CORNER
+            if substitute is part:
+                chosen = chosen_params(part_params, substitute_params, taken)
+                loop, params = with_part(loop, params, place, part, chosen)
+            else:
+                chosen = Chosen(part_params, substitute_params, taken)
+                loop, params = with_part(loop, params, place, choice(part, substitute), chosen)
+    return loop, params
+
+
+def chosen_params(params: Params, substitute: Params, taken: Scalar) -> Params:
+    """The substitute's parameters where it is taken; numbers that both share stay as they are, such as a memory."""
+
+    def chosen(a: Scalar, b: Scalar) -> Scalar:
+        equal = a is b or (is_known(a) and is_known(b) and a == b)
+        return a if equal else jnp.where(taken, b, a)
+
+    return jax.tree.map(chosen, params, substitute)
+
+
+def choice(part: Part, substitute: Part) -> Part:
+    """A part that is one of two, as its parameters :class:`Chosen` decide."""
+
+    def choosing(name: str) -> Callable[..., object]:
+        def run(params: Chosen, *arguments: object) -> object:
+            inner = getattr(substitute, name)(params.substitute, *arguments)
+            outer = getattr(part, name)(params.part, *arguments)
+            return jax.tree.map(lambda a, b: jnp.where(params.taken, a, b), inner, outer)
+
+        return run
+
+    names = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
+    return part._replace(**{name: choosing(name) for name in names})
+
+
+def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
+    """Require that every part of the loop has a derivative at every operating point.
+
+    Args:
+        study: The study, for messages.
+        places: The parts.
+        findings: A :class:`Finding` for each operating point and part, shape (n, places).
+
+    Returns:
+        A sentence for each part that lies at a corner or beyond it, with the number of operating points.
+
+    Raises:
+        ConfigError: A part has no derivative at an operating point: it lies on one of its boundaries, or it is not
+            smooth where it declares that it is.
+    """
+    notes = {}
+    draws = len(findings)
+    for place, column in zip(places, findings.T, strict=True):
+        defects = int(np.count_nonzero(column == Finding.DEFECT))
+        corners = int(np.count_nonzero(column == Finding.CORNER))
+        outside = int(np.count_nonzero(column == Finding.BEYOND))
+        meaning = place.remaining.meaning
+        boundary = meaning.partition(";")[0]
+        if defects and place.remaining.extent == SmoothExtent.PIECEWISE:
+            raise ConfigError(
+                study.source,
+                f"{place.label} has no derivative at {defects} of {draws} operating points, which lie on {boundary}; "
+                "move the operating point or the boundary",
+            )
+        if defects:
+            raise ConfigError(
+                study.source,
+                f"{place.label} declares that it is smooth, but at {defects} of {draws} operating points its "
+                "derivative is not the effect of small deviations, as with a switch, a clip or rounding; declare "
+                "piecewise(...) or not_smooth(...) in its field smooth (docs/extending.md)",
+            )
+        if corners:
+            notes[f"{place.label} lies on {meaning}"] = corners
+        if outside:
+            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = outside
+    return notes

@@ -1,0 +1,241 @@
+"""Inner loops: state-feedback linearisation with integral action, from velocity commands to thrust and moment.
+
+The article gives their gains but not their formulas; this is a reconstruction:
+
+    a = k_d (u - v) + k_p int (u - v)                                        for x, y, z
+    theta_d = atan((a_x cos psi + a_y sin psi)/(a_z + g))
+    phi_d = atan(cos theta_d (a_x sin psi - a_y cos psi)/(a_z + g))
+    f = M (a_z + g)/(cos phi cos theta), or M |a + g e3|
+    phi'' = 60 (phi_d - phi) - 15 phi', theta'' likewise, psi'' = k_d (u_psi - psi') + k_p int (u_psi - psi')
+    M_net = J W euler'' + J W' euler' + Omega x J Omega,   Omega = W euler'
+
+with R = R_z(psi) R_y(theta) R_x(phi). The inner loops use nominal values of mass and inertia, not those of the draw.
+"""
+
+from enum import StrEnum
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
+
+
+@jax.tree_util.register_static
+class ThrustRule(StrEnum):
+    """Thrust from the desired acceleration: keep its vertical part, or use its norm."""
+
+    PROJECTION = "projection"
+    NORM = "norm"
+
+
+@jax.tree_util.register_static
+class AttitudeReference(StrEnum):
+    """Whether phi_d, theta_d are treated as constants, or their rates are fed forward.
+
+    With a held command the rates are those of -k_d v: feed-forward acts as additional stiffness, and velocity loops
+    slow down from 1/(s + 1) to 0.8/(s + 0.8).
+    """
+
+    PLAIN = "plain"
+    RATE_FEED_FORWARD = "rate_feed_forward"
+
+
+class InnerGains(NamedTuple):
+    """Gains of Section V-B, and the variants of the reconstruction."""
+
+    kp_velocity: Annotated[Scalar, Quantity("1/s^2", "integral gain of x, y, z", at_least=0.0)] = 0.0
+    kd_velocity: Annotated[Scalar, Quantity("1/s", "proportional gain of x, y, z", above=0.0)] = 1.0
+    kp_attitude: Annotated[Scalar, Quantity("1/s^2", "stiffness of phi, theta", above=0.0)] = 60.0
+    kd_attitude: Annotated[Scalar, Quantity("1/s", "damping of phi, theta", above=0.0)] = 15.0
+    kp_yaw: Annotated[Scalar, Quantity("1/s^2", "integral gain of psi'", at_least=0.0)] = 0.2
+    kd_yaw: Annotated[Scalar, Quantity("1/s", "proportional gain of psi'", above=0.0)] = 1.0
+    thrust: ThrustRule = ThrustRule.PROJECTION
+    attitude: AttitudeReference = AttitudeReference.PLAIN
+
+    @property
+    def has_proof(self) -> bool:
+        """Whether the theorem of the vehicle covers this inner loop, in some of its variants."""
+        return True
+
+
+class Integrals(NamedTuple):
+    """int (u - v) of the velocity loops [m], and int (u_psi - psi') [rad]."""
+
+    velocity: Vec3
+    yaw: Scalar
+
+
+class Euler(NamedTuple):
+    """Roll phi, pitch theta, yaw psi [rad], or their rates."""
+
+    phi: Scalar
+    theta: Scalar
+    psi: Scalar
+
+
+class Trig(NamedTuple):
+    """Cosines and sines of the Euler angles, from the rotation matrix; ``secant`` is 1/cos theta."""
+
+    cphi: Scalar
+    sphi: Scalar
+    ctheta: Scalar
+    stheta: Scalar
+    cpsi: Scalar
+    spsi: Scalar
+    secant: Scalar
+
+
+class Lean(NamedTuple):
+    """Opposite and adjacent sides of the desired pitch (forward, up) and roll (left, slant) [m/s^2]."""
+
+    forward: Scalar
+    up: Scalar
+    left: Scalar
+    slant: Scalar
+
+
+class Demand(NamedTuple):
+    """Demand of the inner loops: thrust [N], moment [N m], rates of the integrals, and whether a_z was bounded."""
+
+    thrust: Scalar
+    moment: Vec3
+    integrals: Integrals
+    bounded: Scalar
+
+
+def trig_of(rotation: Mat3) -> Trig:
+    """Sines and cosines without inverse functions; cos theta >= 0, floored at 1e-6 at the singularity."""
+    square = jnp.maximum(rotation.c.y**2 + rotation.c.z**2, 1e-12)
+    secant = 1.0 / jnp.sqrt(square)
+    return Trig(
+        cphi=rotation.c.z * secant,
+        sphi=rotation.c.y * secant,
+        ctheta=square * secant,
+        stheta=-rotation.c.x,
+        cpsi=rotation.a.x * secant,
+        spsi=rotation.b.x * secant,
+        secant=secant,
+    )
+
+
+def euler_of(rotation: Mat3) -> Euler:
+    """Euler angles of a rotation [rad]."""
+    flat = jnp.sqrt(rotation.c.y**2 + rotation.c.z**2)
+    return Euler(
+        atan2(rotation.c.y, rotation.c.z),
+        atan2(-rotation.c.x, flat),
+        atan2(rotation.b.x, rotation.a.x),
+    )
+
+
+def euler_rates(at: Trig, rate: Vec3) -> Euler:
+    """Euler' = W^-1 Omega."""
+    turn = at.sphi * rate.y + at.cphi * rate.z
+    psi = turn * at.secant
+    return Euler(rate.x + at.stheta * psi, at.cphi * rate.y - at.sphi * rate.z, psi)
+
+
+def lean(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> Lean:
+    """Sides of phi_d and theta_d for a desired acceleration whose z part includes g, at (cos psi, sin psi)."""
+    cpsi, spsi = heading
+    forward = acceleration.x * cpsi + acceleration.y * spsi
+    left = acceleration.x * spsi - acceleration.y * cpsi
+    # tan phi_d = (left/a_z) cos theta_d, and cos theta_d = a_z/(a_z^2 + forward^2)^(1/2)
+    return Lean(forward, acceleration.z, left, jnp.sqrt(acceleration.z**2 + forward**2))
+
+
+def desired_tilt(acceleration: Vec3, heading: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+    """(phi_d, theta_d) [rad]."""
+    sides = lean(acceleration, heading)
+    return atan2(sides.left, sides.slant), atan2(sides.forward, sides.up)
+
+
+def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
+    """(phi_d - phi, theta_d - theta) [rad], each one angle of a rotated triangle; upright, as a flip ends the draw."""
+    forward, up, left, slant = lean(acceleration, (at.cpsi, at.spsi))
+    return (
+        atan2(left * at.cphi - slant * at.sphi, slant * at.cphi + left * at.sphi),
+        atan2(forward * at.ctheta - up * at.stheta, up * at.ctheta + forward * at.stheta),
+    )
+
+
+def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Euler) -> Vec3:
+    """M_net = J W euler'' + J W' euler' + Omega x J Omega."""
+    dphi, dtheta, dpsi = turning
+    # rows of W: [1, 0, -s_theta], [0, c_phi, s_phi c_theta], [0, -s_phi, c_phi c_theta]
+    ct_dot = -at.stheta * dtheta
+    sp_ct = at.sphi * at.ctheta
+    cp_ct = at.cphi * at.ctheta
+    angular = Vec3(
+        desired.phi - at.stheta * desired.psi - at.ctheta * dtheta * dpsi,
+        at.cphi * desired.theta
+        + sp_ct * desired.psi
+        - at.sphi * dphi * dtheta
+        + (at.cphi * dphi * at.ctheta + at.sphi * ct_dot) * dpsi,
+        -at.sphi * desired.theta
+        + cp_ct * desired.psi
+        - at.cphi * dphi * dtheta
+        + (-at.sphi * dphi * at.ctheta + at.cphi * ct_dot) * dpsi,
+    )
+    return angular.scale(inertia) + rate.cross(rate.scale(inertia))
+
+
+def demand(
+    gains: InnerGains,
+    mass: Scalar,
+    inertia: Vec3,
+    velocity: Vec3,
+    rotation: Mat3,
+    rate: Vec3,
+    integrals: Integrals,
+    command: Vec3,
+    yaw_command: Scalar,
+) -> Demand:
+    """Thrust and moment for velocity commands.
+
+    Args:
+        gains: Gains and variants.
+        mass: Nominal M of the inner loop [kg].
+        inertia: Nominal J of the inner loop [kg m^2].
+        velocity: v, inertial [m/s].
+        rotation: R, body to inertial.
+        rate: Body rate Omega [rad/s].
+        integrals: State of the integral actions.
+        command: Velocity commands u_x, u_y, u_z [m/s].
+        yaw_command: u_psi [rad/s].
+    """
+    at = trig_of(rotation)
+    error = command - velocity
+    turning = euler_rates(at, rate)
+    desired = error * gains.kd_velocity + integrals.velocity * gains.kp_velocity
+    lift = desired.z + GRAVITY
+    bounded = lift < LEAST_LIFT
+    desired = desired._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
+    by_norm = gains.thrust is ThrustRule.NORM
+    thrust = mass * (desired.norm() if by_norm else desired.z / (at.cphi * at.ctheta))
+    if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
+        body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
+        acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
+        slope = error * gains.kp_velocity - acceleration * gains.kd_velocity
+        slope = slope._replace(z=jnp.where(bounded, 0.0, slope.z))
+        turned = (-at.spsi * turning.psi, at.cpsi * turning.psi)
+        _, (phi_d_dot, theta_d_dot) = jax.jvp(desired_tilt, (desired, (at.cpsi, at.spsi)), (slope, turned))
+    else:
+        phi_d_dot = 0.0
+        theta_d_dot = 0.0
+    phi_error, theta_error = tilt_error(desired, at)
+    yaw_error = yaw_command - turning.psi
+    accelerate = Euler(
+        gains.kp_attitude * phi_error + gains.kd_attitude * (phi_d_dot - turning.phi),
+        gains.kp_attitude * theta_error + gains.kd_attitude * (theta_d_dot - turning.theta),
+        gains.kd_yaw * yaw_error + gains.kp_yaw * integrals.yaw,
+    )
+    moment = moment_for(inertia, at, rate, turning, accelerate)
+    return Demand(thrust, moment, Integrals(error, yaw_error), bounded)

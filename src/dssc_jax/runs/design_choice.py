@@ -1,0 +1,136 @@
+"""The design of a run's draws where the study leaves it to the tool: ``sampling = "auto"``.
+
+A pilot estimates the failure probability. Sobol points give a narrower interval unless failures, or draws without a
+failure, are few. The run's points are randomised independently of the pilot, so the interval holds whatever the choice.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dssc_jax.core.json_types import JsonObject
+from dssc_jax.core.numerics import stream
+from dssc_jax.core.signals import Outcome
+from dssc_jax.engine.batching import PROBES, Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import inside, sobol_points, values_at
+from dssc_jax.results.manifest import MANIFEST, Manifest, read_manifest
+from dssc_jax.study import Study
+
+PILOT = 256  # draws
+PILOT_NETS = 16  # independently scrambled
+PILOT_INDEX = 2**30  # of the pilot's first in-loop noise, beyond that of every run's draws
+NETS = 16  # least number of nets of a run; it has up to twice as many
+LEAST_NET = 8  # points of a net
+SEEN = 50  # least number of failures, and of draws without, that a run has to expect
+
+
+@dataclass(frozen=True)
+class DesignChoice:
+    """A study with the design of its draws chosen.
+
+    Args:
+        study: The study with ``random`` or ``sobol`` draws.
+        reason: Why.
+        pilot: Number of simulations that the choice took.
+        asked: Hash of the study that left the choice to the tool, and its number of draws.
+    """
+
+    study: Study
+    reason: str
+    pilot: int
+    asked: tuple[str, int]
+
+    @property
+    def entry(self) -> Manifest:
+        """The manifest's entry."""
+        asked, draws = self.asked
+        content: JsonObject = {"reason": self.reason, "pilot": self.pilot, "asked": asked, "asked_draws": draws}
+        return {"design": content}
+
+
+def chosen_design(study: Study, folder: Path | None = None, resume: bool = False) -> DesignChoice:
+    """Choose the design of a study's draws.
+
+    Args:
+        study: The study, with ``sampling = "auto"``.
+        folder: The results folder. The choice that it records for the same study is taken again.
+        resume: Whether the study may have more draws than that of the folder.
+
+    Raises:
+        ConfigError: The folder is damaged.
+    """
+    asked = study.hash, study.config.draws
+    _, size = nets_of(study.config.draws)
+    if size < LEAST_NET:
+        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", 0, asked)
+    if not study.laws:
+        return DesignChoice(plain(study), "plain draws: no number is uncertain", 0, asked)
+    recorded = recorded_choice(study, folder, resume) if folder else None
+    if recorded:
+        return recorded
+    middle = {name: axis[len(axis) // 2] for name, axis in study.axes.items()}
+    engine = Engine(plain(study).without_sweep().override(middle), PILOT)
+    place = " in the middle of the sweep" if middle else ""
+    if is_noisy(engine):
+        reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
+        return DesignChoice(plain(study), reason, 2 * PROBES, asked)
+    found = pilot_failures(engine)
+    expected = (found + 0.5) / (PILOT + 1) * study.config.draws
+    share = f"{found} of {PILOT} pilot draws fail{place}"
+    if min(expected, study.config.draws - expected) < SEEN:
+        reason = f"plain draws: {share}; Sobol points save nothing with fewer than {SEEN} failures, or draws without"
+        return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, asked)
+    nets, size = nets_of(study.config.draws)
+    reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
+    return DesignChoice(sobol(study, nets, size), reason, PILOT + 2 * PROBES, asked)
+
+
+def plain(study: Study) -> Study:
+    """The study with independent draws."""
+    return study.override({"sampling": "random"})
+
+
+def sobol(study: Study, nets: int, size: int) -> Study:
+    """The study with Sobol nets of a size."""
+    return study.override({"sampling": "sobol", "replicates": nets, "draws": nets * size})
+
+
+def nets_of(draws: int) -> tuple[int, int]:
+    """Number of nets, from ``NETS`` to twice as many, and points of each: together at least so many draws."""
+    size = 1 << max(0, (draws // NETS).bit_length() - 1)
+    return -(-draws // size), size
+
+
+def pilot_failures(engine: Engine) -> int:
+    """Failures among the pilot's draws: Sobol points with scramblings and in-loop noise that no run has."""
+    study = engine.study
+    size = PILOT // PILOT_NETS
+    nets = []
+    for net in range(PILOT_NETS):
+        nets.append(sobol_points(len(study.laws), 0, size, (study.config.seed, stream("pilot"), net)))
+    values = values_at(study, inside(np.concatenate(nets)))
+    results = evaluate(engine, values, PILOT_INDEX + np.arange(PILOT))
+    return int(np.count_nonzero(results["outcome"] != Outcome.OK))
+
+
+def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | None:
+    """The choice that a folder records for the same study, or for one with fewer draws if it is resumed."""
+    if not (folder / MANIFEST).exists():
+        return None
+    manifest = read_manifest(folder)
+    entry = manifest.get("design")
+    if not entry:
+        return None
+    earlier = study.override({"draws": entry["asked_draws"]})
+    more = study.config.draws > entry["asked_draws"] and resume
+    if earlier.hash != entry["asked"] or (earlier.hash != study.hash and not more):
+        return None
+    asked = study.hash, study.config.draws
+    stored = manifest["study"]
+    if stored["sampling"] == "random":
+        return DesignChoice(plain(study), entry["reason"], entry["pilot"], asked)
+    nets = stored["replicates"]
+    needed = -(-study.config.draws // nets)
+    size = 1 << (needed - 1).bit_length()
+    return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], asked)
