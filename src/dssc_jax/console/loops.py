@@ -58,12 +58,9 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
     console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
-    if set(answer.operating_points) == {EQUILIBRIUM}:
-        if not runs_linear_plants(margins.study):
-            text = (
-                "margins hold at the equilibrium; where the plant is not linear, --at T1,T2 takes them along the flight"
-            )
-            console.print(text, markup=False, soft_wrap=True)
+    if set(answer.operating_points) == {EQUILIBRIUM} and not runs_linear_plants(margins.study):
+        along = "where the plant is not linear, --at T1,T2 takes them along the flight"
+        console.print(f"margins hold at the equilibrium; {along}", markup=False, soft_wrap=True)
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
