@@ -60,8 +60,8 @@ def with_added_measurement(sensor: Sensor) -> Sensor:
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """The loop at a constant reference, without disturbance, wind and sensor noise.
 
-    The reference of a plant of one channel is its constant level (``Reference.level``), or 0; that of several channels is
-    their outputs at t = 0: hover.
+    The reference of a plant of one channel is its constant level (``Reference.level``), or 0; that of several channels
+    is their outputs at t = 0: hover.
     """
     channels = range(len(loop.channels))
     origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)

@@ -231,8 +231,8 @@ class Reference(NamedTuple, Generic[Desired]):
         at: The point at a time.
         prepare: As in :class:`Plant`.
         defaults: An instance of the parameters with the values that a table does not give.
-        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends. The equilibrium
-            of the linearised loop is there. None: 0.
+        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends, and where
+            the linearised loop has its equilibrium. None: 0.
     """
 
     params: type
