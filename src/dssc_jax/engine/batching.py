@@ -18,10 +18,12 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import Run, simulate_draw
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine import kernels
+from dssc_jax.engine.linearisation.margin_values import MarginValues, margin_values
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
@@ -54,7 +56,9 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
         loop = study.loop
         params = study.params(values)
         judged = study.measures, study.requirements
-        return results_of(study, simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment))
+        margins = {name: values[name] for name in margins_of(study.measures)}
+        run = simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment, margins=margins)
+        return results_of(study, run)
 
     return lane
 
@@ -169,6 +173,7 @@ class Engine:
     def __post_init__(self) -> None:
         self.kernel = kernels.requested(self.kernel)
         self._start: kernels.Start | None = None
+        self._margins: MarginValues | None = None
         self._ended = 0.0
 
     @property
@@ -180,11 +185,15 @@ class Engine:
         """Start a batch and return a function that waits for its results.
 
         Args:
-            values: For each of ``names`` an array of shape (n,), n <= lanes.
+            values: For each of ``names`` an array of shape (n,), n <= lanes. Margins of the linearised loop are
+                computed unless they are among them.
             indices: Draw index of each lane, shape (n,).
         """
         count = len(indices)
         columns = {name: np.asarray(values[name]) for name in self.names}
+        margins = margins_of(self.study.measures)
+        known = margins.keys() <= values.keys()
+        columns |= {name: values[name] for name in margins} if known else self.margins(columns, np.asarray(indices))
         with arithmetic(self.study.config.loop.precision):
             start = self.compiled()
             began = time.perf_counter()
@@ -205,10 +214,18 @@ class Engine:
         if self._start is None:
             began = time.perf_counter()
             lane = CountedLane(self.program(self.study), self.clock)
+            names = [*self.names, *margins_of(self.study.measures)]
             with arithmetic(self.study.config.loop.precision):
-                self._start = kernels.compiled(self.kernel, lane, self.names, self.lanes, self.tile, self.devices)
+                self._start = kernels.compiled(self.kernel, lane, names, self.lanes, self.tile, self.devices)
             self.clock.compile_seconds += time.perf_counter() - began
         return self._start
+
+    @property
+    def margins(self) -> MarginValues:
+        """The required margins of the linearised loop, which are computed before the flight."""
+        if self._margins is None:
+            self._margins = margin_values(self.study)
+        return self._margins
 
     @property
     def rate(self) -> float:

@@ -110,8 +110,11 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
         moving: Whether it is linearised along its flight, where disturbances matter.
 
     Raises:
-        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute.
+        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; or something happens
+            to the vehicle at a time.
     """
+    if study.config.event:
+        raise ConfigError(f"{study.source}: event", "changes the loop at a time, which a linearisation does not cover")
     loop = study.loop
     template = study.template
     slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS

@@ -6,12 +6,13 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
@@ -23,17 +24,13 @@ from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
-from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
+from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
 
 
 class Believed(NamedTuple):
@@ -118,20 +115,25 @@ class HeldLoop(NamedTuple):
 
 
 class UavState(NamedTuple):
-    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s]."""
+    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
+
+    ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
+    """
 
     position: Vec3
     velocity: Vec3
     attitude: Quaternion
     rate: Vec3
-    inner: Integrals | HeldLoop
+    inner: State
     speeds: tuple[Scalar, ...]
 
 
 class UavInfo(NamedTuple):
     """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
 
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
+    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
+    ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
+    ``rotor_speed`` the speeds |thetadot_i| [rad/s].
     """
 
     phi: Annotated[Scalar, Quantity("rad", "roll")]
@@ -144,6 +146,9 @@ class UavInfo(NamedTuple):
     rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
     rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
     wind: Annotated[Vec3, Quantity("m/s", "wind along")]
+    attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
+    rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
+    rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
 
 
 def init(params: UavParams) -> UavState:
@@ -154,13 +159,28 @@ def init(params: UavParams) -> UavState:
     if vehicle.motor_lag is not None:
         hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
         speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
-    velocity = Vec3(*params.velocity)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
-    inner: Integrals | HeldLoop = Integrals(zero, 0.0)
-    if not isinstance(params.inner_loop, InnerGains):
-        software = params.inner_loop.init(params.craft, Readings(velocity, attitude, zero))
-        inner = HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
-    return UavState(Vec3(*params.position), velocity, attitude, zero, inner, speeds)
+    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
+    return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
+
+
+def sampled_loop(params: UavParams) -> SampledInnerLoop | None:
+    """The sampled inner loop; None: it is the article's."""
+    gains = params.inner_loop
+    return None if isinstance(gains, InnerGains) else gains
+
+
+def required_loop(params: UavParams) -> SampledInnerLoop:
+    """The sampled inner loop of parameters that have one."""
+    loop = sampled_loop(params)
+    assert loop is not None
+    return loop
+
+
+def software_start(params: UavParams, state: UavState) -> HeldLoop:
+    """A sampled inner loop in hover."""
+    software = required_loop(params).init(params.craft, readings_of(state))
+    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
 
 
 def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
@@ -183,7 +203,9 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held = state.inner
-        rotors = Thrusts(held.rotor, held.limited > 0.5)
+        limit = params.vehicle.thrust_limit
+        given = tuple(jnp.minimum(f, limit) for f in held.rotor)
+        rotors = Thrusts(given, held.limited > 0.5)
         return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
     model = params.inner_model
     rotation = state.attitude.matrix()
@@ -198,7 +220,8 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 def software_period(params: UavParams) -> float | None:
     """Time between two ticks of a sampled inner loop [s]."""
-    return None if isinstance(params.inner_loop, InnerGains) else params.inner_loop.period
+    loop = sampled_loop(params)
+    return None if loop is None else loop.period
 
 
 def readings_of(state: UavState) -> Readings:
@@ -206,53 +229,71 @@ def readings_of(state: UavState) -> Readings:
     return Readings(state.velocity, state.attitude, state.rate)
 
 
-def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: Scalar) -> UavState:
+def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
     """Velocity control of a sampled inner loop."""
     command, yaw_command = velocity_commands(drive)
-    software = params.inner_loop.sample(
+    software = required_loop(params).sample(
         params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
     )
     return state._replace(inner=state.inner._replace(software=software))
 
 
-def software_tick(params: UavParams, state: UavState, drive: PlantInput, index: Scalar, dt: Scalar) -> UavState:
+def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
-    del drive
-    return state._replace(
-        inner=ticked(params, params.vehicle.thrust_limit, state.inner.software, readings_of(state), index, dt)
-    )
-
-
-def ticked(
-    params: UavParams, limit: Scalar, software: State, readings: Readings, index: Scalar, dt: Scalar
-) -> HeldLoop:
-    """One tick of a sampled inner loop with the allocation, whose rotors give at most ``limit`` [N] each."""
     craft = params.craft
-    software, wanted = params.inner_loop.tick(craft, software, readings, index, dt)
-    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, limit, params.desaturation)
+    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
     missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
     unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
     software = software._replace(unallocated=unallocated)
-    return HeldLoop(software, wanted.thrust, thrusts.commanded, jnp.where(thrusts.limited, 1.0, 0.0))
+    limited = jnp.where(thrusts.limited, 1.0, 0.0)
+    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind_at(state, drive), speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    return UavState(*slope, commands.slope, motion.accelerations)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, commands.slope, turning.accelerations)
+
+
+def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
+    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
+    if condition is None or (not condition.effectiveness and condition.voltage is None):
+        return motion
+    voltage = 1.0 if condition.voltage is None else condition.voltage
+    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
+    factors = [root_abs(share) * voltage for share in shares]
+    speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
+    if not motion.accelerations:
+        return RotorMotion(speeds, ())
+    return RotorMotion(speeds, tuple(f * w for f, w in zip(factors, motion.accelerations, strict=True)))
+
+
+def wind_at(state: UavState, drive: PlantInput) -> Vec3:
+    """The wind at the vehicle, with the shears of its condition [m/s]."""
+    wind: Vec3 = drive.wind
+    for shear in drive.condition.shears if drive.condition is not None else ():
+        wind = wind + shear.gradient * (state.position.z - shear.height)
+    return wind
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -277,7 +318,9 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, drive.wind)
+    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind_at(state, drive), *body)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
@@ -287,10 +330,11 @@ def broken(params: UavParams, state: UavState) -> Scalar:
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
     """k_p of each channel: the velocity loops' proportional gains [1/s]."""
-    if not isinstance(params.inner_loop, InnerGains):
-        return params.inner_loop.input_gain(params.craft)
-    linear = params.inner_loop.kd_velocity
-    return linear, linear, linear, params.inner_loop.kd_yaw
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return gains.input_gain(params.craft)
+    linear = gains.kd_velocity
+    return linear, linear, linear, gains.kd_yaw
 
 
 def smoothness(params: UavParams) -> Smoothness:
@@ -361,5 +405,13 @@ UAV = Plant(
     ),
     smooth=smoothness,
     info=UavInfo,
-    software=Onboard(software_period, software_sample, software_tick, frequency="inner_loop.frequency"),
+    software=Onboard(
+        period=software_period,
+        start=software_start,
+        held=lambda state: state.inner,
+        holding=lambda state, held: state._replace(inner=held),
+        sample=software_sample,
+        tick=software_tick,
+        frequency="inner_loop.frequency",
+    ),
 )
