@@ -16,6 +16,7 @@ from page import put
 from scipy import integrate, special, stats
 
 import dssc_jax as dj
+from dssc_jax.analyses.probability.strata import stratified_probability
 from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
@@ -288,6 +289,28 @@ def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
     return trial
 
 
+def strata(p: float, width: float, slack: SlackFunction, dimension: int) -> Trial:
+    """The interval from strata along a predicted border."""
+    return lambda seed: side(stratified_probability(slack, dimension, (seed,), width, 10**6).interval(), p)
+
+
+def in_cube(fails: Callable[[np.ndarray, float], np.ndarray], p: float) -> SlackFunction:
+    """A slack without a slope, of points of the unit cube: nothing but the sign predicts."""
+    return lambda points, _: np.where(fails(points, p), -1.0, 1.0)
+
+
+def smooth_slack(name: str, p: float) -> SlackFunction:
+    """A slack of points of the unit cube in three dimensions, whose failures have the probability p."""
+    if name == "half space":
+        return lambda points, _: stats.norm.isf(p) - special.ndtri(points).sum(-1) / np.sqrt(3.0)
+    if name == "two modes":
+        return lambda points, _: 0.5 * (1.0 - p) - np.abs(points[:, 0] - 0.5)
+    return lambda points, _: stats.chi2(3).isf(p) - np.sum(special.ndtri(points) ** 2, axis=-1)
+
+
+STRATA = ((0.2, 0.05), (0.05, 0.02), (0.05, 0.008), (0.01, 0.01), (1e-4, 1e-3))
+"""Probabilities, and widths of the interval."""
+
 CASES: dict[str, tuple[str, Trial]] = {
     "Clopper-Pearson, p = 0.003, n = 500": ("failure probability", independent(0.003, 500)),
     "Clopper-Pearson, p = 0.1, n = 200": ("failure probability", independent(0.1, 200)),
@@ -300,6 +323,18 @@ CASES: dict[str, tuple[str, Trial]] = {
         for name, fails in (("half space", half_space), ("two modes", two_modes), ("curved border", behind_bend))
         for p, draws in ((0.2, 1000), (0.05, 1000), (0.05, 4096), (0.01, 10_000), (1e-4, 20_000))
     },
+    **{
+        f"strata, {name}, p = {p:g}, width {width:g}": (
+            "failure probability",
+            strata(p, width, smooth_slack(name, p), 3),
+        )
+        for name in ("half space", "two modes", "curved border")
+        for p, width in STRATA
+    },
+    "strata, two modes that no slack predicts, p = 0.05, width 0.05": (
+        "failure probability",
+        strata(0.05, 0.05, in_cube(two_modes, 0.05), 3),
+    ),
     "median, lognormal, n = 100": ("quantile", quantile(0.5, 100)),
     "95 % quantile, lognormal, n = 200": ("quantile", quantile(0.95, 200)),
     "0.06 against 0.04, n = 500": ("paired difference", paired(0.06, 0.04, 500)),
