@@ -57,9 +57,13 @@ def with_library(study: dj.Study, library: NativeLibrary) -> dj.Study:
     return dj.Study.from_table({**kept, **requirements, "controller": controller, "differentiator": {"kind": "none"}})
 
 
-def recording(study: dj.Study, constants: dict[str, float]) -> CompiledLanes:
-    """The program of a draw in strict arithmetic that records what every controller reads and gives."""
-    loop = dataclasses.replace(study.loop, steps=LENGTH)
+def command_lanes(study: dj.Study, constants: dict[str, float], samples: int) -> CompiledLanes:
+    """The program of a draw in strict arithmetic that records what every controller reads and gives, sample by sample.
+
+    In float32, numbers that are inputs of the program are rounded at other places than numbers that are compiled in.
+    Those of a controller (``constants``) are therefore inputs, as they are in C.
+    """
+    loop = dataclasses.replace(study.loop, steps=samples)
 
     def lane(values, index):
         params = study.params(values)
@@ -72,7 +76,7 @@ def recording(study: dj.Study, constants: dict[str, float]) -> CompiledLanes:
             rows = [(*x.reading, x.command.robust, x.command.nominal) for x in recorded.controlled]
             return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(float)), rows)
 
-        return jax.lax.scan(sample, (initial_state(loop, params, key), jnp.zeros((), jnp.int32)), length=LENGTH)[1]
+        return jax.lax.scan(sample, (initial_state(loop, params, key), jnp.zeros((), jnp.int32)), length=samples)[1]
 
     number = jax.ShapeDtypeStruct((), jnp.result_type(float))
     names = [*study.laws, *constants]
@@ -93,7 +97,7 @@ def compared(name: str, folder: Path) -> tuple[str, dj.Study]:
     differing = values = 0
     broken = 0
     with arithmetic():
-        ours, theirs = recording(study, constants), recording(native, {})
+        ours, theirs = command_lanes(study, constants, LENGTH), command_lanes(native, {}, LENGTH)
         for first in range(0, draws, BATCH):
             indices = np.arange(first, min(first + BATCH, draws))
             drawn_values = draw(study, indices)

@@ -7,5 +7,5 @@ import pytest
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_browser = pytest.mark.skipif(
     BROWSER is None,
-    reason="needs Chromium, which pip cannot install; .ci/run installs it where apt-get can",
+    reason="no Chromium on the PATH (chromium, chromium-browser, google-chrome); on Debian: apt-get install chromium",
 )

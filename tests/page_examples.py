@@ -9,6 +9,7 @@ runs in a process of its own.
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -54,7 +55,9 @@ def enter(folder: Path) -> None:
 
 
 def run_page(page: Path, apart: bool) -> None:
-    """Run all examples of a page; end with the first that fails."""
+    """Run all examples of a page; end with the first that fails. The files of the page's own folder are at hand."""
+    for file in sorted(page.with_suffix("").glob("*")):
+        shutil.copy(file, file.name)
     namespace = {"__name__": "__main__"}
     for number, (language, text) in enumerate(examples(page), 1):
         print(f"--- {page.name}: {text}", flush=True)

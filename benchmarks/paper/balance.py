@@ -20,7 +20,7 @@ from scipy.optimize import brentq, least_squares
 import dssc_jax as dj
 from benchmarks.paper.signals import settled
 from dssc_jax.core.signals import Measurement, ReferencePoint
-from dssc_jax.models.uav.inner_loop import InnerGains
+from dssc_jax.models.uav.inner_loops.article import InnerGains
 
 INNER = InnerGains()
 L0, DAMPING = 0.2, 1.0  # l0 and a_n of the comparison [1/s]

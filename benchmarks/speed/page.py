@@ -263,6 +263,10 @@ A sweep is compiled once, whatever its number of points. Number of times the loo
 
 {starts_table(found.mission, found.start)}
 
+## Kernels of a GPU
+
+{stored_part("kernels", DOCS / "performance.md")}
+
 ## Other simulators
 
 {others_table(found.others)}

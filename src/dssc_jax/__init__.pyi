@@ -46,6 +46,7 @@ from dssc_jax.proofs.prove_vehicle import VehicleProved as VehicleProved
 from dssc_jax.proofs.reach import ProvedReach as ProvedReach, proved_up_to as proved_up_to
 from dssc_jax.results.analysis import Analysis as Analysis
 from dssc_jax.results.export import export as export
+from dssc_jax.results.mcap_recording import write_mcap as write_mcap
 from dssc_jax.results.proofs import SweepProofs as SweepProofs
 from dssc_jax.results.result import Result as Result
 from dssc_jax.runs.prove_sweep import prove_sweep as prove_sweep

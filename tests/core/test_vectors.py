@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3, quaternion_from_euler
-from dssc_jax.models.uav.inner_loop import Trig, euler_of, euler_rates, trig_of
+from dssc_jax.models.uav.inner_loops.article import Trig, euler_of, euler_rates, trig_of
 
 EULER = [
     (0.0, 0.0, 0.0),

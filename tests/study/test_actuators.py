@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.analyses.linearisation.smooth_parts import declared_places
 from dssc_jax.analyses.theory.chattering import time_constant_of
 from dssc_jax.analyses.theory.local import Time
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.certification import NotCovered, reach
+from dssc_jax.engine.linearisation.smooth_parts import declared_places
 from dssc_jax.exploration.sliders import sliders_of
 from dssc_jax.models.actuators.backlash import BACKLASH
 from dssc_jax.proofs.coverage import problem_of

@@ -17,6 +17,8 @@ def logged_flight(options: LogOptions, path: Path, study: Study) -> FlightLog:
         table = {**table, "signals": {**table.get("signals", {}), **named}}
     if options.start is not None:
         table = {**table, "start": options.start}
+    if options.segment is not None:
+        table = {**table, "segment": options.segment}
     try:
         return read_log(path, study.loop.channels, table)
     except ConfigError as error:

@@ -15,9 +15,11 @@ from typing import NamedTuple
 
 import jax
 
+from dssc_jax.closed_loop.averaged import Averaged, average_output
 from dssc_jax.core.contracts import LinearDynamics, Moments, Mover, Plant, Unmodelled, Variation
 from dssc_jax.core.integrators import INTEGRATORS, ORDERS, Integrator
 from dssc_jax.core.numerics import as_arrays, dot, is_zero
+from dssc_jax.core.onboard import ticks_in_sample
 from dssc_jax.core.sampled_linear import Forcing, HeldSystem, LinearSystem, Rows, hold, scale_column
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
@@ -30,6 +32,10 @@ DriveAt = Callable[[State, Signals, Scalar], PlantInput[Signals]]
 States = tuple[State, ...]
 Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, States]]
 """``(drive, plant's state, states of the unmodelled dynamics, commands, t)`` -> both states after the sample."""
+
+
+Observer = Callable[[State, PlantInput[Signals], State], None]
+"""``(plant's state before a tick of software on board, input of the sample, state after it)``, while tracing."""
 
 
 class HeldParts(NamedTuple):
@@ -322,43 +328,18 @@ def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...],
     return tuple(reaching)
 
 
-class Averaged(NamedTuple):
-    """Linear unmodelled dynamics with the integrals of their output over a step of a nonlinear plant.
-
-    Args:
-        order: Number of their states.
-        held: Their exact solution over the step, with mean and double integral of the output as further states.
-    """
-
-    order: int
-    held: HeldSystem
-
-    def over(self, state: State, terms: tuple[Scalar, ...]) -> tuple[State, Moments]:
-        """The state after a step with the terms of an input, and the output's moments over it."""
-        leaves, structure = jax.tree.flatten(state)
-        *after, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), (terms,))
-        return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
-
-
-def average_output(system: LinearSystem, terms: int, h: float) -> Averaged:
-    """Linear unmodelled dynamics with q' = y/h and r' = q/h: after h, q is the mean and r the double integral."""
-    order = len(system.a)
-    rate = 1.0 / h
-    rows = [(*row, 0.0, 0.0) for row in system.a]
-    rows.append((*scale_column(system.c, rate), 0.0, 0.0))
-    rows.append((*(0.0,) * order, rate, 0.0))
-    column = (*system.b, *scale_column((system.d,), rate), 0.0)
-    return Averaged(order, hold(tuple(rows), (Forcing(column, terms),), h))
-
-
-def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
-    """Advance a plant without a linear part by the loop's fixed-step method."""
+def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
+    """Advance a plant without a linear part by the loop's fixed-step method; ``observe`` sees each tick on board."""
     h = parts.sample_time / parts.substeps
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []
     for model, p in zip(parts.unmodelled, unmodelled, strict=True):
         systems.append(None if model.linear is None else average_output(model.linear(p), input_terms(model), h))
     movers = movers_of(parts, unmodelled, h)
+    software = parts.plant.software
+    period = None if software is None else software.period(params)
+    ticks = 1 if period is None else ticks_in_sample(period, parts.sample_time, parts.substeps)
+    steps_per_tick = parts.substeps // ticks
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         @jax.jit  # traced once for all stages of the integrator
@@ -383,6 +364,27 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Ad
             plant = integrate(derivative, plant, h, parts.plant.velocities)
             return parts.plant.project(params, plant), tuple(after)
 
-        return repeat_substeps(substep, (plant, states), parts.substeps)
+        if software is None or period is None:
+            return repeat_substeps(substep, (plant, states), parts.substeps)
+
+        run_tick = software.tick
+        tick_time: float = period
+        received = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
+        drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in received), t)
+
+        def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
+            before, states = at
+            ticked = run_tick(params, before, tick_time)
+            if observe is not None:
+                observe(before, drive, ticked)
+            first = tick * steps_per_tick
+            return repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
+
+        carry = (software.sample(params, plant, drive, parts.sample_time), states)
+        if observe is None:
+            return repeat_substeps(between_ticks, carry, ticks)
+        for tick in range(ticks):
+            carry = between_ticks(tick, carry)
+        return carry
 
     return advance

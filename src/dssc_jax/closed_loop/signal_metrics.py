@@ -50,6 +50,16 @@ def of_output(index: int) -> Callable[[Instant], Scalar]:
     return lambda instant: instant.channels[index].e + instant.channels[index].reference.y
 
 
+def of_output_rate(index: int) -> Callable[[Instant], Scalar]:
+    """The derivative of a channel's output, y' = e' + y_m'."""
+    return lambda instant: instant.channels[index].e_dot + instant.channels[index].reference.y_dot
+
+
+def of_desired_output(index: int) -> Callable[[Instant], Scalar]:
+    """A channel's desired output y_m."""
+    return lambda instant: instant.channels[index].reference.y
+
+
 def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
     """What a channel's controller reports."""
     return lambda instant: getattr(instant.channels[index].info, field)
@@ -67,6 +77,7 @@ def of_reading(index: int) -> Callable[[Instant], Scalar]:
 
 CHANNEL_SIGNALS = {
     "e": Quantity("y", "output error e"),
+    "e_dot": Quantity("y/s", "derivative e' of the output error"),
     "sigma": Quantity("y/s", "sigma"),
     "y_measured": Quantity("y", "output y as the controller sees it"),
     "y_dot_measured": Quantity("y/s", "output's derivative y' as the controller sees it"),
@@ -97,7 +108,11 @@ def sampled_signals(
     """
     signals = {}
     for index, (channel, infos) in enumerate(fields.items()):
-        sources = {"y": (Quantity("y", "output y"), of_output(index))}
+        sources = {
+            "y": (Quantity("y", "output y"), of_output(index)),
+            "y_dot": (Quantity("y/s", "derivative y' of the output"), of_output_rate(index)),
+            "y_ref": (Quantity("y", "desired output y_m"), of_desired_output(index)),
+        }
         for name, quantity in CHANNEL_SIGNALS.items():
             sources[name] = quantity, of_channel(index, name)
         for name in infos:

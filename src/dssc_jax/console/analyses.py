@@ -25,9 +25,14 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
         show_contest(answer.tuned.contest, answer, "tuned gains")
         for name, controller in answer.tuned.contest.controllers.items():
             untuned = answer.corresponding.controllers[name].controller
+            if name in answer.untuned:
+                continue
             gains = ", ".join(tuned_numbers(untuned, controller.controller))
             console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
         console.print(f"tuning: {escape(answer.tuned.budget)}", soft_wrap=True)
+    for name in answer.untuned:
+        why = f"none of its usual gains is a plain number; [compare.{name}.tune] may name others"
+        console.print(f"{name} keeps its gains: {why}", markup=False, soft_wrap=True)
     show_files(files)
 
 

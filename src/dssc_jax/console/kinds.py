@@ -110,6 +110,9 @@ def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[F
             else:
                 yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
                 yield from fields(spec.named, f"{prefix}{name}.NAME.", None)
+        elif spec.listed is not None:
+            yield f"{prefix}{name}", "", "a list of tables, each with the entries below", "", "none"
+            yield from fields(spec.listed, f"{prefix}{name}.0.", None)
         elif spec.nested:
             inner = None if default in (None, REQUIRED) else default
             if default is None:

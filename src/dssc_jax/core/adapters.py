@@ -59,9 +59,13 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,) = drive.command
         (disturbance,) = drive.disturbance
-        return PlantInput(command, disturbance, drive.wind, drive.inputs)
+        return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
     remainder = plant.remainder
+    software = plant.software
+    if software is not None:
+        sample = software.sample
+        software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
     return Plant(
         plant.params,
         plant.init,
@@ -83,6 +87,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         info=plant.info,
         outputs=plant.outputs,
         inputs=plant.inputs,
+        software=software,
     )
 
 
@@ -185,6 +190,7 @@ def static_unmodelled(
     held: bool = True,
     smooth: Declaration = None,
     continuous: bool = False,
+    prepare: Callable[[Params], Params] = as_given,
 ) -> Unmodelled:
     """Unmodelled dynamics without a state: their output depends on the present command alone."""
     return Unmodelled(
@@ -192,6 +198,7 @@ def static_unmodelled(
         init=lambda params: (),
         step=lambda params, state, command, dt: state,
         output=lambda params, state, command: output(params, command),
+        prepare=prepare,
         held=held,
         smooth=smooth,
         continuous=continuous,

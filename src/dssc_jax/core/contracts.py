@@ -12,6 +12,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 
 from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
 from dssc_jax.core.setting import LoopSetting
@@ -111,6 +112,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
         inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
             ``input.inputs`` in this order; None: there are none.
+        software: Sampled software on board, which runs between two samples of the loop; None: there is none.
     """
 
     params: type
@@ -133,6 +135,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     info: type | None = None
     outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
+    software: Onboard | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
@@ -223,13 +226,20 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    ``defaults`` is an instance of the parameters with the values that a table does not give.
+    Args:
+        params: NamedTuple type of the parameters.
+        at: The point at a time.
+        prepare: As in :class:`Plant`.
+        defaults: An instance of the parameters with the values that a table does not give.
+        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends. The equilibrium
+            of the linearised loop is there. None: 0.
     """
 
     params: type
     at: Callable[[Params, Scalar], Desired]
     prepare: Callable[[Params], Params] = as_given
     defaults: Params = None
+    level: Callable[[Params], Scalar] | None = None
 
 
 class Variation(StrEnum):

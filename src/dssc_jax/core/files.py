@@ -21,6 +21,9 @@ from dssc_jax.core.errors import ConfigError
 PARTIAL = ".partial"
 """Suffix of a file that is being written."""
 
+LARGE_BUFFER = 2**20
+"""Bytes that a file is read ahead."""
+
 REPEATED_NAME = 100
 """Characters of a file's name that the name of its partial file repeats; systems allow 255 bytes."""
 
@@ -59,12 +62,12 @@ def mode_of(path: Path) -> int | None:
         return None
 
 
-def read_bytes(path: str | Path, size: int = -1) -> bytes:
-    """The content of a regular file; a symbolic link is followed.
+@contextmanager
+def opened(path: str | Path) -> Iterator[BinaryIO]:
+    """A regular file to read, piece by piece; a symbolic link is followed.
 
     Args:
         path: The file.
-        size: Bytes to read at most; -1: all.
 
     Raises:
         UnsafeFileError: It is a named pipe, a device or a socket.
@@ -72,8 +75,19 @@ def read_bytes(path: str | Path, size: int = -1) -> bytes:
     """
     require_readable(Path(path), os.stat(path).st_mode)
     descriptor = os.open(path, READING)
-    with os.fdopen(descriptor, "rb") as file:
+    with os.fdopen(descriptor, "rb", LARGE_BUFFER) as file:
         require_readable(Path(path), os.fstat(descriptor).st_mode)  # of what was opened
+        yield file
+
+
+def read_bytes(path: str | Path, size: int = -1) -> bytes:
+    """The content of a regular file, as of :func:`opened`.
+
+    Args:
+        path: The file.
+        size: Bytes to read at most; -1: all.
+    """
+    with opened(path) as file:
         return file.read(size)
 
 

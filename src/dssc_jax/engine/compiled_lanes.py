@@ -8,19 +8,26 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.trace_memory.memory import remembered
+from dssc_jax.lanes.gpu import ptx
+from dssc_jax.lanes.gpu.kernel_lanes import KernelLanes
 from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.lanes.llvm import machine
 
 
 def compiled_lanes(
-    lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False
+    lane: Callable[..., Any], *arguments: Any, width: int | None = None, strict: bool = False, gpu: bool = False
 ) -> CompiledLanes:
-    """The program of a lane as machine code; arguments and errors as for :class:`CompiledLanes`."""
+    """The program of a lane as machine code; arguments and errors as for :class:`CompiledLanes`.
+
+    ``gpu`` makes a kernel of it, see :class:`KernelLanes`.
+    """
+    lanes = KernelLanes if gpu else CompiledLanes
+    translator = ptx.translator() if gpu else machine.translator()
 
     def recall(compute: Callable[[], Any]) -> Any:
-        return remembered("signature", compute, lane, arguments, width, strict, machine.translator())
+        return remembered("signature", compute, lane, arguments, width, strict, translator)
 
-    return CompiledLanes(lane, *arguments, width=width, strict=strict, recall=recall)
+    return lanes(lane, *arguments, width=width, strict=strict, recall=recall)
 
 
 class LaneBatch:
@@ -31,14 +38,17 @@ class LaneBatch:
         names: Names of the numbers.
         cores: Cores to use; None: all.
         strict: See :class:`CompiledLanes`.
+        gpu: See :func:`compiled_lanes`.
     """
 
-    def __init__(self, lane: Callable[..., Any], names: Sequence[str], cores: int | None, strict: bool) -> None:
+    def __init__(
+        self, lane: Callable[..., Any], names: Sequence[str], cores: int | None, strict: bool, gpu: bool = False
+    ) -> None:
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
-        self._lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=strict)
+        self._lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=strict, gpu=gpu)
         self._threads = min(cores or machine.usable_cores(), machine.usable_cores())
 
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.engine.forms.Start`."""
+        """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`."""
         return self._lanes.start_timed((values, index), len(index), self._threads)

@@ -14,7 +14,8 @@ from dssc_jax.closed_loop.hold import is_exact, order_between_samples
 from dssc_jax.closed_loop.requirements import ended_early
 from dssc_jax.closed_loop.sample import held_parts
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.engine.batching import Arrays, Engine, evaluate, lane_numbers
+from dssc_jax.engine.batching import Engine, evaluate, lane_numbers
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics.order import typical_size
 from dssc_jax.study import Study
 

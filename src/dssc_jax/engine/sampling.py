@@ -9,6 +9,7 @@ them); those of a Latin hypercube cannot.
 import warnings
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,9 @@ from dssc_jax.lanes.lanes import CompiledLanes
 from dssc_jax.study import Study
 
 OUTERMOST_LEVEL = 2.0**-53  # keeps quantiles of unbounded laws finite
+Arrays = dict[Any, np.ndarray]
+"""Arrays by name; derivatives by :class:`dssc_jax.engine.evaluation.Derivative`."""
+
 SOBOL_BITS = 30  # of a coordinate; scipy's fast_forward knows words of 32 bits only
 
 

@@ -1,6 +1,5 @@
 """Logged flights: CSV, Parquet and PX4's ULog as the signals of a study's channels, and their values at its samples."""
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple, TypeGuard
@@ -9,15 +8,24 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.numerics import wrap_angle
+from dssc_jax.flight_logs.frames import PX4_COLUMNS, derived_fields, field_values
+from dssc_jax.flight_logs.ulog import (
+    SEGMENT_TOPICS,
+    Segment,
+    TopicData,
+    chosen_segment,
+    read_topics,
+    segments_of,
+    stamps,
+)
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import TIME, record_content, recorded_frame
+from dssc_jax.study.recorded import TIME, recorded_frame
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 """Signals of a channel that a log may have, by their names in trajectories."""
-MICROSECOND = 1e-6  # s
 LARGEST_VALUE = 1e100
 """Times and values of a log; squares and sums of larger ones overflow."""
-ENTRIES = ("signals", "time", "start")
+ENTRIES = ("signals", "time", "start", "segment")
 TIME_ROUNDING = 1e-6  # samples
 
 
@@ -46,7 +54,8 @@ class ColumnMap(NamedTuple):
 
     signals: dict[str, SignalSource]
     time: str  # the column with the time [s], of a CSV or Parquet file
-    start: float | None  # time of the log at which the study begins [s]; None: the first sample of all signals
+    start: float | None  # time of the log at which the study begins [s]; None: that of the segment, or the first sample
+    segment: str | None = None  # part of a ULog to read: armed or airborne
 
 
 class FlightLog(NamedTuple):
@@ -90,6 +99,9 @@ def column_map(table: Mapping[str, object], channels: tuple[str, ...]) -> Column
     start = table.get("start")
     if start is not None and not is_finite_number(start):
         raise ConfigError("start", f"must be a finite number of seconds, got {start!r}")
+    segment = table.get("segment")
+    if segment is not None and not isinstance(segment, str):
+        raise ConfigError("segment", f"must be a text, got {segment!r}")
     entries = table.get("signals", {})
     if not isinstance(entries, Mapping):
         raise ConfigError("signals", f"must be a table, got {entries!r}")
@@ -100,7 +112,7 @@ def column_map(table: Mapping[str, object], channels: tuple[str, ...]) -> Column
             if name not in known:
                 raise ConfigError(name, f"is no signal of the study; {nearest(name, known)}")
             signals[name] = signal_source(name, entry)
-    return ColumnMap(signals, time, None if start is None else float(start))
+    return ColumnMap(signals, time, None if start is None else float(start), segment)
 
 
 def signal_source(name: str, entry: object) -> SignalSource:
@@ -131,10 +143,12 @@ def read_log(
     Args:
         path: A CSV or Parquet file, or a ULog of PX4 (``.ulg``), which needs pyulog.
         channels: The study's channels, ``study.loop.channels``.
-        table: The table of columns: ``time`` and ``start``, and under ``signals`` for each signal the name of its
-            column, or a table with ``column``, ``scale`` and ``offset``. None: those columns that have the signals'
-            own names, as ``dssc-jax simulate --csv`` writes them. A column of a ULog is ``topic.field``, or
-            ``topic:1.field`` for the topic's second instance.
+        table: The table of columns: ``time`` and ``start``, ``segment`` (``armed`` or ``airborne``) of a ULog, and
+            under ``signals`` for each signal the name of its column, or a table with ``column``, ``scale`` and
+            ``offset``. None: those columns that have the signals' own names, as ``dssc-jax simulate --csv`` writes
+            them; of a ULog, those of a vehicle in :data:`dssc_jax.flight_logs.frames.PX4_COLUMNS`. A column of a ULog
+            is ``topic.field``, or ``topic:1.field`` for the topic's second instance. A field may be one in the model's
+            axes, see :data:`dssc_jax.flight_logs.frames.DERIVED`.
 
     Raises:
         ConfigError: the file cannot be read, or a column is absent or holds no numbers.
@@ -143,14 +157,18 @@ def read_log(
     columns = column_map(table or {}, channels)
     with errors_under(str(file)):
         is_ulog = file.suffix.lower() == ".ulg"
-        raw = ulog_columns(file, columns) if is_ulog else table_columns(file, columns, channels)
+        if columns.segment is not None and not is_ulog:
+            raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
+        raw, begin = (
+            ulog_columns(file, columns, channels) if is_ulog else (table_columns(file, columns, channels), None)
+        )
         if not any(name.endswith(("y", "u_total")) for name in raw):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
             raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
         converted = {}
         for name, column in raw.items():
             converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
-    first = min(float(column.time[0]) for column in converted.values())
+    first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
     return FlightLog(file.name, converted, first if columns.start is None else columns.start)
 
 
@@ -191,34 +209,83 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
 
 
-def ulog_columns(path: Path, columns: ColumnMap) -> dict[str, Column]:
-    """The fields of a ULog's topics by the signals' names; times count from the beginning of the log."""
-    try:
-        from pyulog import ULog  # an optional extra
-    except ImportError as error:
-        raise ConfigError("file", "a log of PX4 needs pyulog: pip install 'dssc_jax[ulog]'") from error
-    if not columns.signals:
+def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> tuple[dict[str, Column], float | None]:
+    """The fields of a ULog's topics by the signals' names, and the beginning of the segment [s], None without one.
+
+    Times count from the beginning of the log.
+    """
+    sources = {name: (source.column,) for name, source in columns.signals.items()} or vehicle_columns(channels)
+    if not sources:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
-    try:
-        log = ULog(io.BytesIO(record_content(path)))
-        topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
-        begin = float(log.start_timestamp)
-    except ConfigError:
-        raise
-    except Exception as error:  # pyulog raises errors of many kinds
-        raise ConfigError("file", f"cannot be read: {' '.join(str(error).split())}") from error
+    names = {column_place(column).topic for choices in sources.values() for column in choices}
+    topics, begin = read_topics(path, {*names, *(SEGMENT_TOPICS if columns.segment else ())})
     raw = {}
-    for name, source in columns.signals.items():
-        topic, _, field = source.column.partition(".")
-        label = topic if ":" in topic else f"{topic}:0"
-        if label not in topics:
-            raise ConfigError(f"signals.{name}", f"the log has no topic '{topic}'; {nearest(label, topics)}")
-        data = topics[label]
-        if field not in data:
-            raise ConfigError(f"signals.{name}", f"topic '{topic}' has no field '{field}'; {nearest(field, data)}")
-        time = MICROSECOND * (data["timestamp"].astype(float) - begin)
-        raw[name] = Column(time, data[field].astype(float))
-    return raw
+    for name, choices in sources.items():
+        found = [column for column in choices if has_column(topics, column)]
+        if columns.signals or found:
+            raw[name] = ulog_column(topics, begin, name, found[0] if found else choices[0])
+    if columns.segment is None:
+        return raw, None
+    segment = chosen_segment(columns.segment, segments_of(topics, begin))
+    return {name: within_segment(name, column, segment) for name, column in raw.items()}, segment.begin
+
+
+class ColumnPlace(NamedTuple):
+    """A column of a ULog, ``topic.field`` or ``topic:1.field``."""
+
+    topic: str
+    label: str  # with the instance
+    field: str
+
+
+def column_place(column: str) -> ColumnPlace:
+    """Topic and field of a column."""
+    label, _, field = column.partition(".")
+    topic, _, instance = label.partition(":")
+    return ColumnPlace(topic, f"{topic}:{instance or 0}", field)
+
+
+def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The columns of a multirotor's signals in a ULog; none for other channels."""
+    found = {}
+    for channel in channels:
+        for name, choices in PX4_COLUMNS.get(channel, {}).items():
+            found[signal_name(channel, name)] = choices
+    return found
+
+
+def has_column(topics: TopicData, column: str) -> bool:
+    """Whether a log has finite values of a column."""
+    place = column_place(column)
+    values = field_values(place.topic, topics.get(place.label, {}), place.field)
+    return values is not None and bool(np.isfinite(values).any())
+
+
+def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Column:
+    """A signal's column with its times; raises ConfigError if the log lacks it."""
+    place = column_place(column)
+    if place.label not in topics:
+        present = [label.removesuffix(":0") for label in topics]
+        rule = f"the log has no topic '{place.label.removesuffix(':0')}'; `dssc-jax log FILE` lists its topics"
+        raise ConfigError(f"signals.{name}", f"{rule}; {nearest(place.topic, present)}" if present else rule)
+    fields = topics[place.label]
+    values = field_values(place.topic, fields, place.field)
+    if values is None:
+        known = [*fields, *derived_fields(place.topic, fields)]
+        raise ConfigError(
+            f"signals.{name}", f"topic '{place.topic}' has no field '{place.field}'; {nearest(place.field, known)}"
+        )
+    return Column(stamps(fields, begin), values)
+
+
+def within_segment(name: str, column: Column, segment: Segment) -> Column:
+    """The values of a column within a segment."""
+    inside = (column.time >= segment.begin) & (column.time <= segment.end)
+    if not inside.any():
+        raise ConfigError(
+            name, f"has no value in the segment '{segment.name}', {segment.begin:.4g} s to {segment.end:.4g} s"
+        )
+    return Column(column.time[inside], column.value[inside])
 
 
 def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:

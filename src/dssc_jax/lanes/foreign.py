@@ -155,6 +155,10 @@ def batched(
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
     """Refuse a derivative: a function of C has none.
 
+    JAX calls this rule where it would differentiate the primitive. Its convention for a primitive without a derivative
+    is a NotImplementedError, which callers of ``jax.grad`` expect. The analyses that need derivatives refuse native
+    code before they trace.
+
     Raises:
         NotImplementedError: Always.
     """

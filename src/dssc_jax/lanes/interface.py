@@ -1,6 +1,7 @@
 """What the program of a lane, its machine code and its callers agree on."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -27,6 +28,27 @@ class Signature(NamedTuple):
     outputs: tuple[tuple[np.dtype, int | None], ...]
     results: Any
     code: str
+
+
+class Loaded(Protocol):
+    """Code of a lane's program that can run."""
+
+    def start(
+        self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
+    ) -> Callable[[], float]:
+        """Begin to run all lanes, and return a function that waits for them and tells when they ended.
+
+        Args:
+            inputs: Columns of at least ``lanes`` numbers each.
+            outputs: Columns for the results.
+            lanes: Their number, a multiple of ``width``.
+            width: Lanes of a vector.
+            threads: How many threads of the CPU to use.
+
+        Returns:
+            The function; its result is a time of :func:`time.perf_counter`.
+        """
+        ...
 
 
 def stored_type(dtype: np.dtype) -> np.dtype:

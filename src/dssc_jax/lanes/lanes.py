@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.lanes.interface import Signature, stored_type
+from dssc_jax.lanes.interface import Loaded, Signature, stored_type
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.program_cache import kept
 
@@ -51,8 +51,7 @@ class CompiledLanes:
         self._request = (lane, arguments, width, strict)
         self._wide = jnp.result_type(float) == jnp.float64
         self.signature = recall(self._signature) if recall else self._signature()
-        code = kept(self.signature.code, lambda: machine.object_code(self.traced.text))
-        self._code = machine.LoadedCode(code)
+        self._code = self.loaded(kept(self.signature.code, self.compiled))
 
     def _signature(self) -> Signature:
         return self.traced.signature
@@ -60,10 +59,28 @@ class CompiledLanes:
     @cached_property
     def traced(self) -> "TracedLanes":
         """The program and its text."""
+        with jax.enable_x64(self._wide), np.errstate(all="ignore"):  # those of the compilation, by whatever process
+            return self.translated(*self._request)
+
+    def translated(
+        self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
+    ) -> "TracedLanes":
+        """The program of a lane and its text for LLVM."""
         from dssc_jax.lanes.traced_lanes import TracedLanes  # the translator, if the cache does not do without it
 
-        with jax.enable_x64(self._wide), np.errstate(all="ignore"):  # those of the compilation, by whatever process
-            return TracedLanes(*self._request)
+        return TracedLanes(lane, arguments, width, strict)
+
+    def compiled(self) -> bytes:
+        """The machine code of the text."""
+        return machine.object_code(self.traced.text)
+
+    def loaded(self, code: bytes) -> Loaded:
+        """Machine code that can run."""
+        return machine.LoadedCode(code)
+
+    def interleaved(self, lanes: int) -> int:
+        """Of how many lanes the recordings lie side by side, in a batch of so many."""
+        return self.signature.width
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
         """Begin to run a batch.
@@ -93,14 +110,15 @@ class CompiledLanes:
         def unpacked() -> tuple[Any, float]:
             ended = finish()
             pairs = zip(outputs, columns, strict=True)
-            inside = [in_order(column, length, width)[:count].view(dtype) for (dtype, length), column in pairs]
+            group = self.interleaved(lanes)
+            inside = [in_order(column, length, group)[:count].view(dtype) for (dtype, length), column in pairs]
             return jax.tree.unflatten(jax.tree.structure(results), inside), ended
 
         return unpacked
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:
-    """One result of all lanes: numbers, or recordings, which are stored sample by sample within a vector."""
+    """One result of all lanes: numbers, or recordings, which are stored sample by sample within ``width`` lanes."""
     if length is None:
         return column
     return np.moveaxis(column.reshape(-1, length, width), 1, 2).reshape(-1, length)

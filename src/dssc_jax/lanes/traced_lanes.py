@@ -55,20 +55,34 @@ class TracedLanes:
     """
 
     def __init__(self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool) -> None:
-        self.program, results = translate(lane, *arguments, fast=not strict)
-        check(self.program)
-        if not strict:
-            join_opposites(self.program)
-            check(self.program)
+        self.program, results = lane_program(lane, arguments, strict)
         packing = best_packing(self.program)
         width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
         self.text = module_text(self.program, width, strict, packing.window)
-        outputs = []
-        for output in self.program.outputs:
-            outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
-        empty = jax.tree.map(lambda _: 0, results)
-        code = machine.code_name(self.text)
-        self.signature = Signature(width, tuple(self.program.inputs), tuple(outputs), empty, code)
+        self.signature = signature_of(self.program, results, width, machine.code_name(self.text))
+
+
+def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: bool) -> tuple[Program, Any]:
+    """The program of a lane, and the tree of its results.
+
+    Raises:
+        Unsupported: An operation has no translation.
+    """
+    program, results = translate(lane, *arguments, fast=not strict)
+    check(program)
+    if not strict:
+        join_opposites(program)
+        check(program)
+    return program, results
+
+
+def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
+    """What a caller of the program's code must know; ``code`` is the name of the code."""
+    outputs = []
+    for output in program.outputs:
+        outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))
+    empty = jax.tree.map(lambda _: 0, results)
+    return Signature(width, tuple(program.inputs), tuple(outputs), empty, code)
 
 
 def check(program: Program) -> None:

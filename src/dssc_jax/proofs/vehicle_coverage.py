@@ -20,7 +20,8 @@ from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.models.references.flights import HOVER, WHOLE_MISSION
 from dssc_jax.models.references.sine import MISSION
 from dssc_jax.models.sensors import IDEAL
-from dssc_jax.models.uav.inner_loop import AttitudeReference, InnerGains, ThrustRule
+from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.inner_loops.article import AttitudeReference, InnerGains, ThrustRule
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.proofs.problem import Interval
@@ -108,6 +109,8 @@ def require_laws(study: Study) -> None:
 def require_loop(study: Study) -> None:
     """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
     loop = study.loop
+    if study.config.event:
+        raise NotCovered("[[event]] changes the loop at a time")
     if loop.reference not in (HOVER, WHOLE_MISSION):
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
@@ -123,6 +126,8 @@ def require_loop(study: Study) -> None:
 def require_inner_loop(plant: Ends) -> InnerGains:
     """The inner loops' gains; refuse variants that the theorem does not cover."""
     inner = plant.low.inner_loop
+    if not getattr(inner, "has_proof", False):
+        raise NotCovered("plant.inner_loop is sampled; a proof of the vehicle takes plant.inner_loop.kind = 'article'")
     if inner != plant.high.inner_loop:
         raise NotCovered("a gain of the inner loops is uncertain")
     if inner.thrust is not ThrustRule.PROJECTION:
@@ -139,6 +144,13 @@ def require_inner_loop(plant: Ends) -> InnerGains:
 def require_geometry(plant: Ends) -> None:
     """Refuse rotors that are not equally spaced with alternating spins, and drag that differs between x and y."""
     vehicle: Vehicle = plant.low.vehicle
+    if vehicle.rotor:
+        raise NotCovered(
+            "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
+            "rotor_angles and spins"
+        )
+    if plant.low.desaturation is not Desaturation.CLIP:
+        raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors
     angles = np.array(vehicle.rotor_angles, dtype=float)
     steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))

@@ -14,7 +14,8 @@ import zarr
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.files import HeldFolder
-from dssc_jax.engine.batching import Arrays, Block, Layout, lanes_in
+from dssc_jax.engine.batching import Block, Layout, lanes_in
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.arrays import MEND, checked_arrays, one_line
 from dssc_jax.results.digests import DIGESTS, Piece, add_piece, over_all, pieces_of, sum_of
 from dssc_jax.results.manifest import DATA

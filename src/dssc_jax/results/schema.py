@@ -102,7 +102,10 @@ def dataset_attributes(study: Study) -> dict[str, str]:
 
 
 def in_memory(study: Study) -> xr.Dataset:
-    """A dataset of the study's shape, not computed yet."""
+    """A dataset with every variable of the study's results, in full shape; no value is computed yet.
+
+    Numbers are NaN, and integers :data:`NOT_COMPUTED`.
+    """
     coords = coordinate_values(study)
     sizes = {name: len(values) for name, values in coords.items()}
     blank = {}

@@ -13,8 +13,9 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Arrays, Block, Engine, Layout, computing, execute, lanes_in
+from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.engine.integration import integration_error
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put

@@ -8,8 +8,9 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
-from dssc_jax.engine.batching import Arrays, Engine, Layout, computing, drawn, execute
+from dssc_jax.engine.batching import Engine, Layout, computing, drawn, execute
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
 from dssc_jax.results.schema import in_memory, put
@@ -89,6 +90,8 @@ def run_until(
         if verdict:
             break
     draws = seen[-1].draws
+    if progress:
+        progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}

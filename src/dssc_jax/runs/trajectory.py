@@ -9,13 +9,15 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.results.schema import outcome_codes, variables, verdict
@@ -101,14 +103,20 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
         key = draw_key(study.config.seed, index)
-        return simulate_recorded(study.loop, study.params(values), key, study.measures, study.requirements, every)
+        margins = {name: values[name] for name in margins_of(study.measures)}
+        judged = study.measures, study.requirements
+        return simulate_recorded(study.loop, study.params(values), key, *judged, every, margins)
 
-    program = cache(lambda: forms.compiled_single(lane, [*study.axes, *study.laws], plain))
+    names = [*study.axes, *study.laws, *margins_of(study.measures)]
+    program = cache(lambda: kernels.compiled_single(lane, names, plain))
+    margins_at = margin_values(study)
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
         values = lane_values(study, draw, point)
+        columns = {name: np.array([value]) for name, value in values.items()}
+        margins = {name: column[0] for name, column in margins_at(columns, np.array([draw])).items()}
         with arithmetic(study.config.loop.precision):
-            ended, recorded = program()(values, draw)
+            ended, recorded = program()(values | margins, draw)
         return as_trajectory(study, draw, values, ended, recorded)
 
     return record

@@ -7,8 +7,9 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.engine.batching import Arrays, Lanes, computing
+from dssc_jax.engine.batching import Lanes, computing
 from dssc_jax.engine.reference import Agreement, agreement, deviations, recompute, stored_lanes
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import machinery_differences
 from dssc_jax.results.result import Result
 from dssc_jax.statistics.order import typical_size

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.contracts import Plant, Preset, as_given
-from dssc_jax.core.errors import ConfigError, close_names, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
@@ -26,6 +26,7 @@ from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import is_law, is_number
 from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_number, parse_numbers
 from dssc_jax.study.parameters import Expression
+from dssc_jax.study.table_errors import explain
 from dssc_jax.study.tables import merged
 
 
@@ -63,6 +64,12 @@ class FieldSpec:
         return self.mark is None and hasattr(self.core, "_fields")
 
     @property
+    def listed(self) -> Any:
+        """The parameter type of the items of a list of tables; None if the field is none."""
+        items = typing.get_args(self.core) if typing.get_origin(self.core) is tuple else ()
+        return items[0] if self.mark is None and items and hasattr(items[0], "_fields") else None
+
+    @property
     def named(self) -> Any:
         """The type of a table's items if the study names them; None otherwise."""
         return typing.get_args(self.core)[1] if typing.get_origin(self.core) is dict else None
@@ -75,7 +82,7 @@ class FieldSpec:
     @property
     def part(self) -> bool:
         """Whether the field is a separate table, of a kind chosen by the study or of a fixed kind."""
-        return isinstance(self.mark, Slot) or self.nested or self.named is not None
+        return isinstance(self.mark, Slot) or self.nested or self.named is not None or self.listed is not None
 
     @property
     def enum(self) -> type[Enum] | None:
@@ -132,40 +139,19 @@ def table_model(params: type) -> type[BaseModel]:
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
 
-UNKNOWN_NAME = "unknown name"
 SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 
 
-def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
-    """The first validation error as one line: path, rule, value, nearest name.
-
-    A name that is missing only because it is misspelt counts as misspelt.
-    """
-    errors = error.errors()
-    missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
-    unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
-    first = misspelt[0] if misspelt else errors[0]
-    path = ".".join(str(part) for part in first["loc"])
-    value = first.get("input")
-    match first["type"]:
-        case "extra_forbidden":
-            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")
-        case "missing":
-            return ConfigError(path, "is required and missing")
-        case "value_error":
-            return ConfigError(path, str(first.get("ctx", {}).get("error")))
-        case "list_type" if isinstance(value, dict):
-            return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
-        case "literal_error":
-            expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
-            return ConfigError(path, f"'{value}' is none of {expected}")
-        case _:
-            return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
-
-
 def lookup(kind: object, registry: Registry) -> Entry:
-    """The registry row of a kind, or a user's own model by its name ``package.module:object``."""
+    """The registry row of a kind, or a row made for a user's model, which is named ``package.module:object``.
+
+    Args:
+        kind: The ``kind`` of a table.
+        registry: The rows of the package's kinds.
+
+    Raises:
+        ConfigError: The kind is unknown, the user's object cannot be imported, or it is no model for this slot.
+    """
     if not isinstance(kind, str):
         raise ConfigError("kind", f"must be a name, got {kind!r}")
     if kind in registry:
@@ -173,17 +159,37 @@ def lookup(kind: object, registry: Registry) -> Entry:
     if ":" not in kind:
         raise ConfigError("kind", f"unknown kind '{kind}'; {nearest(kind, registry)}")
     model = imported(kind, "kind")
-    if hasattr(model, "_fields") and not isinstance(model, type) and not hasattr(model, "params"):
+    if is_record(model) and not isinstance(model, type) and not hasattr(model, "params"):
         model = Preset(type(model), model)
     if isinstance(model, Entry):
         return model
-    contract = type(next(iter(next(iter(registry.values())).members.values())))
-    if not isinstance(model, contract) or (contract is type and not hasattr(model, "_fields")):
-        expected = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
-        raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
+    require_contract(kind, model, contract_of(registry))
     if isinstance(model, Plant):
         require_measure(kind, model)
     return single(model, "a user's own")
+
+
+def is_record(model: object) -> bool:
+    """Whether an object is a NamedTuple, or a type of NamedTuples."""
+    return hasattr(model, "_fields")
+
+
+def contract_of(registry: Registry) -> type:
+    """The type that all models of a registry have; ``type`` if they are types of NamedTuples."""
+    first_row = next(iter(registry.values()))
+    first_model = next(iter(first_row.members.values()))
+    return type(first_model)
+
+
+def require_contract(kind: str, model: object, contract: type) -> None:
+    """Require that a user's model has the type that its slot expects."""
+    expected = f"a {contract.__name__}"
+    fits = isinstance(model, contract)
+    if contract is type:
+        expected = "a NamedTuple type"
+        fits = fits and is_record(model)
+    if not fits:
+        raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
 
 
 def require_measure(kind: str, plant: Plant) -> None:
@@ -297,6 +303,10 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     slot = spec.mark if isinstance(spec.mark, Slot) else None
     preset = defaults.get(name)
     value = table.get(name, {})
+    if spec.listed is not None:
+        return parse_list(spec.listed, table.get(name), preset or ())
+    if slot is not None and isinstance(value, str):
+        value = {"kind": value}
     if name not in table and (slot is None or slot.default is None):
         if name not in defaults:
             raise ConfigError("", "is required and missing")
@@ -314,6 +324,34 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     return component.params, tuple(
         replace(number, name="") if number.name == first else number for number in component.numbers
     )
+
+
+def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Number, ...]]:
+    """The items of a list of tables, or those of a preset with the numbers that a table gives by index.
+
+    Raises:
+        ConfigError: As in :func:`parse_params`, with the index of the item.
+    """
+    if isinstance(value, list | tuple):
+        tables = {index: as_table(table, str(index)) for index, table in enumerate(value)}
+        presets: tuple[Any, ...] = (None,) * len(tables)
+    else:
+        given = as_table({} if value is None else value)
+        known = [str(index) for index in range(len(preset))]
+        unknown = next((key for key in given if key not in known), None)
+        if unknown is not None:
+            there = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
+            raise ConfigError(unknown, f"is no index of an item; {there}")
+        tables = {index: as_table(given.get(str(index), {}), str(index)) for index in range(len(preset))}
+        presets = preset
+    items = []
+    numbers: list[Number] = []
+    for index, table in tables.items():
+        with errors_under(str(index)):
+            part, inner = parse_params(table, item, presets[index])
+        items.append(part)
+        numbers += [number.under(str(index), str(index)) for number in inner]
+    return tuple(items), tuple(numbers)
 
 
 def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tuple[Number, ...]]:

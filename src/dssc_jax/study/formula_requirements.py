@@ -5,13 +5,12 @@ from functools import partial
 from typing import TypeAlias
 
 from dssc_jax.closed_loop.formulas import formula_metric, memory_size
-from dssc_jax.closed_loop.metrics import Instant, Measure, Sample, suffixed
+from dssc_jax.closed_loop.metrics import Instant, Measure
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.closed_loop.window import WHOLE_RUN
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Info, Scalar
-from dssc_jax.core.units import ChannelUnits
 from dssc_jax.study.formulas import FormulaParser, FormulaSignal
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
@@ -22,29 +21,12 @@ MOST_MEMORY = 8000  # samples of the delay lines of a formula
 Constants: TypeAlias = Callable[[str, str], float]
 """(text of an expression, place in the study) -> its value, which must be known before tracing."""
 
-CHANNEL_SIGNALS = {
-    "y": ("y", "the output y", lambda s: s.e + s.reference.y),
-    "y_dot": ("y/s", "the rate of the output", lambda s: s.e_dot + s.reference.y_dot),
-    "y_ref": ("y", "the desired output", lambda s: s.reference.y),
-    "e": ("y", "the output error e", lambda s: s.e),
-    "e_dot": ("y/s", "the rate of the output error", lambda s: s.e_dot),
-    "sigma": ("y/s", "sigma", lambda s: s.sigma),
-    "u": ("u", "the robust command u", lambda s: s.u),
-    "u_total": ("u", "the command u + u_n", lambda s: s.u_total),
-}
-"""Unit, meaning and value of each signal of a channel."""
-
 VEHICLE_SIGNALS = {
     "tilt": ("rad", "tilt of body z", lambda plant: plant.tilt),
     "phi": ("rad", "roll", lambda plant: plant.phi),
     "theta": ("rad", "pitch", lambda plant: plant.theta),
 }
 """Unit, meaning and value of each signal of a vehicle as a whole; the plant's monitor has a field of its name."""
-
-
-def of_channel(number: int, value: Callable[[Sample], Scalar], instant: Instant) -> Scalar:
-    """A signal of a channel."""
-    return value(instant.channels[number])
 
 
 def of_vehicle(value: Callable[[Info], Scalar], instant: Instant) -> Scalar:
@@ -57,22 +39,14 @@ def time_of(instant: Instant) -> Scalar:
     return instant.t
 
 
-def formula_signals(
-    channels: tuple[str, ...], units: tuple[ChannelUnits, ...], loop_signals: Mapping[str, SampledSignal]
-) -> dict[str, FormulaSignal]:
-    """The signals that a formula can name.
+def formula_signals(loop_signals: Mapping[str, SampledSignal]) -> dict[str, FormulaSignal]:
+    """The signals that a formula can name: the time, and those of the loop by the names of ``signal =``.
 
     Args:
-        channels: Names of the channels.
-        units: Their units and meanings.
         loop_signals: Every signal of the loop, by the name of its column in a trajectory.
     """
     signals = {name: FormulaSignal(*signal) for name, signal in loop_signals.items()}
     signals |= {"t": FormulaSignal("s", "time", time_of)}
-    for number, (channel, named) in enumerate(zip(channels, units, strict=True)):
-        for name, (unit, meaning, value) in CHANNEL_SIGNALS.items():
-            signal = FormulaSignal(named.of(unit), named.named(meaning), partial(of_channel, number, value))
-            signals[suffixed(name, channel)] = signal
     for name, (unit, meaning, value) in VEHICLE_SIGNALS.items():
         if name in loop_signals:
             signals[name] = FormulaSignal(unit, meaning, partial(of_vehicle, value))

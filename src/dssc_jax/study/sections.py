@@ -7,7 +7,8 @@ from pydantic import BaseModel
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.registry import Entry, Registry, Slot
-from dssc_jax.study.components import UNKNOWN_NAME, field_specs
+from dssc_jax.study.components import field_specs
+from dssc_jax.study.table_errors import UNKNOWN_NAME
 
 TOP = "at the top of the file, above the first [section]"
 MOST_SECTIONS = 3
@@ -75,12 +76,13 @@ def fields_in(params: type, section: str, table: Mapping[str, object]) -> Iterat
     """Each section of a parameter type, and a field that it may have."""
     for name, spec in field_specs(params).items():
         inner = table.get(name)
+        inner = {"kind": inner} if isinstance(inner, str) else inner
         inner = inner if isinstance(inner, Mapping) else {}
         if isinstance(spec.mark, Slot):
             entry = spec.mark.registry.get(inner.get("kind", spec.mark.default) or "")
             if entry is not None:
                 yield from places_in(entry, f"{section}.{name}", inner)
-        elif spec.nested:
-            yield from fields_in(spec.core, f"{section}.{name}", inner)
+        elif spec.nested or spec.listed is not None:
+            yield from fields_in(spec.listed or spec.core, f"{section}.{name}", inner)
         elif not spec.derived:
             yield section, name

@@ -141,6 +141,8 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         if place is not None:
             container = container[place]
         elif isinstance(container, dict):
+            if isinstance(container.get(part), str):  # the name of a kind alone, in place of its table
+                container[part] = {"kind": container[part]}
             container = container.setdefault(part, {})
         else:
             raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")

@@ -45,6 +45,15 @@ def test_saturation():
         assert float(part.model.output(part.params, state, u)) == min(max(u, -1.5), 1.5)
 
 
+def test_saturation_between_two_limits():
+    """A duty cycle cannot be negative."""
+    part = parsed(kind="saturation", low=0.0, limit=0.95)
+    for u in COMMANDS:
+        assert float(part.model.output(part.params, (), u)) == min(max(u, 0.0), 0.95)
+    with pytest.raises(ConfigError, match="low: must be below limit = 0.5, got up to 0.7"):
+        parsed(kind="saturation", low={"uniform": [0.0, 0.7]}, limit={"uniform": [0.5, 0.9]})
+
+
 @pytest.mark.parametrize(("kind", "number"), [("rate_limit", "rate"), ("saturation", "limit")])
 def test_gradients_are_finite(kind, number):
     """With respect to number and command, at the limit too."""

@@ -1,27 +1,24 @@
 """Controllers in C: the bits of what was generated, consent before anything runs, and refusals by name."""
 
 import ctypes
-import dataclasses
 import json
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import dssc_jax as dj
+from benchmarks.library import command_lanes
 from dssc_jax.cli.main import guarded
 from dssc_jax.cli.native_build import build_library
-from dssc_jax.closed_loop.sample import held_between_samples, initial_state, step
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.libraries import LOADED
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.evaluation import GradientEvaluator
-from dssc_jax.engine.sampling import draw, draw_key
+from dssc_jax.engine.sampling import draw
 from dssc_jax.flight_code.controller import study_values
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.template_files import template_text
-from dssc_jax.lanes.lanes import CompiledLanes
 from tests.cli.conftest import last_json
 from tests.conftest import CASE_2, UNCERTAIN
 from tests.flight_code.compiling import require
@@ -76,32 +73,10 @@ def study(template):
 
 
 def commands(study, threads=2, constants=None):
-    """What every controller sees and gives, sample by sample, in strict arithmetic.
-
-    In float32, numbers that are inputs of the program are rounded at other places than numbers that are compiled in, so
-    those of a controller (``constants``) are inputs, as they are in C.
-    """
+    """What every controller sees and gives, sample by sample, in strict arithmetic."""
     constants = constants or {}
-    loop = dataclasses.replace(study.loop, steps=SAMPLES)
-
-    def lane(values, index):
-        params = study.params(values)
-        key = draw_key(study.config.seed, index)
-        advance = held_between_samples(loop, params)
-
-        def sample(carry, _):
-            state, k = carry
-            after, recorded = step(loop, params, key, state, k, advance)
-            real = jnp.result_type(float)
-            rows = [(*x.reading, x.command.robust, x.command.nominal) for x in recorded.controlled]
-            return (after, k + 1), jax.tree.map(lambda x: jnp.asarray(x, real), rows)
-
-        return jax.lax.scan(sample, (initial_state(loop, params, key), jnp.zeros((), jnp.int32)), length=SAMPLES)[1]
-
     with arithmetic(study.config.loop.precision):
-        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        index = jax.ShapeDtypeStruct((), jnp.uint32)
-        lanes = CompiledLanes(lane, dict.fromkeys([*study.laws, *constants], number), index, strict=True)
+        lanes = command_lanes(study, constants, SAMPLES)
         indices = np.arange(DRAWS)
         columns = draw(study, indices) | {name: np.full(DRAWS, value) for name, value in constants.items()}
         return jax.tree.leaves(lanes.start((columns, indices), DRAWS, threads)())

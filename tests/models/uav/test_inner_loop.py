@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dssc_jax.core.signals import PlantInput
 from dssc_jax.core.vectors import Quaternion, Vec3
-from dssc_jax.models.uav.inner_loop import (
+from dssc_jax.models.uav.inner_loops.article import (
     AttitudeReference,
     Euler,
     InnerGains,

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dssc_jax.core.signals import PlantInput
 from dssc_jax.core.vectors import Quaternion, Vec3
-from dssc_jax.models.uav.inner_loop import Integrals
+from dssc_jax.models.uav.inner_loops.article import Integrals
 from dssc_jax.models.uav.plant import UAV, UavParams, UavState
 from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR, Vehicle
 
@@ -83,9 +83,9 @@ def test_yaw_rotation_of_the_plant_rotates_its_derivative(rotors, lag):
             return Quaternion(a * q.w - b * q.z, a * q.x - b * q.y, a * q.y + b * q.x, a * q.z + b * q.w)
 
         def turn_state(x, turn=turn, turn_q=turn_q):
-            integrals = Integrals(turn(x.integrals.velocity), x.integrals.yaw)
+            integrals = Integrals(turn(x.inner.velocity), x.inner.yaw)
             return x._replace(
-                position=turn(x.position), velocity=turn(x.velocity), attitude=turn_q(x.attitude), integrals=integrals
+                position=turn(x.position), velocity=turn(x.velocity), attitude=turn_q(x.attitude), inner=integrals
             )
 
         state = some_state(rng, tuple(rng.uniform(80.0, 130.0, rotors)) if lag else ())
@@ -117,7 +117,7 @@ def test_mirrored_plant_has_the_mirrored_derivative(rotors, lag):
             polar(x.velocity),
             Quaternion(x.attitude.w, -x.attitude.x, x.attitude.y, -x.attitude.z),
             axial(x.rate),
-            Integrals(polar(x.integrals.velocity), -x.integrals.yaw),
+            Integrals(polar(x.inner.velocity), -x.inner.yaw),
             x.speeds,
         )
 

@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, NamedTuple, Self
@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
-from dssc_jax.analyses.comparison.tuning import Tuning, tuned, with_gains
+from dssc_jax.analyses.comparison.tuning import Tuning, ranges, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
@@ -88,6 +88,7 @@ class ComparisonAnswer:
     headline: Annotated[str, Quantity("", "the metric that is shown")]
     corresponding: ContestAnswer = field(metadata={MERGED: True})
     tuned: TunedContestAnswer | None
+    untuned: Annotated[tuple[str, ...], Quantity("", "controllers none of whose gains could be tuned")]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
 
@@ -191,6 +192,7 @@ class Comparison(Analysis):
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
         budget: That budget.
         seconds: Computing time.
+        untuned: Controllers that should have been tuned, but none of whose gains could be.
     """
 
     kind = "compare"
@@ -201,6 +203,7 @@ class Comparison(Analysis):
     tuned_part: ContestPart | None = None
     budget: Tuning | None = None
     seconds: float = 0.0
+    untuned: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -210,17 +213,18 @@ class Comparison(Analysis):
         tuned: Contest | None = None,
         budget: Tuning | None = None,
         seconds: float = 0.0,
+        untuned: tuple[str, ...] = (),
     ) -> Self:
         """Combine one or both contests."""
         part = ContestPart.of(corresponding)
         if tuned is None:
-            return cls(study, corresponding.dataset, part, seconds=seconds)
+            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=untuned)
         names = named_axis([f"{name}_tuned" for name in tuned.tables])
         dataset = xr.concat(
             [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
             dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
         )  # fmt: skip
-        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds)
+        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, untuned)
 
     @cached_property
     def corresponding(self) -> Contest:
@@ -260,6 +264,7 @@ class Comparison(Analysis):
             headline=headline_measure(self.study).name,
             corresponding=self.corresponding.answer(self.study),
             tuned=tuned,
+            untuned=self.untuned,
             seconds=self.seconds,
         )
 
@@ -333,15 +338,29 @@ def compare(
     budget = Tuning.of(study, candidates, tuning_draws) if candidates else None
     if budget and len(study.loop.channels) > 1:
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
+    extents = tuning_ranges(studies) if budget else {}
+    untuned = tuple(name for name, found in extents.items() if not found)
     corresponding = Contest.of(study, tables, step)
-    if budget is None:
-        return Comparison.of(study, corresponding, seconds=time.perf_counter() - began)
+    if budget is None or len(untuned) == len(names):
+        return Comparison.of(study, corresponding, seconds=time.perf_counter() - began, untuned=untuned)
     better = {}
     for name, rival in studies.items():
-        ranges = study.config.compare.get(name, {}).get("tune", {})
-        try:
-            better[name] = with_gains(tables[name], tuned(rival, budget, ranges))
-        except ConfigError as error:
-            raise error.within_path(f"compare.{name}") from None
+        with errors_under(f"compare.{name}"):
+            better[name] = with_gains(tables[name], tuned(rival, budget, extents[name]))
         step()
-    return Comparison.of(study, corresponding, Contest.of(study, better, step), budget, time.perf_counter() - began)
+    contest = Contest.of(study, better, step)
+    return Comparison.of(study, corresponding, contest, budget, time.perf_counter() - began, untuned)
+
+
+def tuning_ranges(studies: Mapping[str, Study]) -> dict[str, dict[str, tuple[float, float]]]:
+    """The numbers to tune of each controller and their ranges; none, if it has no gain that can be tuned.
+
+    Raises:
+        ConfigError: a range is not valid.
+    """
+    extents = {}
+    for name, study in studies.items():
+        requested = study.config.compare.get(name, {}).get("tune", {})
+        with errors_under(f"compare.{name}"):
+            extents[name] = ranges(study, requested)
+    return extents

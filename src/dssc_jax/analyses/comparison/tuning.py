@@ -1,7 +1,7 @@
 """Tune controllers on an equal budget: the same number of candidates, separate tuning draws and one objective."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from dssc_jax.analyses.defaults import CANDIDATES, MOST_CANDIDATES, TUNING_DRAWS
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Outcome
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.engine.batching import BLOCK
@@ -67,7 +68,7 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
         study: The study with this controller.
         requested: ``[compare.NAME.tune]``: ranges by the gains' names within the controller. The remaining ones of the
             controller's usual gains (``tunable``) range from a tenth to ten times their value; those that follow from
-            parameters keep to them.
+            parameters keep to them. Empty if no gain of the controller can be tuned.
 
     Raises:
         ConfigError: a range is not valid.
@@ -90,21 +91,21 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
     }
 
 
-def tuned(study: Study, budget: Tuning, requested: Mapping[str, Any]) -> dict[str, float]:
+def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Find the best gains within a budget, by dotted name.
 
     Args:
         study: The study with the controller to tune.
         budget: Candidates and draws.
-        requested: See :func:`ranges`.
+        extents: What :func:`ranges` gives. Without any, the given gains stay.
 
     Raises:
-        ConfigError: there is nothing to tune, or a range is not admissible.
+        ConfigError: a range is not admissible.
     """
-    extents = ranges(study, requested)
     if not extents:
-        raise ConfigError("tune", "no gain of this controller has a range; give [compare.NAME.tune]")
-    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF})
+        return {}
+    given = plain_values(study, extents)
+    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **given})
     candidates = candidate_points(trial, extents, budget)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
     all_scores = scores(evaluator, candidates, np.arange(budget.draws))
@@ -113,6 +114,12 @@ def tuned(study: Study, budget: Tuning, requested: Mapping[str, Any]) -> dict[st
     given_score, best_score = scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
     chosen = int(best_score < given_score)
     return {name: float(column[chosen]) for name, column in pair.items()}
+
+
+def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
+    """The values of those numbers that follow from parameters, each with its median; tuning takes them for themselves."""
+    numbers = {name: study.numbers[name] for name in names if name in study.numbers}
+    return {name: nominal(number.value) for name, number in numbers.items() if number.expression is not None}
 
 
 def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray) -> list[tuple[int, float]]:

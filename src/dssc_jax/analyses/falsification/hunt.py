@@ -10,8 +10,9 @@ from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.falsification.search_sets import SearchSet
 from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import BLOCK, Arrays
+from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code, worst_slopes
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left

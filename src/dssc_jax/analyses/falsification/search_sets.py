@@ -8,8 +8,7 @@ from scipy import special
 from scipy.stats import qmc
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays
-from dssc_jax.engine.sampling import inside, mixing, values_at_levels
+from dssc_jax.engine.sampling import Arrays, inside, mixing, values_at_levels
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 

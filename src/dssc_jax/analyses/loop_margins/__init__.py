@@ -1,14 +1,14 @@
 """Classical margins of the linearised loop: gain, phase, delay, disk, peak sensitivities, bandwidth."""
 
 from dssc_jax.analyses.loop_margins.loop_margins import loop_margins
-from dssc_jax.analyses.loop_margins.response import (
+from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
+from dssc_jax.engine.linearisation.response import (
     ClassicalMargins,
     classical_margins,
     common_grid,
     grid_with_poles,
     response_of,
 )
-from dssc_jax.analyses.loop_margins.result import LoopMargins, Status
 
 __all__ = [
     "ClassicalMargins",

@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
 from dssc_jax.closed_loop.requirements import binding_requirement, ended_early, worst_slack
 from dssc_jax.core.bisection import bisect
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 CLOCK = "loop.sample_time"

@@ -16,8 +16,9 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.engine.batching import BLOCK, Arrays, Clock, Engine, Layout, drawn, execute
+from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, drawn, execute
 from dssc_jax.engine.evaluation import Evaluator, require_independent
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.laws import SPREAD
 

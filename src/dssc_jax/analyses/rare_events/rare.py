@@ -20,9 +20,9 @@ from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Arrays, Engine, evaluate, is_noisy
+from dssc_jax.engine.batching import Engine, evaluate, is_noisy
 from dssc_jax.engine.evaluation import GradientEvaluator, native_code, worst_slopes
-from dssc_jax.engine.sampling import inside, values_at
+from dssc_jax.engine.sampling import Arrays, inside, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file

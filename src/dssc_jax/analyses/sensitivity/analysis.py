@@ -11,8 +11,8 @@ from dssc_jax.analyses.sensitivity.shapley import shapley_design
 from dssc_jax.analyses.sensitivity.sobol import sobol_design
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import BLOCK, Arrays, Engine, evaluate, is_noisy
-from dssc_jax.engine.sampling import values_at_levels
+from dssc_jax.engine.batching import BLOCK, Engine, evaluate, is_noisy
+from dssc_jax.engine.sampling import Arrays, values_at_levels
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 NOISE = "in-loop noise"

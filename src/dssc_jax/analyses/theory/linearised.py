@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.analyses.linearisation.smooth_parts import declared_place, substituted
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import LoopState, initial_state, step
 from dssc_jax.core.contracts import Unmodelled
@@ -14,6 +13,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.registry import Registry
 from dssc_jax.core.signals import PlantInput, ReferencePoint, Scalar, tracking_error
+from dssc_jax.engine.linearisation.smooth_parts import declared_place, substituted
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.nominal import nominal_control

@@ -10,14 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.analyses.defaults import BISECTIONS, POINTS
-from dssc_jax.analyses.linearisation.part_slopes import examination
-from dssc_jax.analyses.linearisation.smooth_parts import (
-    declared_places,
-    require_smooth_there,
-    stated,
-    substituted,
-    with_inner_sides,
-)
 from dssc_jax.analyses.margins import Margins, search_critical
 from dssc_jax.analyses.margins.simulated import admissible_walk, lane_numbers, require_spread
 from dssc_jax.analyses.theory.linearised import (
@@ -30,8 +22,17 @@ from dssc_jax.analyses.theory.linearised import (
 )
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.linearisation.part_slopes import examination
+from dssc_jax.engine.linearisation.smooth_parts import (
+    declared_places,
+    require_smooth_at,
+    stated,
+    substituted,
+    with_inner_sides,
+)
 from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
@@ -114,7 +115,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
-        for text in require_smooth_there(study, places, findings):
+        for text in require_smooth_at(study, places, findings):
             if text not in taken:
                 taken.append(text)
         return np.linalg.eigvals(linear.matrix)

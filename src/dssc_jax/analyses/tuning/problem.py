@@ -10,8 +10,9 @@ import numpy as np
 from dssc_jax.analyses.tuning.objective import Goal, Merit
 from dssc_jax.analyses.tuning.plan import WIDTH, Plan
 from dssc_jax.analyses.tuning.search_variables import SLACK
-from dssc_jax.engine.batching import BLOCK, Arrays
+from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code
+from dssc_jax.engine.sampling import Arrays
 
 
 class Point(NamedTuple):

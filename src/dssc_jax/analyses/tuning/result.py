@@ -22,7 +22,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.design import Free
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.proofs.claims import claim_for
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED, STORED_APART

@@ -17,7 +17,7 @@ from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
 
 CHECKED = 16  # points of the gradient check before a descent

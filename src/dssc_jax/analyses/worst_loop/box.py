@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import norm
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 MOST_GROWTH = 4.0

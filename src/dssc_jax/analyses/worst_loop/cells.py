@@ -20,7 +20,7 @@ Reference:
 """
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -146,11 +146,42 @@ def pattern(sides: int) -> np.ndarray:
     return np.concatenate(points)
 
 
-def linear_model(evaluate: Evaluate, low: np.ndarray, high: np.ndarray) -> LinearModel:
-    """The linear model on a part of the box; deviations are measured at the points of :func:`pattern`."""
-    sides = low.size
-    points = pattern(sides)
-    matrices = modal(evaluate(0.5 * (low + high) + 0.5 * (high - low) * points))
+class LinearModels:
+    """The linear models on parts of the box, each computed once.
+
+    Args:
+        evaluate: The loop at points of the box.
+    """
+
+    def __init__(self, evaluate: Evaluate) -> None:
+        self.evaluate = evaluate
+        self.models: dict[bytes, LinearModel] = {}
+
+    def on(self, cells: Cells) -> list[LinearModel]:
+        """The model of each cell's part of the box; the loop is evaluated once for all parts that are new."""
+        keys = [low.tobytes() + high.tobytes() for low, high in zip(cells.low, cells.high, strict=True)]
+        fresh = {key: index for index, key in enumerate(keys) if key not in self.models}
+        if fresh:
+            indices = list(fresh.values())
+            points = pattern(cells.low.shape[1])
+            middle = 0.5 * (cells.low + cells.high)[indices, None]
+            half = 0.5 * (cells.high - cells.low)[indices, None]
+            located = middle + half * points
+            matrices = self.evaluate(located.reshape(-1, located.shape[-1]))
+            for key, matrices_there in zip(fresh, np.split(matrices, len(indices)), strict=True):
+                self.models[key] = linear_model(points, matrices_there)
+        return [self.models[key] for key in keys]
+
+
+def linear_model(points: np.ndarray, matrices: np.ndarray) -> LinearModel:
+    """The linear model on a part of the box.
+
+    Args:
+        points: Those of :func:`pattern`, at which deviations are measured, shape (n, sides).
+        matrices: The loop there, shape (n, m, m).
+    """
+    sides = points.shape[1]
+    matrices = modal(matrices)
     centre = matrices[0]
     slopes = 0.5 * (matrices[1 : 1 + sides] - matrices[1 + sides : 1 + 2 * sides])
     deviations = np.abs(matrices - centre - np.einsum("ni,ijk->njk", points, slopes))
@@ -195,19 +226,12 @@ def cover(
         most: Number of cells to compute at most.
         progress: Called with the number of cells computed.
     """
-    models: dict[bytes, LinearModel] = {}
-
-    def model_of(low: np.ndarray, high: np.ndarray) -> LinearModel:
-        key = low.tobytes() + high.tobytes()
-        if key not in models:
-            models[key] = linear_model(evaluate, low, high)
-        return models[key]
-
+    models = LinearModels(evaluate)
     centre = evaluate(0.5 * (ends[0] + ends[1])[None])[0]
     angles = first_angles(np.linalg.eigvals(centre[:-1, :-1]))
     count = len(angles) - 1
     cells = Cells(np.tile(ends[0], (count, 1)), np.tile(ends[1], (count, 1)), angles[:-1], angles[1:])
-    bounds = enclose(cells, model_of)
+    bounds = enclose(cells, models.on(cells))
     computed = count
     while True:
         excess = np.max(bounds.gains / goals, axis=1)
@@ -217,7 +241,7 @@ def cover(
             return Covered(bounds.gains.max(axis=0), computed)
         kept = np.setdiff1d(order, worst)
         fresh = halved(cells.at(worst), bounds.axis[worst])
-        halves = enclose(fresh, model_of)
+        halves = enclose(fresh, models.on(fresh))
         cells = Cells(*(np.concatenate(parts) for parts in zip(cells.at(kept), fresh, strict=True)))
         bounds = CellBounds(
             np.concatenate([bounds.gains[kept], halves.gains]), np.concatenate([bounds.axis[kept], halves.axis])
@@ -247,9 +271,8 @@ def halved(cells: Cells, axis: np.ndarray) -> Cells:
     )
 
 
-def enclose(cells: Cells, model_of: Callable[[np.ndarray, np.ndarray], LinearModel]) -> CellBounds:
-    """Bound the gains on each cell."""
-    models = [model_of(low, high) for low, high in zip(cells.low, cells.high, strict=True)]
+def enclose(cells: Cells, models: Sequence[LinearModel]) -> CellBounds:
+    """Bound the gains on each cell, from the model of its part of the box."""
     centre, slopes, deviation, bends = (np.stack(parts) for parts in zip(*models, strict=True))
     finite = np.all(np.isfinite(deviation), axis=(1, 2)) & np.all(np.isfinite(centre), axis=(1, 2))
     _, sides, m, _ = slopes.shape

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dssc_jax.analyses.linearisation.smooth_parts import Finding
-from dssc_jax.analyses.loop_margins.operating_points import RestingLoop, StateMatrices
 from dssc_jax.analyses.worst_loop.box import Box
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices
+from dssc_jax.engine.linearisation.smooth_parts import Finding
 
 BATCH_POINTS = 64  # points that are linearised at once
 KEYS = 8  # draws whose random keys are compared

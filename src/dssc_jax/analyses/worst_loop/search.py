@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.loop_margins.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS
+from dssc_jax.engine.linearisation.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 
 MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_peak", "complementary_peak")
 """The margins whose worst case is searched."""

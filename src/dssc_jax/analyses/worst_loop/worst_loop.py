@@ -7,11 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import CELLS, MOST_CELLS, SIGMA
-from dssc_jax.analyses.linearisation.smooth_parts import declared_places, stated
-from dssc_jax.analyses.loop_margins.break_points import BreakPoint, break_points
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
-from dssc_jax.analyses.loop_margins.operating_points import Operating, RestingLoop, StateMatrices, resting_operation
-from dssc_jax.analyses.loop_margins.response import common_grid
+from dssc_jax.analyses.loop_margins.operation import resting_operation
 from dssc_jax.analyses.worst_loop.box import admissible_growth, box_of
 from dssc_jax.analyses.worst_loop.cells import GAINS, Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family
@@ -26,9 +23,13 @@ from dssc_jax.analyses.worst_loop.search import (
     radii_of,
     worst_margins,
 )
+from dssc_jax.closed_loop.break_points import BreakPoint, break_points
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.engine.linearisation.operating_points import Operating, RestingLoop, StateMatrices
+from dssc_jax.engine.linearisation.response import common_grid
+from dssc_jax.engine.linearisation.smooth_parts import declared_places, stated
 from dssc_jax.study import Study, takes_file
 
 GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends

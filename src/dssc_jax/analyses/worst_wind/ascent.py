@@ -17,7 +17,8 @@ from dssc_jax.analyses.falsification.search_sets import SEARCH_EDGE
 from dssc_jax.analyses.worst_wind.flights import Slopes, WindFlights
 from dssc_jax.analyses.worst_wind.wind_set import WindSet
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.engine.batching import Arrays, medians
+from dssc_jax.engine.batching import medians
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study.laws import Law
 
 RANDOM = 1024

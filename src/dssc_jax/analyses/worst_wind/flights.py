@@ -16,8 +16,9 @@ from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Outcome
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.engine.batching import BLOCK, Arrays, medians
+from dssc_jax.engine.batching import BLOCK, medians
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 AXES = ("x", "y", "z")

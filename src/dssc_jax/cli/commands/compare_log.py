@@ -43,7 +43,8 @@ def run(options: CompareLog) -> int:
 
 def asked(options: CompareLog) -> tuple[object, ...]:
     """The options that change the question."""
-    return options.settings, options.draws, options.seed, options.columns, options.column, options.start
+    reading = (options.columns, options.column, options.start, options.segment)
+    return options.settings, options.draws, options.seed, *reading
 
 
 def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) -> int:

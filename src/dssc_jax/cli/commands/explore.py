@@ -23,7 +23,8 @@ def run(options: Explore) -> int:
     """Serve the page until Ctrl-C."""
     require_panel()
     folder = Path(options.subject)
-    reading = {"--columns": options.columns, "--column": options.column, "--start": options.start}
+    reading = {"--columns": options.columns, "--column": options.column}
+    reading |= {"--start": options.start, "--segment": options.segment}
     if folder.is_dir():
         of_studies = {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws}
         require_none("with a result", of_studies | {"--log": options.logs} | reading)

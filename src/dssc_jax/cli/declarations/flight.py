@@ -1,4 +1,4 @@
-"""Options of the commands on flight computers and logs: airframe, code, compare-log."""
+"""Options of the commands on flight computers and logs: airframe, code, log, compare-log."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +11,22 @@ from dssc_jax.cli.declarations.types import DrawsOptions, Json, LogOptions, Outp
 
 @dataclass(frozen=True, kw_only=True)
 class Airframe:
-    """Show a PX4 airframe as the table [plant.vehicle] of a study.
+    """Show a PX4 airframe as the table [plant] of a study.
 
-    Takes the rotors' places and spins from CA_ROTOR.., and mass, inertia, thrust and lag from SIH_... Comments name
-    what the file does not give.
+    Takes the rotors' places, axes and spins from CA_ROTOR.., mass, inertia, thrust, lag and drag from SIH_.., and gains
+    from MC_.. and MPC_... A mass that the file does not set is refused. Comments name what is estimated or left out.
     """
 
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A PX4 airframe script, or a parameter file of a ground station.")
+        Path,
+        typer.Argument(metavar="FILE", help="A PX4 airframe script, a ground station's file, or a .ulg."),
     ]
+    mass: Annotated[
+        float | None, typer.Option("--mass", metavar="KG", min=1e-3, help="Mass, if the file has no SIH_MASS [kg].")
+    ] = None
+    arm: Annotated[
+        float | None, typer.Option("--arm", metavar="M", min=1e-3, help="What positions that are ratios refer to [m].")
+    ] = None
     as_json: Json = False
 
 
@@ -74,6 +81,39 @@ class Library:
     ] = None
     include: Annotated[
         list[Path] | None, typer.Option("--include", metavar="DIR", help="A folder of headers; may be repeated.")
+    ] = None
+    as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """What does this log hold?
+
+    Lists the topics of a ULog of PX4 with their number of messages, rate and span, and when the vehicle was armed and
+    airborne. Times count from the beginning of the log. With --topic also the fields of a topic with their values;
+    those marked with * are in the axes of the model: position in east, north, up, and the angles phi, theta, psi of a
+    body whose axes point forward, left, up. Of a CSV or Parquet file, lists the columns.
+
+    A file of any size is read message by message: memory holds the topics of --topic, and no others.
+    """
+
+    file: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="ULogs of PX4 (.ulg), CSV or Parquet files; any number.")
+    ]
+    topic: Annotated[
+        list[str] | None,
+        typer.Option("--topic", metavar="NAME", help="A topic whose fields to show; may be repeated."),
+    ] = None
+    csv: Annotated[
+        Path | None,
+        typer.Option("--csv", metavar="OUT", help="Write the one --topic of the one FILE as a table with its times t."),
+    ] = None
+    segment: Annotated[
+        str | None, typer.Option("--segment", metavar="NAME", help="With --csv, only the part armed or airborne.")
+    ] = None
+    start: Annotated[
+        float | None,
+        typer.Option("--start", metavar="T", help="With --csv, the time of the log at which t is 0 [its beginning]."),
     ] = None
     as_json: Json = False
 

@@ -133,18 +133,7 @@ class LoadedCode:
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
     ) -> Callable[[], float]:
-        """Begin to run all lanes, and return a function that waits for them and tells when they ended.
-
-        Args:
-            inputs: Columns of at least ``lanes`` numbers each.
-            outputs: Columns for the results.
-            lanes: Their number, a multiple of ``width``.
-            width: Lanes of a vector.
-            threads: How many threads to use.
-
-        Returns:
-            The function; its result is a time of :func:`time.perf_counter`.
-        """
+        """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
         lock, stopped = threading.Lock(), threading.Event()

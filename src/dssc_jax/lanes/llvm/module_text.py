@@ -16,7 +16,7 @@ from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, planned
 from dssc_jax.lanes.passes.scheduling import ordered
-from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Value
+from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
 ATTRIBUTES = (
@@ -47,29 +47,40 @@ class Emitter(Instructions):
 
     def text(self) -> str:
         """The module."""
-        self.lines += [
-            "  %some = icmp ult i64 %first, %last",
-            "  br i1 %some, label %lanes, label %done",
-            "lanes:",
-            "  %lane = phi i64 [ %first, %entry ], [ %next, %store ]",
-        ]
+        self.lines += self.opening()
         self.label = "lanes"
         self.block(self.program.body)
         self.lines += ["  br label %store", "store:"]
         for position, output in enumerate(self.program.outputs):
             if isinstance(output, Value):
                 self.store(position, output)
-        self.lines += [
+        self.lines += self.closing()
+        functions = self.functions()
+        start = [*self.tables, *sorted(self.declared), self.head(), "entry:", *self.allocated]
+        return "\n".join([*start, *self.lines, "}", *functions, *ATTRIBUTES, ""])
+
+    def head(self) -> str:
+        """The line with which the function begins."""
+        return f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
+
+    def opening(self) -> list[str]:
+        """From the entry to the first instruction of a vector of lanes."""
+        return [
+            "  %some = icmp ult i64 %first, %last",
+            "  br i1 %some, label %lanes, label %done",
+            "lanes:",
+            "  %lane = phi i64 [ %first, %entry ], [ %next, %store ]",
+        ]
+
+    def closing(self) -> list[str]:
+        """From the last store of a vector of lanes to the end."""
+        return [
             f"  %next = add i64 %lane, {self.width}",
             "  %more = icmp ult i64 %next, %last",
             "  br i1 %more, label %lanes, label %done",
             "done:",
             "  ret void",
         ]
-        head = f"define void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %first, i64 %last) #0 {{"
-        functions = self.functions()
-        start = [*self.tables, *sorted(self.declared), head, "entry:", *self.allocated]
-        return "\n".join([*start, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def functions(self) -> list[str]:
         """The subroutines that were called."""
@@ -277,13 +288,17 @@ class Emitter(Instructions):
 
     def record(self, record: Record) -> None:
         """Store an element of a recorded array: those of the lanes of a vector lie side by side."""
-        start = self.emit(f"mul i64 %lane, {record.recording.length}")
         index = self.emit(f"zext i32 {self.read(record.position, False)} to i64")
-        offset = self.emit(f"mul i64 {index}, {self.width}")
-        element = self.emit(f"add i64 {start}, {offset}")
+        element = self.recorded_element(record.recording, index)
         for position, output in enumerate(self.program.outputs):
             if output is record.recording:
                 self.write(self.column("outputs", position), element, record.value, True)
+
+    def recorded_element(self, recording: Recording, index: str) -> str:
+        """Where the element of an index begins in a recorded array."""
+        start = self.emit(f"mul i64 %lane, {recording.length}")
+        offset = self.emit(f"mul i64 {index}, {self.width}")
+        return self.emit(f"add i64 {start}, {offset}")
 
 
 class SubroutineEmitter(Emitter):

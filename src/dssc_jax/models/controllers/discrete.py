@@ -19,8 +19,8 @@ from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.command_limits import HIGH, LOW, require_order, smooth_within_limits, within_limits
 from dssc_jax.models.controllers.nominal import L0
-from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits
 
 MOST_STATES = 40
 NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of z first")
@@ -168,23 +168,13 @@ def require_sample_time(designed: Scalar | None, setting: LoopSetting) -> None:
         raise ConfigError("sample_time", f"{rule}; design the controller for that, or change the loop")
 
 
-def fraction_within_limits(gains: FractionGains) -> tuple[Controller, FractionGains]:
-    """The controller within its limits."""
-    return Controller(FractionGains, fraction_init, fraction_step), gains._replace(low=None, high=None)
-
-
-def matrix_within_limits(gains: MatrixGains) -> tuple[Controller, MatrixGains]:
-    """The controller within its limits."""
-    return Controller(MatrixGains, matrix_init, matrix_step), gains._replace(low=None, high=None)
-
-
 DISCRETE_TRANSFER_FUNCTION: Entry = single(
     Controller(
         FractionGains,
         fraction_init,
         fraction_step,
         prepare_fraction,
-        smooth=limited_smoothness(fraction_within_limits),
+        smooth=smooth_within_limits(fraction_init, fraction_step),
         fit=fit_fraction,
         info=DiscreteInfo,
     ),
@@ -199,7 +189,7 @@ DISCRETE_STATE_SPACE: Entry = single(
         matrix_init,
         matrix_step,
         prepare_matrix,
-        smooth=limited_smoothness(matrix_within_limits),
+        smooth=smooth_within_limits(matrix_init, matrix_step),
         takes=lambda gains: len(gains.d) - 1,
         fit=fit_matrix,
         info=DiscreteInfo,

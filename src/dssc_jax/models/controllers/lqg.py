@@ -30,8 +30,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.command_limits import HIGH, LOW, prepare_limits, smooth_within_limits, within_limits
 from dssc_jax.models.controllers.nominal import L0
-from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, within_limits
 
 STATE_WEIGHTS = Quantity("SI", "weight q_i of each state's square; absent: 0", at_least=0.0, law=False)
 OUTPUT_WEIGHT = Quantity("1/y^2", "weight q_y of y^2", at_least=0.0, law=False)
@@ -248,25 +248,14 @@ def transfer(
     return start._replace(integral=jnp.where(acts, (unlimited.robust - command) / gain, 0.0))
 
 
-def prepare(gains: LqgGains) -> LqgGains:
-    """Require limits in order; raises ConfigError."""
-    require_order(gains.low, gains.high)
-    return gains
-
-
-def lqg_within_limits(gains: LqgGains) -> tuple[Controller, LqgGains]:
-    """The controller within its limits."""
-    return Controller(LqgGains, init, step), gains._replace(low=None, high=None)
-
-
 LQG: Entry = single(
     Controller(
         LqgGains,
         init,
         step,
-        prepare,
+        prepare_limits,
         transfer,
-        limited_smoothness(lqg_within_limits),
+        smooth_within_limits(init, step),
         takes=lambda gains: gains.taken,
         fit=fit,
         info=LqgInfo,

@@ -12,21 +12,23 @@ References:
     K. J. Astrom, T. Hagglund, Advanced PID Control (2006), sections 3.5 and 13.4.
 """
 
-from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
-from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
-from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
-from dssc_jax.core.smoothness import SMOOTH, Smoothness, Substitution, piecewise
+from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.command_limits import (
+    HIGH,
+    LOW,
+    prepare_limits,
+    smooth_within_limits,
+    tracking_rate,
+    within_limits,
+)
 from dssc_jax.models.controllers.nominal import L0
-
-LOW = Quantity("u", "lower limit of the command")
-HIGH = Quantity("u", "upper limit of the command")
 
 
 class PidGains(NamedTuple):
@@ -69,20 +71,6 @@ def init(gains: PidGains, measurement: Measurement, reference: ReferencePoint) -
     return PidState(0.0, 0.0, gains.derivative_weight * reference.y - measurement.y)
 
 
-def within_limits(v: Scalar, low: Scalar | None, high: Scalar | None) -> Scalar:
-    """The command within its limits; None: no limit on this side."""
-    v = v if low is None else jnp.maximum(v, low)
-    return v if high is None else jnp.minimum(v, high)
-
-
-def tracking_rate(proportional: Scalar, integral: Scalar, tracking: Scalar | None, dt: Scalar) -> Scalar:
-    """1/T_t [1/s], at most 1/T_s; without a time constant k_i/k_p, or 1/T_s for pure integral control."""
-    if tracking is not None:
-        return 1.0 / jnp.maximum(tracking, dt)
-    ratio = integral / jnp.where(proportional > 0.0, proportional, 1.0)
-    return jnp.where(proportional > 0.0, jnp.minimum(ratio, 1.0 / dt), 1.0 / dt)
-
-
 def step(
     gains: PidGains, state: PidState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[PidState, Command, PidInfo]:
@@ -109,46 +97,14 @@ def transfer(
     return init(gains, measurement, reference)._replace(integral=integral)
 
 
-def prepare(gains: PidGains) -> PidGains:
-    """Require limits in order; raises ConfigError."""
-    require_order(gains.low, gains.high)
-    return gains
-
-
-def require_order(low: Scalar | None, high: Scalar | None) -> None:
-    """Require that a lower limit lies below an upper one; raises ConfigError."""
-    if low is None or high is None:
-        return
-    top = extent(low)[1]
-    bottom = extent(high)[0]
-    if not top < bottom:
-        raise ConfigError("low", f"must be below high = {bottom:g}, got up to {top:g}")
-
-
-def limited_smoothness(substitute: Substitution) -> Callable[[Params], Smoothness]:
-    """The declaration of a linear law between the limits ``low`` and ``high``, which its gains may have."""
-
-    def smoothness(gains: Params) -> Smoothness:
-        if gains.low is None and gains.high is None:
-            return SMOOTH
-        return piecewise("the limits low and high of its command; there it counts as within them", substitute)
-
-    return smoothness
-
-
-def pid_within_limits(gains: PidGains) -> tuple[Controller, PidGains]:
-    """The controller within its limits."""
-    return Controller(PidGains, init, step), gains._replace(low=None, high=None)
-
-
 PID: Entry = single(
     Controller(
         PidGains,
         init,
         step,
-        prepare,
+        prepare_limits,
         transfer,
-        limited_smoothness(pid_within_limits),
+        smooth_within_limits(init, step),
         tunable=("k_p", "k_i"),
         info=PidInfo,
     ),

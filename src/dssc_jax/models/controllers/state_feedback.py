@@ -18,8 +18,15 @@ from dssc_jax.core.numerics import dot, is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.models.controllers.command_limits import (
+    HIGH,
+    LOW,
+    require_order,
+    smooth_within_limits,
+    tracking_rate,
+    within_limits,
+)
 from dssc_jax.models.controllers.nominal import L0
-from dssc_jax.models.controllers.pid import HIGH, LOW, limited_smoothness, require_order, tracking_rate, within_limits
 
 
 class FeedbackGains(NamedTuple):
@@ -95,11 +102,6 @@ def tunable(gains: FeedbackGains) -> tuple[str, ...]:
     return tuple(name for name in ("k_1", "k_2") if not is_zero(getattr(gains, name)))
 
 
-def feedback_within_limits(gains: FeedbackGains) -> tuple[Controller, FeedbackGains]:
-    """The controller within its limits."""
-    return Controller(FeedbackGains, init, step), gains._replace(low=None, high=None)
-
-
 STATE_FEEDBACK: Entry = single(
     Controller(
         FeedbackGains,
@@ -107,7 +109,7 @@ STATE_FEEDBACK: Entry = single(
         step,
         prepare,
         transfer,
-        limited_smoothness(feedback_within_limits),
+        smooth_within_limits(init, step),
         takes=lambda gains: len(gains.signals),
         tunable=tunable,
         info=FeedbackInfo,

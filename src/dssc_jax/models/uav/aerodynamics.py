@@ -31,6 +31,9 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
     """
     in_body = rotation.transpose @ air_velocity
     structure = in_body.scale(Vec3(*vehicle.structure_drag)) * (-air_velocity.norm())
+    if vehicle.rotor:
+        propellers, torque = drag_of_rotors(vehicle, rate, in_body, speeds)
+        return Drag(rotation @ (structure + propellers), torque)
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     first = Vec3(dot(x, speeds), dot(y, speeds), 0.0) * vehicle.arm
@@ -43,3 +46,15 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
     # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
     spin = Vec3(syy * rate.x - sxy * rate.y, sxx * rate.y - sxy * rate.x, (sxx + syy) * rate.z)
     return Drag(rotation @ (structure + propellers), (first.cross(in_body) + spin) * (-k))
+
+
+def drag_of_rotors(vehicle: Vehicle, rate: Vec3, in_body: Vec3, speeds: tuple[Scalar, ...]) -> tuple[Vec3, Vec3]:
+    """Force [N] and torque [N m] of the drag of propellers anywhere, in body axes; ``in_body`` is v_r there [m/s]."""
+    force = Vec3(0.0, 0.0, 0.0)
+    torque = Vec3(0.0, 0.0, 0.0)
+    for rotor, speed in zip(vehicle.rotor, speeds, strict=True):
+        place = Vec3(*rotor.position)
+        part = (in_body + rate.cross(place)) * (-vehicle.propeller_drag * speed)
+        force = force + part
+        torque = torque + place.cross(part)
+    return force, torque

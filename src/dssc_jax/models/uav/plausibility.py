@@ -1,5 +1,6 @@
 """Plausibility of a vehicle's numbers: usual ranges of multirotors, for warnings about a slip of a unit or a factor."""
 
+import math
 from collections.abc import Collection
 from typing import NamedTuple
 
@@ -34,22 +35,32 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     few per cent of its diameter. The radius of gyration is that about a horizontal axis.
     """
     mass = nominal(vehicle.mass)
-    arm = nominal(vehicle.arm)
+    arm = distance_of_rotors(vehicle)
     inertia = [nominal(value) for value in vehicle.body_inertia]
     transverse = 0.5 * (inertia[0] + inertia[1]) + vehicle.rotors * nominal(vehicle.rotor_inertia_xy)
     gyration = (transverse / mass) ** 0.5
     weight = mass * GRAVITY
     limit = 2.0 * weight / vehicle.rotors if vehicle.max_thrust is None else nominal(vehicle.max_thrust)
-    hover = (weight / vehicle.rotors / nominal(vehicle.thrust_coefficient)) ** 0.5
+    coefficients = [nominal(value) for value in vehicle.thrust_coefficients]
+    hover = (weight / sum(coefficients)) ** 0.5
+    torque = max(nominal(value) for value in vehicle.torque_coefficients)
     ranges = [
         UsualRange("hover throttle", ("max_thrust",), weight / (vehicle.rotors * limit), 0.1, 0.7, "of f_max"),
-        UsualRange("torque over thrust", ("torque_coefficient",), nominal(vehicle.torque_coefficient), 0.002, 0.1, "m"),
+        UsualRange("torque over thrust", ("torque_coefficient",), torque, 0.002, 0.1, "m"),
         UsualRange("radius of gyration over arm", ("mass", "arm", "body_inertia"), gyration / arm, 0.15, 1.2, ""),
         UsualRange("hover speed of a rotor", ("thrust_coefficient", "mass"), hover, 50.0, 4000.0, "rad/s"),
     ]  # fmt: skip
     if vehicle.motor_lag is not None:
         ranges.append(UsualRange("motor lag", ("motor_lag",), nominal(vehicle.motor_lag), 0.01, 0.15, "s"))
     return ranges
+
+
+def distance_of_rotors(vehicle: Vehicle) -> float:
+    """Mean distance of the rotors from body z [m]."""
+    if not vehicle.rotor:
+        return nominal(vehicle.arm)
+    places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
+    return sum(math.hypot(x, y) for x, y, _ in places) / len(places)
 
 
 def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:

@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from dssc_jax.core.numerics import dot, root_abs
+from dssc_jax.core.numerics import dot, is_zero, root_abs
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
-from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.models.uav.vehicle import Rotor, Vehicle
 
 
 class RotorMotion(NamedTuple):
@@ -16,25 +16,57 @@ class RotorMotion(NamedTuple):
 
 
 def rotor_motion(
-    vehicle: Vehicle, thrusts: tuple[Scalar, ...], thrust_coefficient: Scalar, speeds: tuple[Scalar, ...]
+    vehicle: Vehicle, thrusts: tuple[Scalar, ...], thrust_coefficients: tuple[Scalar, ...], speeds: tuple[Scalar, ...]
 ) -> RotorMotion:
     """Speeds of the rotors for commanded thrusts.
 
     Args:
         vehicle: Motor lag.
         thrusts: Commanded thrusts f_i [N].
-        thrust_coefficient: k_T with which the commands are computed [N s^2/rad^2].
+        thrust_coefficients: k_T of each rotor with which the commands are computed [N s^2/rad^2].
         speeds: Speeds of rotors with a lag [rad/s].
     """
-    commanded = tuple(root_abs(f / thrust_coefficient) for f in thrusts)
+    commanded = tuple(root_abs(f / k) for f, k in zip(thrusts, thrust_coefficients, strict=True))
     if vehicle.motor_lag is None:
         return RotorMotion(commanded, ())
     accelerations = tuple((c - w) / vehicle.motor_lag for c, w in zip(commanded, speeds, strict=True))
     return RotorMotion(speeds, accelerations)
 
 
+class Wrench(NamedTuple):
+    """Force and moment of all rotors in body axes: thrust along z [N], moment [N m], and the force across z [N].
+
+    ``across`` is () where all rotors point along z.
+    """
+
+    thrust: Scalar
+    moment: Vec3
+    across: tuple[Scalar, ...] = ()
+
+
+def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
+    """Force sum f_i a_i and moment sum p_i x (f_i a_i) + s_i c_tau,i f_i a_i of rotors anywhere.
+
+    Those on a circle have a_i = e3, and the moment of :func:`net`.
+    """
+    if not vehicle.rotor:
+        return Wrench(*net(vehicle, thrusts))
+    rows = [effect_of(rotor, c) for rotor, c in zip(vehicle.rotor, vehicle.torque_coefficients, strict=True)]
+    x, y, z, *moments = (dot(column, thrusts) for column in zip(*rows, strict=True))
+    upright = all(is_zero(row[0]) and is_zero(row[1]) for row in rows)
+    return Wrench(z, Vec3(*moments), () if upright else (x, y))
+
+
+def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
+    """Force [1] and moment [m] of a rotor per thrust, in body axes: six numbers."""
+    axis = rotor.unit_axis
+    turning = Vec3(*rotor.position).cross(axis)
+    drag_torque = axis * (rotor.direction * torque_coefficient)
+    return (*axis, *(turning + drag_torque))
+
+
 def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
-    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i."""
+    """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i of rotors on a circle."""
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
     turning = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
@@ -55,3 +87,27 @@ def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: 
     """
     h = rotor_inertia * spin
     return Vec3(-h * rate.y, h * rate.x, -rotor_inertia * spin_up)
+
+
+def rotor_torque(vehicle: Vehicle, rate: Vec3, motion: RotorMotion) -> Vec3:
+    """The gyroscopic torque of all rotors [N m], for axes of any direction.
+
+    The angular momentum of rotor i is h_i = I_z thetadot_i a_i with thetadot_i = -s_i |thetadot_i|.
+
+    Args:
+        vehicle: The rotors and their axial inertia I_z.
+        rate: Body rate Omega [rad/s].
+        motion: Speeds and their rates.
+    """
+    if not vehicle.rotor:
+        spin_up = -dot(vehicle.spins, motion.accelerations) if motion.accelerations else 0.0
+        return gyroscopic_torque(rate, vehicle.rotor_inertia_z, -dot(vehicle.spins, motion.speeds), spin_up)
+    momentum = turning_sum(vehicle, motion.speeds)
+    torque = -rate.cross(momentum)
+    return torque - turning_sum(vehicle, motion.accelerations) if motion.accelerations else torque
+
+
+def turning_sum(vehicle: Vehicle, speeds: tuple[Scalar, ...]) -> Vec3:
+    """I_z sum thetadot_i a_i for speeds |thetadot_i| [rad/s]; the rate of change for their rates [rad/s^2]."""
+    axes = [rotor.unit_axis * -rotor.direction for rotor in vehicle.rotor]
+    return Vec3(*(dot(column, speeds) for column in zip(*axes, strict=True))) * vehicle.rotor_inertia_z

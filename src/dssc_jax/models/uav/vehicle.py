@@ -3,23 +3,53 @@
 import math
 from typing import Annotated, NamedTuple
 
+import jax.numpy as jnp
+
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.numerics import is_known, is_zero
+from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 
 GRAVITY = 9.81  # m/s^2
 ROUNDED_TO_ZERO = 1e-15  # cos(pi/2) is 6e-17
+UP = (0.0, 0.0, 1.0)
+SHORTEST_AXIS = 1e-3
+
+
+class Rotor(NamedTuple):
+    """A rotor anywhere on the vehicle.
+
+    Its thrust is f a along its axis a, and its drag torque s c_tau f a. ``direction`` is s: 1 for a rotor that turns
+    clockwise as seen from where its thrust points. Absent coefficients are those of the vehicle.
+    """
+
+    position: Annotated[tuple[Scalar, ...], Quantity("m", "place from the centre of mass, body axes")]
+    axis: Annotated[tuple[Scalar, ...], Quantity("1", "direction of the thrust, body axes, of any length")] = UP
+    direction: Annotated[Scalar, Quantity("1", "sign of the drag torque", at_least=-1.0, at_most=1.0, law=False)] = 1.0
+    thrust_coefficient: Annotated[Scalar | None, Quantity("N s^2/rad^2", "thrust coefficient k_T", above=0.0)] = None
+    torque_coefficient: Annotated[Scalar | None, Quantity("m", "torque over thrust c_tau", at_least=0.0)] = None
+
+    @property
+    def unit_axis(self) -> Vec3:
+        """The direction of the thrust, of length 1; plain numbers where the axis is known before tracing."""
+        axis = Vec3(*self.axis)
+        if is_zero(axis.x) and is_zero(axis.y) and is_known(axis.z):
+            return Vec3(0.0, 0.0, math.copysign(1.0, axis.z))
+        square = axis.dot(axis)
+        length = math.sqrt(square) if is_known(square) else jnp.sqrt(square)
+        return Vec3(axis.x / length, axis.y / length, axis.z / length)
 
 
 class Vehicle(NamedTuple):
-    """A multirotor with equal rotors on a circle around the centre of mass.
+    """A multirotor with equal rotors on a circle around the centre of mass, or with rotors anywhere.
 
     Rotor i = 1..n_r sits at ``rotor_angles[i]`` counter-clockwise from body x, at the distance ``arm``; ``spins`` s_i =
-    -sgn(thetadot_i) is the sign of its drag torque about body z.
+    -sgn(thetadot_i) is the sign of its drag torque about body z. Where ``rotor`` lists rotors, it alone gives their
+    places and signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect.
     """
 
-    mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0)]
+    mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0, leading=True)]
     body_inertia: Annotated[tuple[Scalar, ...], Quantity("kg m^2", "structure's principal inertia I_b", above=0.0)]
     rotor_inertia_xy: Annotated[Scalar, Quantity("kg m^2", "hub's transverse inertia I_xy", at_least=0.0)]
     rotor_inertia_z: Annotated[Scalar, Quantity("kg m^2", "hub's axial inertia I_z", at_least=0.0)]
@@ -31,12 +61,33 @@ class Vehicle(NamedTuple):
     rotor_angles: Annotated[tuple[Scalar, ...], Quantity("rad", "rotor angle from body x", law=False)]
     spins: Annotated[tuple[Scalar, ...], Quantity("1", "spin sign s_i", at_least=-1.0, at_most=1.0, law=False)]
     max_thrust: Annotated[Scalar | None, Quantity("N", "largest thrust of a rotor f_max", above=0.0)] = None
-    motor_lag: Annotated[Scalar | None, Quantity("s", "time constant of the rotor speed", above=0.0)] = None
+    motor_lag: Annotated[Scalar | None, Quantity("s", "time constant of the rotor speed", above=0.0, leading=True)] = (
+        None
+    )
+    rotor: tuple[Rotor, ...] = ()
 
     @property
     def rotors(self) -> int:
         """Number of rotors n_r."""
-        return len(self.rotor_angles)
+        return len(self.rotor or self.rotor_angles)
+
+    @property
+    def thrust_coefficients(self) -> tuple[Scalar, ...]:
+        """k_T of each rotor [N s^2/rad^2]."""
+        common = self.thrust_coefficient
+        if not self.rotor:
+            return (common,) * self.rotors
+        found = (rotor.thrust_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in found)
+
+    @property
+    def torque_coefficients(self) -> tuple[Scalar, ...]:
+        """c_tau of each rotor [m]."""
+        common = self.torque_coefficient
+        if not self.rotor:
+            return (common,) * self.rotors
+        found = (rotor.torque_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in found)
 
     @property
     def inertia(self) -> Vec3:
@@ -86,15 +137,41 @@ HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
 """The same body with six rotors, like the article's DJI M600 Pro; rotors as those of the quadrotor (assumed)."""
 
 
+def check_circle(vehicle: Vehicle) -> None:
+    """Require a sign for each of at least four rotors on a circle; raises ConfigError."""
+    if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
+        raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
+    if any(abs(s) != 1.0 for s in vehicle.spins):
+        raise ConfigError("spins", f"each must be 1 or -1, got {list(vehicle.spins)}")
+
+
+def check_rotors(vehicle: Vehicle) -> None:
+    """Require places, axes and signs of at least four rotors; raises ConfigError."""
+    if vehicle.rotors < 4:
+        raise ConfigError("rotor", f"needs four rotors at least, got {vehicle.rotors}")
+    low, high = extent(vehicle.arm)
+    if low != high:
+        raise ConfigError("arm", "has no effect beside [[rotor]], which gives the places; take the law out")
+    for index, rotor in enumerate(vehicle.rotor):
+        path = f"rotor.{index}"
+        for name in ("position", "axis"):
+            if len(getattr(rotor, name)) != 3:
+                raise ConfigError(f"{path}.{name}", f"needs three values, got {len(getattr(rotor, name))}")
+        if abs(rotor.direction) != 1.0:
+            raise ConfigError(f"{path}.direction", f"must be 1 or -1, got {rotor.direction:g}")
+        if max(abs(nominal(value)) for value in rotor.axis) < SHORTEST_AXIS:
+            raise ConfigError(f"{path}.axis", f"must not be zero, got {[nominal(value) for value in rotor.axis]}")
+
+
 def check_vehicle(vehicle: Vehicle) -> None:
     """Check rules that span several fields, for every value within the laws' supports; raises ConfigError."""
     for name in ("body_inertia", "structure_drag"):
         if len(getattr(vehicle, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(vehicle, name))}")
-    if len(vehicle.spins) != vehicle.rotors or vehicle.rotors < 4:
-        raise ConfigError("spins", f"needs one sign a rotor, and four rotors at least; got {vehicle.rotors} rotors")
-    if any(abs(s) != 1.0 for s in vehicle.spins):
-        raise ConfigError("spins", f"each must be 1 or -1, got {list(vehicle.spins)}")
+    if vehicle.rotor:
+        check_rotors(vehicle)
+    else:
+        check_circle(vehicle)
     limits = [extent(value) for value in vehicle.body_inertia]
     for i, axis in enumerate("xyz"):
         opposite = sum(limits[j][0] for j in range(3) if j != i)

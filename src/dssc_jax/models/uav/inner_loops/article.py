@@ -59,6 +59,11 @@ class InnerGains(NamedTuple):
     thrust: ThrustRule = ThrustRule.PROJECTION
     attitude: AttitudeReference = AttitudeReference.PLAIN
 
+    @property
+    def has_proof(self) -> bool:
+        """Whether the theorem of the vehicle covers this inner loop, in some of its variants."""
+        return True
+
 
 class Integrals(NamedTuple):
     """int (u - v) of the velocity loops [m], and int (u_psi - psi') [rad]."""

@@ -1,32 +1,30 @@
 """Linearise every draw's sampled loop at its operating points: its equilibrium, or places along its flight."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.analyses.linearisation.part_slopes import LaneLoop, examination
-from dssc_jax.analyses.linearisation.smooth_parts import (
-    Finding,
-    LoopPart,
-    declared_places,
-    require_smooth_there,
-    stated,
-    substituted,
-    with_inner_sides,
-)
-from dssc_jax.analyses.loop_margins.break_points import break_points, sample_map, start_state, undisturbed
-from dssc_jax.analyses.loop_margins.result import EQUILIBRIUM
+from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state, undisturbed
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.engine.batching import Arrays, drawn
+from dssc_jax.engine.linearisation.part_slopes import LaneLoop
+from dssc_jax.engine.linearisation.smooth_parts import (
+    Finding,
+    LoopPart,
+    require_smooth_at,
+    substituted,
+    with_inner_sides,
+)
 from dssc_jax.engine.plain import plain_options
-from dssc_jax.engine.sampling import draw_key
+from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
+EQUILIBRIUM = "equilibrium"
 BATCH_LANES = 2048  # derivatives that are computed at once
 NEWTON_STEPS = 30  # towards an equilibrium
 EQUILIBRIUM_TOLERANCE = 1e-9  # largest change of the state by a sample, relative to 1 + |state|
@@ -70,29 +68,6 @@ class Operating(NamedTuple):
     taken: tuple[str, ...]
 
 
-class Operation(NamedTuple):
-    """Operating points of a study, by name, and what is taken for parts that are smooth nowhere, in words."""
-
-    points: dict[str, Operating]
-    taken: tuple[str, ...]
-
-
-def operation(study: Study, times: tuple[float, ...]) -> Operation:
-    """Linearise all draws of a study at their equilibrium, or at times of their flight.
-
-    Args:
-        study: The study, without a sweep.
-        times: Times of the flight [s]; empty: the equilibrium.
-
-    Raises:
-        ConfigError: a part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
-            or a time is outside the flight.
-    """
-    places = declared_places(study, moving=bool(times))
-    points = along(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
-    return Operation(points, tuple(stated(places)))
-
-
 def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
     """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
     return lambda values, index: (*linearised_loop(study, values, places, resting), draw_key(study.config.seed, index))
@@ -114,7 +89,7 @@ def at_origin(study: Study) -> Study:
     initial = study.table["plant"].get("initial")
     if len(study.loop.channels) > 1 or not isinstance(initial, list):
         return study
-    return study.override({"plant.initial": [0.0] * len(initial)})
+    return replace(study.override({"plant.initial": [0.0] * len(initial)}), loop=study.loop)
 
 
 def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> Linearisation:
@@ -149,10 +124,10 @@ def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> 
         for first in range(0, count * size, BATCH_LANES):
             lane = np.minimum(np.arange(first, first + BATCH_LANES), count * size - 1)
             draw, direction = np.divmod(lane, size)
-            drawn_values = {name: column[draw] for name, column in values.items()}
+            lane_values = {name: column[draw] for name, column in values.items()}
             with arithmetic():
                 (after, _), slopes = program(
-                    drawn_values, indices[draw], states[draw], directions[direction], k, findings[draw]
+                    lane_values, indices[draw], states[draw], directions[direction], k, findings[draw]
                 )
                 parts.append([np.asarray(part) for part in (after, *slopes)])
         joined = [np.concatenate(part)[: count * size] for part in zip(*parts, strict=True)]
@@ -176,7 +151,7 @@ def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarra
     Raises:
         ConfigError: a part has no derivative at one of them.
     """
-    notes = require_smooth_there(study, places, findings)
+    notes = require_smooth_at(study, places, findings)
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
@@ -187,7 +162,7 @@ class Resting(NamedTuple):
         states: Shape (n, states).
         matrices: Of the loop without substitutes for corners.
         settled: Which states are at rest, shape (n,).
-        felt: States on which the loop's signals depend, shape (states,); others need not be at rest.
+        felt: States on which the loop's signals depend, shape (n, states); others need not be at rest.
     """
 
     states: np.ndarray
@@ -233,71 +208,32 @@ class RestingLoop:
             matrices = self.linearise(values, indices, states, 1, smooth)
             move = matrices.after - states
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-            felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
-            settled = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE
+            felt = closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+            settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
             moving = finite & ~settled
             if not moving.any() or trial == NEWTON_STEPS:
                 return Resting(states, matrices, settled, felt)
             trial += 1
-            felt_moves = move[np.ix_(moving, felt)]
-            slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[np.ix_(moving, felt, felt)]
-            steps = [np.linalg.lstsq(slope, residual)[0] for slope, residual in zip(slopes, felt_moves, strict=True)]
             states = states.copy()
-            states[np.ix_(moving, felt)] += np.stack(steps)
-
-
-def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
-    """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
-
-    A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
-
-    Raises:
-        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
-    """
-    return resting_operation(RestingLoop(study, places), study.config.draws)[0]
-
-
-def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
-    """Every draw's matrices at its equilibrium, and the findings on the parts there, shape (draws, parts).
-
-    Raises:
-        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
-    """
-    study = resting.study
-    places = resting.places
-    indices = np.arange(draws)
-    values = drawn(study, slice(0, draws))
-    states, matrices, settled, felt = resting.settle(values, indices)
-    if not settled.any():
-        raise ConfigError(
-            study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
-        )
-    findings = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
-    taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
-    cornered = np.any(findings == Finding.CORNER, axis=1)
-    plain = settled & ~cornered
-
-    def after(pushed: np.ndarray) -> np.ndarray:
-        return resting.linearise(values, indices, pushed, 1, resting.smooth(draws)).after
-
-    if plain.any():
-        require_derivative(study, after, states, matrices, plain, felt)
-    if cornered.any():
-        matrices = resting.linearise(values, indices, states, 1, findings)
-    return Operating(matrices, settled, taken), findings
+            for draw in np.flatnonzero(moving):
+                kept = felt[draw]
+                slope = np.eye(int(np.count_nonzero(kept))) - matrices.a[draw][np.ix_(kept, kept)]
+                states[draw, kept] += np.linalg.lstsq(slope, move[draw, kept])[0]
 
 
 def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
     """The states in ``begin`` and those that influence them, directly or not.
 
     Args:
-        begin: Mask of states, shape (states,).
-        influences: Whether the state of each row depends on that of each column, shape (states, states).
+        begin: Masks of states, shape (..., states).
+        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
     """
     reached = begin
-    for _ in range(len(begin)):
-        reached = reached | reached @ influences
-    return reached
+    while True:
+        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
+        if np.array_equal(wider, reached):
+            return reached
+        reached = wider
 
 
 def require_derivative(
@@ -316,7 +252,7 @@ def require_derivative(
         states: The equilibria, shape (n, states).
         matrices: Their derivatives.
         plain: Which draws have an equilibrium and no part at a corner, shape (n,).
-        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (states,).
+        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (n, states).
 
     Raises:
         ConfigError: it has not: the loop switches, or its gain is infinite there.
@@ -334,52 +270,3 @@ def require_derivative(
                 f"{100.0 * worst:.3g} % from that of the derivative, as where a controller switches or its gain is "
                 "infinite there; describing functions (dssc-jax theory) cover such loops",
             )
-
-
-def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
-    """Every draw's matrices at the states of its flight at the given times, by name.
-
-    Raises:
-        ConfigError: a time is outside the flight, or they do not ascend.
-    """
-    samples = tuple(round(t / study.config.loop.sample_time) for t in times)
-    if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
-        rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
-        raise ConfigError("times", rule)
-    indices = np.arange(study.config.draws)
-    values = drawn(study, slice(0, study.config.draws))
-    flown = flown_states(study, values, indices, samples)
-    linearise = linearisation(study, places, resting=False)
-    examine = examination(lane_loop(study, places, resting=False), places)
-    operating = {}
-    for t, k, states in zip(times, samples, flown, strict=True):
-        findings = examine(values, indices, states, k)
-        matrices = linearise(values, indices, states, k, findings)
-        finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
-        name = f"t = {t:g} s"
-        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
-    return operating
-
-
-def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
-    """The states of all draws before the given samples, each of shape (n, states).
-
-    The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.
-    """
-
-    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
-        return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
-
-    def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
-        sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
-        return sample(state, jnp.zeros(len(break_points(study.loop)), state.dtype))[0]
-
-    states = []
-    with arithmetic():
-        at = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
-        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
-        for k in range(samples[-1] + 1):
-            if k in samples:
-                states.append(np.asarray(at))
-            at = program(values, indices, at, k)
-    return states

@@ -12,7 +12,6 @@ import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.analyses.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.readings import signal_values
 from dssc_jax.closed_loop.sample import (
@@ -38,8 +37,9 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 from dssc_jax.core.smoothness import SmoothExtent
-from dssc_jax.engine.batching import Arrays
+from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import Arrays
 
 SMALL = 1e-8  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
 LARGE = 1e-6

@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
-from dssc_jax.analyses.linearisation.smooth_parts import declared_places, stated
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.smoothness import SMOOTH, declared_smoothness
+from dssc_jax.engine.linearisation.smooth_parts import declared_places, stated
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.actuators.lag import LAG, Order
 from dssc_jax.models.controllers import CONTROLLERS

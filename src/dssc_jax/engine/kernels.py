@@ -1,7 +1,8 @@
 """The forms in which a batch of lanes can run, and the choice between them.
 
 On a CPU, lanes run as machine code of this package (:mod:`dssc_jax.lanes.lanes`). What cannot be translated runs as
-plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample.
+plain ``jit(vmap(lane))`` by XLA, with a warning. On a GPU, XLA advances all lanes sample by sample, or on request a
+kernel of this package runs one lane in each thread (:mod:`dssc_jax.lanes.gpu`).
 """
 
 import os
@@ -17,6 +18,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.engine.compiled_lanes import LaneBatch, compiled_lanes
 from dssc_jax.engine.plain import PlainBatch, plain_options
+from dssc_jax.lanes.gpu.driver import GpuError, driver
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -32,12 +34,19 @@ class Form(StrEnum):
     """How a batch runs.
 
     ``lanes``: machine code for a CPU, in fast arithmetic. ``strict``: the same without contraction, with the same bits
-    on every machine. ``scan``: plain XLA.
+    on every machine. ``scan``: plain XLA. ``gpu`` and ``gpu-strict``: the program of ``lanes`` and ``strict`` on an
+    NVIDIA GPU, one lane a thread.
     """
 
     LANES = "lanes"
     STRICT = "strict"
     SCAN = "scan"
+    GPU = "gpu"
+    GPU_STRICT = "gpu-strict"
+
+
+STRICT_FORMS = Form.STRICT, Form.GPU_STRICT
+GPU_FORMS = Form.GPU, Form.GPU_STRICT
 
 
 class KernelWarning(UserWarning):
@@ -50,20 +59,39 @@ def requested(choice: str = "") -> str:
     Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU.
 
     Raises:
-        ConfigError: There is no such form.
+        ConfigError: There is no such form, or the machine has no GPU for it.
     """
     choice = choice or os.environ.get(KERNEL_VARIABLE, "")
     if not choice:
         return Form.LANES if jax.default_backend() == "cpu" else Form.SCAN
     if choice not in tuple(Form):
-        raise ConfigError("kernel", f"must be lanes, strict or scan, got '{choice}'; {nearest(choice, tuple(Form))}")
+        known = "lanes, strict, scan, gpu or gpu-strict"
+        raise ConfigError("kernel", f"must be {known}, got '{choice}'; {nearest(choice, tuple(Form))}")
+    if choice in GPU_FORMS:
+        gpu_name(choice)
     return choice
+
+
+def gpu_name(choice: str) -> str:
+    """Name of the GPU that a form runs on.
+
+    Raises:
+        ConfigError: The machine has none that can run lanes.
+    """
+    try:
+        return driver().name
+    except GpuError as problem:
+        alternative = Form.STRICT if choice in STRICT_FORMS else Form.LANES
+        message = f"'{choice}' needs an NVIDIA GPU: {problem}; '{alternative}' runs on a CPU"
+        raise ConfigError("kernel", message) from None
 
 
 def compiler_settings() -> list[str]:
     """What affects the last digits of a result beside the versions: the compiler, the processor, a request."""
-    requests = [f"{KERNEL_VARIABLE}={requested()}"] if os.environ.get(KERNEL_VARIABLE) else []
-    return [*machine.code_settings(), *requests]
+    form = requested()
+    requests = [f"{KERNEL_VARIABLE}={form}"] if os.environ.get(KERNEL_VARIABLE) else []
+    gpus = [f"gpu {gpu_name(form)}"] if form in GPU_FORMS else []
+    return [*machine.code_settings(), *gpus, *requests]
 
 
 def compiled(
@@ -80,16 +108,20 @@ def compiled(
         devices: Cores of a CPU, or GPUs; None: all.
 
     Raises:
-        ConfigError: Strict arithmetic was requested, and cannot express the program.
+        ConfigError: Strict arithmetic or a GPU's kernel was requested, and cannot express the program.
 
     Warns:
         KernelWarning: The program runs in a slower form.
     """
-    if choice in (Form.LANES, Form.STRICT):
+    if choice != Form.SCAN:
+        strict = choice in STRICT_FORMS
+        gpu = choice in GPU_FORMS
         try:
-            return LaneBatch(lane, names, devices, strict=choice == Form.STRICT).start
+            return LaneBatch(lane, names, devices, strict, gpu).start
         except Unsupported as problem:
-            if choice == Form.STRICT:
+            if gpu:
+                raise ConfigError("kernel", f"a kernel cannot express {problem}") from None
+            if strict:
                 raise ConfigError("kernel", f"strict arithmetic cannot express {problem}") from None
             slower(f"no machine code for {problem}")
     return PlainBatch(lane, names, lanes, tile, devices).start

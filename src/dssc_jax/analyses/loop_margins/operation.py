@@ -1,0 +1,138 @@
+"""Operating points of an analysis: every draw's equilibrium, or places along its flight."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.operating_points import (
+    EQUILIBRIUM,
+    Operating,
+    RestingLoop,
+    corner_notes,
+    lane_loop,
+    linearisation,
+    require_derivative,
+)
+from dssc_jax.engine.linearisation.part_slopes import examination
+from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, stated
+from dssc_jax.engine.plain import plain_options
+from dssc_jax.engine.sampling import Arrays, draw, draw_key
+from dssc_jax.study import Study
+
+
+class Operation(NamedTuple):
+    """Operating points of a study, by name, and what is taken for parts that are smooth nowhere, in words."""
+
+    points: dict[str, Operating]
+    taken: tuple[str, ...]
+
+
+def operation(study: Study, times: tuple[float, ...]) -> Operation:
+    """Linearise all draws of a study at their equilibrium, or at times of their flight.
+
+    Args:
+        study: The study, without a sweep.
+        times: Times of the flight [s]; empty: the equilibrium.
+
+    Raises:
+        ConfigError: a part does not declare where it is smooth or has no derivative there; no draw has an equilibrium;
+            or a time is outside the flight.
+    """
+    places = declared_places(study, moving=bool(times))
+    points = along(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
+    return Operation(points, tuple(stated(places)))
+
+
+def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
+    """Every draw's matrices at its equilibrium, found by Newton's method from the initial state.
+
+    A state that no signal of the loop depends on, as an integrator whose gain is 0, need not be at rest.
+
+    Raises:
+        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
+    """
+    return resting_operation(RestingLoop(study, places), study.config.draws)[0]
+
+
+def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.ndarray]:
+    """Every draw's matrices at its equilibrium, and the findings on the parts there, shape (draws, parts).
+
+    Raises:
+        ConfigError: no draw has an equilibrium, or the loop is not smooth there.
+    """
+    study = resting.study
+    places = resting.places
+    indices = np.arange(draws)
+    values = draw(study, np.arange(draws))
+    states, matrices, settled, felt = resting.settle(values, indices)
+    if not settled.any():
+        raise ConfigError(
+            study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
+        )
+    findings = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
+    taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
+    cornered = np.any(findings == Finding.CORNER, axis=1)
+    plain = settled & ~cornered
+
+    def after(pushed: np.ndarray) -> np.ndarray:
+        return resting.linearise(values, indices, pushed, 1, resting.smooth(draws)).after
+
+    if plain.any():
+        require_derivative(study, after, states, matrices, plain, felt)
+    if cornered.any():
+        matrices = resting.linearise(values, indices, states, 1, findings)
+    return Operating(matrices, settled, taken), findings
+
+
+def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
+    """Every draw's matrices at the states of its flight at the given times, by name.
+
+    Raises:
+        ConfigError: a time is outside the flight, or they do not ascend.
+    """
+    samples = tuple(round(t / study.config.loop.sample_time) for t in times)
+    if sorted(set(samples)) != list(samples) or samples[0] < 0 or samples[-1] >= study.loop.steps:
+        rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
+        raise ConfigError("times", rule)
+    indices = np.arange(study.config.draws)
+    values = draw(study, np.arange(study.config.draws))
+    flown = flown_states(study, values, indices, samples)
+    linearise = linearisation(study, places, resting=False)
+    examine = examination(lane_loop(study, places, resting=False), places)
+    operating = {}
+    for t, k, states in zip(times, samples, flown, strict=True):
+        findings = examine(values, indices, states, k)
+        matrices = linearise(values, indices, states, k, findings)
+        finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
+        name = f"t = {t:g} s"
+        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
+    return operating
+
+
+def flown_states(study: Study, values: Arrays, indices: np.ndarray, samples: tuple[int, ...]) -> list[np.ndarray]:
+    """The states of all draws before the given samples, each of shape (n, states).
+
+    The time loop runs on the host: compiling one of a vehicle takes minutes, and its steps take seconds.
+    """
+
+    def start(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+        return start_state(study.loop, study.params(values), draw_key(study.config.seed, index))
+
+    def advance(values: dict[str, jax.Array], index: jax.Array, state: jax.Array, k: jax.Array) -> jax.Array:
+        sample = sample_map(study.loop, study.params(values), draw_key(study.config.seed, index), k)
+        return sample(state, jnp.zeros(len(break_points(study.loop)), state.dtype))[0]
+
+    states = []
+    with arithmetic():
+        at = jax.jit(jax.vmap(start), compiler_options=plain_options())(values, indices)
+        program = jax.jit(jax.vmap(advance, in_axes=(0, 0, 0, None)), compiler_options=plain_options())
+        for k in range(samples[-1] + 1):
+            if k in samples:
+                states.append(np.asarray(at))
+            at = program(values, indices, at, k)
+    return states

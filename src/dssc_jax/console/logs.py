@@ -1,0 +1,53 @@
+"""Show what a log holds."""
+
+from functools import partial
+
+from dssc_jax.console.terminal import output, show_table
+from dssc_jax.flight_logs.contents import FieldValues, LogContents
+from dssc_jax.flight_logs.ulog import LogTopic
+
+SYSTEM = ("sys_name", "ver_hw", "ver_sw")
+"""What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
+DERIVED_MARK = "*"
+
+
+def show_log(log: LogContents) -> None:
+    """Print span, segments and topics of a log, and the fields of the topics that were asked for."""
+    say = partial(output().print, soft_wrap=True, markup=False)
+    system = ", ".join(log.system[name] for name in SYSTEM if name in log.system)
+    say(f"{log.name}: {log.duration:.4g} s{f', {system}' if system else ''}")
+    for segment in log.segments:
+        say(f"{segment.name}: {segment.begin:.4g} s to {segment.end:.4g} s")
+    if log.topics and not log.segments:
+        say("never armed, as far as the log tells")
+    count, lost = log.dropouts
+    if count:
+        say(f"{count} dropouts of together {lost:.3g} s")
+    if log.damaged is not None:
+        say(f"damaged: byte {log.damaged} is no message, and the list ends there")
+    if log.topics and not log.fields:
+        head = ("topic", "messages", "a second", "first [s]", "last [s]")
+        show_table(head, [topic_row(topic) for topic in log.topics])
+    if log.fields:
+        head = ("column", "values", "lowest", "median", "highest")
+        show_table(head, [field_row(field) for field in log.fields])
+    if any(field.derived for field in log.fields):
+        say(f"{DERIVED_MARK} in the model's axes: east, north, up; a body's forward, left, up; SI units and radians")
+
+
+def topic_row(topic: LogTopic) -> tuple[str, ...]:
+    """A topic as a row."""
+    numbers = (topic.rate, topic.first, topic.last)
+    return (topic.name, f"{topic.messages:,}", *(number(value) for value in numbers))
+
+
+def field_row(field: FieldValues) -> tuple[str, ...]:
+    """A field as a row."""
+    values = (field.lowest, field.median, field.highest)
+    mark = DERIVED_MARK if field.derived else ""
+    return (field.name + mark, f"{field.count:,}", *(number(value) for value in values))
+
+
+def number(value: float) -> str:
+    """A number with four digits; nothing for NaN."""
+    return "" if value != value else f"{value:.4g}"

@@ -1,0 +1,67 @@
+"""Software on board of a plant: sampled faster than the loop, held between its own samples."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Params, PlantInput, State
+
+WHOLE = 1e-9
+"""Relative deviation of a ratio that counts as a whole number."""
+
+
+class Onboard(NamedTuple):
+    """Sampled software that is part of a plant, such as the inner loops of an autopilot.
+
+    Its results are part of the plant's state, and ``derivative`` leaves them constant. At a sample of the loop
+    ``sample`` runs first, then ``tick``; ``tick`` alone runs at the other instants, which divide the sample evenly.
+
+    Args:
+        period: ``(params) -> time between two ticks [s]``; None: these parameters choose no sampled software.
+        start: ``(params, state) -> held``: its part of the plant's state at the first sample, from the rest of it.
+        held: ``(state) -> held``: its part of a state.
+        holding: ``(state, held) -> state`` with another such part.
+        sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
+        tick: ``(params, state, dt) -> state`` at each tick, dt apart.
+        frequency: Name of the plant's number that gives the period, dotted, for messages.
+    """
+
+    period: Callable[[Params], float | None]
+    start: Callable[[Params, State], State]
+    held: Callable[[State], State]
+    holding: Callable[[State, State], State]
+    sample: Callable[[Params, State, PlantInput, float], State]
+    tick: Callable[[Params, State, float], State]
+    frequency: str = ""
+
+    def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
+        """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""
+        period = self.period(params)
+        if period is None:
+            return
+        try:
+            ticks_in_sample(period, sample_time, substeps)
+        except ConfigError as error:
+            raise error.within_path(self.frequency) from None
+
+
+def ticks_in_sample(period: float, sample_time: float, substeps: int) -> int:
+    """Number of ticks in a sample of the loop.
+
+    Args:
+        period: Time between two ticks [s].
+        sample_time: T_s [s].
+        substeps: Integrator steps in a sample.
+
+    Raises:
+        ConfigError: The period does not divide T_s, or the ticks do not divide the substeps.
+    """
+    ratio = sample_time / period
+    ticks = round(ratio)
+    if ticks < 1 or abs(ratio - ticks) > WHOLE * ratio:
+        rule = f"must be a whole multiple of 1/loop.sample_time = {1.0 / sample_time:g} Hz"
+        raise ConfigError("", f"{rule}, got {1.0 / period:g} Hz")
+    if substeps % ticks:
+        rule = f"gives {ticks} samples in T_s, which must divide loop.substeps = {substeps}"
+        raise ConfigError("", f"{rule}; set loop.substeps = {ticks * max(1, round(substeps / ticks))}")
+    return ticks

@@ -1,0 +1,181 @@
+"""What a log holds: its topics or columns, its segments, and the values of chosen topics."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.flight_logs.frames import derived_fields, field_values
+from dssc_jax.flight_logs.ulog import (
+    SEGMENT_TOPICS,
+    LogTopic,
+    Segment,
+    TopicData,
+    chosen_segment,
+    list_topics,
+    read_topics,
+    segments_of,
+    stamps,
+)
+from dssc_jax.study.recorded import TIME, recorded_frame
+
+
+class FieldValues(NamedTuple):
+    """The values of a field or column.
+
+    Args:
+        name: The column's name, as a table of columns takes it.
+        derived: Whether it is in the model's axes, and not a field of the log itself.
+        count: Number of its finite values.
+        lowest: Their minimum; NaN if there are none.
+        median: Their median.
+        highest: Their maximum.
+    """
+
+    name: str
+    derived: bool
+    count: int
+    lowest: float
+    median: float
+    highest: float
+
+
+@dataclass(frozen=True)
+class LogContents:
+    """What a log holds.
+
+    Attributes:
+        name: Its file.
+        system: What it says of its system.
+        duration: Its span [s].
+        topics: Its topics; none of a table.
+        segments: When the vehicle was armed and airborne.
+        dropouts: Number of gaps in writing, and their sum [s].
+        damaged: Position of the first byte that is no message.
+        fields: Fields of the chosen topics, or the columns of a table.
+    """
+
+    name: str
+    system: dict[str, str]
+    duration: float
+    topics: tuple[LogTopic, ...]
+    segments: tuple[Segment, ...]
+    dropouts: tuple[int, float]
+    damaged: int | None
+    fields: tuple[FieldValues, ...]
+
+    def summary(self) -> dict[str, object]:
+        """The same as plain data."""
+        topics = [topic._asdict() | {"rate": topic.rate} for topic in self.topics]
+        segments = [segment._asdict() for segment in self.segments]
+        fields = [field._asdict() for field in self.fields]
+        return vars(self) | {"topics": topics, "segments": segments, "fields": fields}
+
+
+def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
+    """What a log holds, with the values of the fields of some topics.
+
+    Args:
+        path: A ULog of PX4, a CSV or a Parquet file.
+        topics: Topics of a ULog, ``topic`` or ``topic:1``.
+
+    Raises:
+        ConfigError: the file cannot be read, or there is no such topic.
+    """
+    with errors_under(str(path)):
+        if path.suffix.lower() != ".ulg":
+            if topics:
+                raise ConfigError("--topic", "is for a ULog of PX4; a table has columns, which are shown")
+            return table_contents(path)
+        listed = list_topics(path)
+        known = [topic.name for topic in listed.topics]
+        for name in topics:
+            if name.removesuffix(":0") not in known:
+                raise ConfigError("--topic", f"the log has no topic '{name}'; {nearest(name, known)}")
+        wanted = [name.partition(":")[0] for name in topics]
+        data, begin = read_topics(path, [*wanted, *SEGMENT_TOPICS])
+        fields = [field for name in topics for field in topic_fields(name, data, begin)]
+        return LogContents(
+            path.name,
+            listed.system,
+            listed.duration,
+            listed.topics,
+            tuple(segments_of(data, begin)),
+            listed.dropouts,
+            listed.damaged,
+            tuple(fields),
+        )
+
+
+def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValues]:
+    """The fields of a topic, those in the model's axes first."""
+    topic, _, instance = name.partition(":")
+    own = data.get(f"{topic}:{instance or 0}", {})
+    if not own:
+        return
+    label = name.removesuffix(":0")
+    time = stamps(own, begin)
+    for field in derived_fields(topic, own):
+        yield field_summary(f"{label}.{field}", field_values(topic, own, field), True)
+    yield field_summary(f"{label}: time [s]", time, False)
+    for field in own:
+        if not field.startswith("timestamp"):
+            yield field_summary(f"{label}.{field}", field_values(topic, own, field), False)
+
+
+def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldValues:
+    """Number and extent of a field's finite values."""
+    finite = np.empty(0) if values is None else values[np.isfinite(values)]
+    if not finite.size:
+        return FieldValues(name, derived, 0, np.nan, np.nan, np.nan)
+    numbers = (finite.min(), np.median(finite), finite.max())
+    return FieldValues(name, derived, finite.size, *map(float, numbers))
+
+
+def table_contents(path: Path) -> LogContents:
+    """The columns of a CSV or Parquet file that hold numbers; the span of its column t."""
+    frame = recorded_frame(path).select_dtypes("number")
+    columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
+    fields = tuple(field_summary(name, values, False) for name, values in columns.items())
+    time = columns.get(TIME, np.zeros(1))
+    span = float(np.nanmax(time) - np.nanmin(time))
+    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, fields)
+
+
+def topic_table(
+    path: Path, topic: str, segment: str | None = None, start: float | None = None
+) -> dict[str, np.ndarray]:
+    """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
+
+    Messages without a stamp, or from before the start, are left out.
+
+    Args:
+        path: A ULog of PX4.
+        topic: ``topic`` or ``topic:1``.
+        segment: The part to take.
+        start: Time of the log at which t is 0 [s]; None: the beginning of the segment, or of the log.
+
+    Raises:
+        ConfigError: the file cannot be read, or it lacks the topic or the segment.
+    """
+    with errors_under(str(path)):
+        name, _, instance = topic.partition(":")
+        data, begin = read_topics(path, [name, *SEGMENT_TOPICS])
+        own = data.get(f"{name}:{instance or 0}")
+        if own is None:
+            known = [topic.name for topic in list_topics(path).topics]
+            raise ConfigError("--topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
+        time = stamps(own, begin)
+        whole = Segment("whole", 0.0, np.inf)
+        part = whole if segment is None else chosen_segment(segment, segments_of(data, begin))
+        origin = part.begin if start is None else start
+        inside = (time >= max(part.begin, origin)) & (time <= part.end)
+        table = {TIME: time[inside] - origin}
+        for field in [*derived_fields(name, own), *own]:
+            values = field_values(name, own, field)
+            if values is not None and not field.startswith("timestamp"):
+                table[field] = values[inside]
+        return table

@@ -1,0 +1,164 @@
+"""From PX4's axes to those of the model: fields that a topic of a log has beside its own.
+
+PX4's local frame is north, east, down (NED), and its body axes point forward, right, down (FRD). The model's inertial
+frame has z up; waypoints make it east, north, up (ENU), see :mod:`dssc_jax.models.references.waypoints`. Its body axes
+point forward, left, up (FLU), and its Euler angles are R = R_z(psi) R_y(theta) R_x(phi), body to inertial. Hence
+
+    R = [[0, 1, 0], [1, 0, 0], [0, 0, -1]] R_PX4 diag(1, -1, -1)
+
+    phi = phi_PX4,   theta = -theta_PX4,   psi = pi/2 - psi_PX4
+
+Sources: PX4 user guide, "Frames and coordinate systems"; B. L. Stevens, F. L. Lewis, E. N. Johnson, Aircraft Control
+and Simulation, 3rd ed., 2016, section 1.3 (quaternion to rotation matrix and Euler angles).
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+Fields: TypeAlias = Mapping[str, np.ndarray]
+"""The fields of a topic by name, each of shape (messages,)."""
+
+
+class DerivedField(NamedTuple):
+    """A field in the model's axes.
+
+    Args:
+        name: Its name in the topic.
+        unit: Its unit.
+        needs: The topic's own fields that it follows from.
+        of: Its values from theirs.
+    """
+
+    name: str
+    unit: str
+    needs: tuple[str, ...]
+    of: Callable[..., np.ndarray]
+
+
+def same(values: np.ndarray) -> np.ndarray:
+    """The values."""
+    return values
+
+
+def opposite(values: np.ndarray) -> np.ndarray:
+    """The values with the other sign."""
+    return -values
+
+
+def yaw_of_heading(heading: np.ndarray) -> np.ndarray:
+    """psi in (-pi, pi] from the angle clockwise from north [rad]."""
+    return np.arctan2(np.cos(heading), np.sin(heading))
+
+
+def roll_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """phi from PX4's quaternion FRD to NED."""
+    return np.arctan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+
+
+def pitch_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """theta from PX4's quaternion FRD to NED."""
+    return -np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
+
+
+def yaw_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """psi in (-pi, pi] from PX4's quaternion FRD to NED."""
+    return yaw_of_heading(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def along_axes(names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]) -> list[DerivedField]:
+    """A vector of the local frame as east, north and up."""
+    north, east, down = north_east_down
+    sources = ((east, same), (north, same), (down, opposite))
+    return [DerivedField(name, unit, (field,), of) for name, (field, of) in zip(names, sources, strict=True)]
+
+
+def about_body(forward_right_down: tuple[str, str, str]) -> list[DerivedField]:
+    """A rate about forward, right and down as p, q and r about forward, left and up."""
+    sources = zip("pqr", forward_right_down, (same, opposite, opposite), strict=True)
+    return [DerivedField(name, "rad/s", (field,), of) for name, field, of in sources]
+
+
+def attitude(quaternion: str) -> list[DerivedField]:
+    """Euler angles of a quaternion."""
+    needs = tuple(f"{quaternion}[{i}]" for i in range(4))
+    angles = (("phi", roll_of), ("theta", pitch_of), ("psi", yaw_of))
+    return [DerivedField(name, "rad", needs, of) for name, of in angles]
+
+
+def components(name: str) -> tuple[str, str, str]:
+    """The fields of an array of three."""
+    return f"{name}[0]", f"{name}[1]", f"{name}[2]"
+
+
+PLACE = ("east", "north", "up")
+SPEED = ("v_east", "v_north", "v_up")
+DERIVED = {
+    "vehicle_local_position": (
+        *along_axes(PLACE, "m", ("x", "y", "z")),
+        *along_axes(SPEED, "m/s", ("vx", "vy", "vz")),
+        DerivedField("psi", "rad", ("heading",), yaw_of_heading),
+    ),
+    "vehicle_local_position_setpoint": (
+        *along_axes(PLACE, "m", ("x", "y", "z")),
+        *along_axes(SPEED, "m/s", ("vx", "vy", "vz")),
+        DerivedField("psi", "rad", ("yaw",), yaw_of_heading),
+        DerivedField("psi_dot", "rad/s", ("yawspeed",), opposite),
+    ),
+    "trajectory_setpoint": (
+        *along_axes(PLACE, "m", components("position")),
+        *along_axes(SPEED, "m/s", components("velocity")),
+        DerivedField("psi", "rad", ("yaw",), yaw_of_heading),
+        DerivedField("psi_dot", "rad/s", ("yawspeed",), opposite),
+    ),
+    "vehicle_attitude": tuple(attitude("q")),
+    "vehicle_attitude_setpoint": tuple(attitude("q_d")),
+    "vehicle_angular_velocity": tuple(about_body(components("xyz"))),
+    "vehicle_rates_setpoint": tuple(about_body(("roll", "pitch", "yaw"))),
+}
+"""What each topic has in the model's axes, where it has the fields that this follows from."""
+GROUND_TRUTH = "_groundtruth"
+"""Suffix of a simulator's topics, whose fields are those of the estimate."""
+
+
+def derived_fields(topic: str, own: Fields) -> dict[str, DerivedField]:
+    """The fields in the model's axes of a topic with given fields, by name; a field of its own goes first."""
+    found = {}
+    for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):
+        if field.name not in own and all(name in own for name in field.needs):
+            found[field.name] = field
+    return found
+
+
+def field_values(topic: str, own: Fields, name: str) -> np.ndarray | None:
+    """A field of a topic, its own or one in the model's axes, as float64; None if the topic lacks it.
+
+    Example:
+        >>> down = {"x": np.zeros(1), "y": np.ones(1), "z": np.array([-2.0])}
+        >>> [float(field_values("vehicle_local_position", down, name)[0]) for name in ("east", "north", "up")]
+        [1.0, 0.0, 2.0]
+    """
+    if name in own:
+        return own[name].astype(float)
+    field = derived_fields(topic, own).get(name)
+    return None if field is None else field.of(*(own[source].astype(float) for source in field.needs))
+
+
+PX4_COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
+    axis: {
+        "y": (f"vehicle_local_position.{place}",),
+        "y_dot": (f"vehicle_local_position.{speed}",),
+        "y_ref": (f"vehicle_local_position_setpoint.{place}", f"trajectory_setpoint.{place}"),
+        "y_ref_dot": (f"trajectory_setpoint.{speed}",),
+        "u_total": (f"vehicle_local_position_setpoint.{speed}",),
+    }
+    for axis, place, speed in zip("xyz", PLACE, SPEED, strict=True)
+} | {
+    "psi": {
+        "y": ("vehicle_attitude.psi", "vehicle_local_position.psi"),
+        "y_ref": ("vehicle_local_position_setpoint.psi", "trajectory_setpoint.psi"),
+    }
+}
+"""The columns of a multirotor's channels in a ULog, the first that the log has; u_total is the velocity setpoint of
+PX4's position controller."""

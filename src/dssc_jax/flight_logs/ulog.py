@@ -1,0 +1,294 @@
+"""PX4's ULog: its topics and segments listed, and chosen topics read, without holding the whole file.
+
+pyulog reads a file message by message and holds the data of the topics that are asked for, with all their fields. The
+list of topics comes from a pass of its own, which holds no data at all.
+
+Source: PX4 user guide, "ULog file format".
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, TypeAlias
+
+import numpy as np
+
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+
+MICROSECOND = 1e-6  # s
+HEADER = struct.Struct("<7sBQ")
+MAGIC = b"ULog\x01\x12\x35"
+MESSAGE = struct.Struct("<HB")  # size and kind
+ADDED = struct.Struct("<BH")  # instance and number of a topic
+NUMBERED = struct.Struct("<H")
+STAMPED = struct.Struct("<HQ")
+DROPOUT = struct.Struct("<H")
+KINDS = frozenset(b"BFIMPQALCDRSO")
+"""Kinds of messages: flags, format, information, parameter, topic, text, data, removal, synchronisation, dropout."""
+ARMED = 2  # of vehicle_status.arming_state
+SEGMENTS = ("armed", "airborne")
+SEGMENT_TOPICS = ("actuator_armed", "vehicle_status", "vehicle_land_detected")
+
+TopicData: TypeAlias = dict[str, dict[str, np.ndarray]]
+"""The fields of each topic, ``name:instance``, each of shape (messages,)."""
+
+
+class LogTopic(NamedTuple):
+    """One instance of a topic.
+
+    Args:
+        name: ``topic``, or ``topic:1`` for its second instance.
+        messages: Number of its messages.
+        first: Time of the first one with a stamp, from the beginning of the log [s]; NaN if none has.
+        last: Time of the last one [s].
+    """
+
+    name: str
+    messages: int
+    first: float
+    last: float
+
+    @property
+    def rate(self) -> float:
+        """Messages a second between the first and the last one; NaN of a single one."""
+        span = self.last - self.first
+        return (self.messages - 1) / span if span > 0.0 else float("nan")
+
+
+class Segment(NamedTuple):
+    """A part of a log.
+
+    Args:
+        name: ``armed`` or ``airborne``.
+        begin: Time of the log [s].
+        end: Time of the log [s].
+    """
+
+    name: str
+    begin: float
+    end: float
+
+
+class LogTopics(NamedTuple):
+    """What a log holds.
+
+    Args:
+        system: What it says of its system: hardware, software and so on, by PX4's names.
+        parameters: The parameters that it begins with.
+        duration: From its beginning to its last stamp [s].
+        topics: Its topics, by name.
+        dropouts: Number of gaps in writing, and their sum [s].
+        damaged: Position of the first byte that is no message; None: there is none.
+    """
+
+    system: dict[str, str]
+    parameters: dict[str, float]
+    duration: float
+    topics: tuple[LogTopic, ...]
+    dropouts: tuple[int, float]
+    damaged: int | None
+
+
+@contextmanager
+def readable_log(path: Path) -> Iterator[BinaryIO]:
+    """An opened ULog; errors of its content, and of pyulog, become a ConfigError."""
+    try:
+        import pyulog  # noqa: F401 - an optional extra
+    except ImportError as error:
+        raise ConfigError("file", "a log of PX4 needs pyulog: pip install 'dssc_jax[ulog]'") from error
+    try:
+        with files.opened(path) as file:
+            yield file
+    except ConfigError:
+        raise
+    except Exception as error:  # pyulog raises errors of many kinds
+        raise ConfigError("file", f"cannot be read: {' '.join(str(error).split())}") from error
+
+
+def read_topics(path: Path, names: Iterable[str]) -> tuple[TopicData, float]:
+    """The messages of some topics; others are passed over.
+
+    Args:
+        path: The log.
+        names: Names of topics, without instance.
+
+    Returns:
+        Their fields, and the time at which the log begins [us].
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    with readable_log(path) as file:
+        from pyulog import ULog  # an optional extra
+
+        with redirect_stdout(StringIO()):  # it prints warnings
+            log = ULog(file, sorted(set(names)))
+        topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
+        return topics, float(log.start_timestamp)
+
+
+def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
+    """Times of a topic's messages from the beginning of the log [s]; NaN where one has no stamp.
+
+    ``timestamp_sample`` is the time at which a value was measured, or of the measurement that it follows from;
+    ``timestamp`` is that of its publication. The first counts where a topic has it and it does not fall.
+    """
+    published = fields["timestamp"].astype(float)
+    measured = fields.get("timestamp_sample")
+    chosen = published
+    if measured is not None and (measured > 0).all() and (np.diff(measured.astype(np.int64)) >= 0).all():
+        chosen = measured.astype(float)
+    return np.where(published > 0.0, MICROSECOND * (chosen - begin), np.nan)
+
+
+def list_topics(path: Path) -> LogTopics:
+    """The topics of a log with their number of messages and spans, in one pass that holds no data.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    with readable_log(path) as file:
+        from pyulog import ULog  # an optional extra
+
+        begin = log_begin(file)
+        counted = Scan(begin)
+        damaged = counted.run(file)
+        file.seek(0)
+        with redirect_stdout(StringIO()):
+            log = ULog(file, parse_header_only=True)
+    system = {name: str(value) for name, value in log.msg_info_dict.items()}
+    parameters = {name: float(value) for name, value in log.initial_parameters.items()}
+    topics = tuple(sorted(counted.topics(), key=lambda topic: topic.name))
+    duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
+    return LogTopics(system, parameters, duration, topics, counted.dropouts, damaged)
+
+
+def log_begin(file: BinaryIO) -> int:
+    """The time at which a log begins [us]."""
+    head = file.read(HEADER.size)
+    if len(head) < HEADER.size or head[: len(MAGIC)] != MAGIC:
+        raise ConfigError("file", "is no ULog: its first bytes are others")
+    return HEADER.unpack(head)[2]
+
+
+class Scan:
+    """A pass over the messages of a log, which counts them by topic.
+
+    Args:
+        begin: The time at which the log begins [us].
+    """
+
+    def __init__(self, begin: int) -> None:
+        self._begin = begin
+        self._names: dict[int, str] = {}
+        self._counts: dict[int, int] = {}
+        self._first: dict[int, int] = {}
+        self._last: dict[int, int] = {}
+        self.dropouts = (0, 0.0)
+
+    def run(self, file: BinaryIO) -> int | None:
+        """Read all messages; the position of the first byte that is no message, None if there is none."""
+        read = file.read
+        data = ord("D")
+        while True:
+            head = read(MESSAGE.size)
+            if len(head) < MESSAGE.size:
+                return None
+            size, kind = MESSAGE.unpack(head)
+            body = read(size)
+            if len(body) < size:
+                return None  # the log was cut off while it was written
+            if kind == data:
+                self._count(body)
+            elif kind not in KINDS:
+                return file.tell() - size - MESSAGE.size
+            else:
+                self._note(kind, body)
+
+    def _count(self, body: bytes) -> None:
+        """Count a message of a topic, whose first field is its stamp."""
+        if len(body) < STAMPED.size:
+            return
+        number, stamp = STAMPED.unpack_from(body)
+        self._counts[number] = self._counts.get(number, 0) + 1
+        if stamp:
+            self._first.setdefault(number, stamp)
+            self._last[number] = stamp
+
+    def _note(self, kind: int, body: bytes) -> None:
+        """Note a topic or a dropout."""
+        if kind == ord("A"):
+            instance, number = ADDED.unpack_from(body)
+            name = body[ADDED.size :].decode("utf-8", "replace")
+            self._names[number] = f"{name}:{instance}" if instance else name
+        elif kind == ord("O"):
+            count, lost = self.dropouts
+            self.dropouts = (count + 1, lost + 1e-3 * DROPOUT.unpack_from(body)[0])
+
+    def topics(self) -> Iterator[LogTopic]:
+        """The topics that have messages."""
+        for number, messages in self._counts.items():
+            spans = (self._first.get(number), self._last.get(number))
+            first, last = (np.nan if stamp is None else MICROSECOND * (stamp - self._begin) for stamp in spans)
+            yield LogTopic(self._names.get(number, f"topic {number}"), messages, first, last)
+
+
+def segments_of(topics: TopicData, begin: float) -> list[Segment]:
+    """When a vehicle was armed and in the air.
+
+    Armed: ``actuator_armed.armed``, or ``vehicle_status.arming_state`` is 2. Airborne: armed and not
+    ``vehicle_land_detected.landed``. A state holds until the topic's next message.
+
+    Args:
+        topics: The topics of :data:`SEGMENT_TOPICS`, as far as the log has them.
+        begin: The time at which the log begins [us].
+    """
+    armed = spans_of(topics, "actuator_armed:0", "armed", lambda values: values > 0, begin)
+    if armed is None:
+        armed = spans_of(topics, "vehicle_status:0", "arming_state", lambda values: values == ARMED, begin)
+    if armed is None:
+        return []
+    segments = [Segment("armed", *span) for span in armed]
+    in_air = spans_of(topics, "vehicle_land_detected:0", "landed", lambda values: values == 0, begin) or []
+    for low, high in in_air:
+        for start, end in armed:
+            if max(low, start) < min(high, end):
+                segments.append(Segment("airborne", max(low, start), min(high, end)))
+    return segments
+
+
+def spans_of(
+    topics: TopicData, topic: str, field: str, holds: Callable[[np.ndarray], np.ndarray], begin: float
+) -> list[tuple[float, float]] | None:
+    """The spans of time in which a field has a property; None if the log does not have it."""
+    fields = topics.get(topic)
+    if fields is None or field not in fields:
+        return None
+    time = MICROSECOND * (fields["timestamp"].astype(float) - begin)
+    held = np.concatenate([[False], holds(fields[field]), [False]])
+    edges = np.diff(held.astype(int))
+    starts = np.flatnonzero(edges == 1)
+    ends = np.minimum(np.flatnonzero(edges == -1), len(time) - 1)
+    return [(float(time[start]), float(time[end])) for start, end in zip(starts, ends, strict=True)]
+
+
+def chosen_segment(text: str, segments: Sequence[Segment]) -> Segment:
+    """The segment that a text names: ``armed`` the longest one, ``armed:2`` the second.
+
+    Raises:
+        ConfigError: there is no such segment.
+    """
+    name, _, number = text.partition(":")
+    if name not in SEGMENTS or (number and not number.isdecimal()):
+        raise ConfigError("segment", f"must be {' or '.join(SEGMENTS)}, or armed:2 for the second one, got {text!r}")
+    found = [segment for segment in segments if segment.name == name]
+    if not found:
+        raise ConfigError("segment", f"the log has no segment '{name}'; `dssc-jax log FILE` lists what it has")
+    if not number:
+        return max(found, key=lambda segment: segment.end - segment.begin)
+    if not 1 <= int(number) <= len(found):
+        raise ConfigError("segment", f"the log has {len(found)} segments '{name}', got number {number}")
+    return found[int(number) - 1]

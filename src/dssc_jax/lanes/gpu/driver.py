@@ -1,0 +1,167 @@
+"""The CUDA driver, by ctypes: memory, modules, launches. It comes with the GPU's driver; nothing else is needed.
+
+Names, types and constants are those of NVIDIA's CUDA Driver API, version 11.4 and later.
+"""
+
+import ctypes
+import sys
+from ctypes import byref, c_char_p, c_int, c_size_t, c_uint, c_uint64, c_void_p
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from dssc_jax.lanes.gpu.ptx import CAPABILITY
+
+LIBRARY = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
+MAJOR, MINOR = 75, 76  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR and _MINOR
+LOG, LOG_SIZE = 5, 6  # CU_JIT_ERROR_LOG_BUFFER and its size
+LOG_BYTES = 8192
+NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING
+OUT_OF_MEMORY = 2  # CUDA_ERROR_OUT_OF_MEMORY
+
+ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "cuInit": (c_uint,),
+    "cuGetErrorName": (c_int, c_void_p),
+    "cuDeviceGet": (c_void_p, c_int),
+    "cuDeviceGetName": (c_void_p, c_int, c_int),
+    "cuDeviceGetAttribute": (c_void_p, c_int, c_int),
+    "cuDevicePrimaryCtxRetain": (c_void_p, c_int),
+    "cuCtxSetCurrent": (c_void_p,),
+    "cuModuleLoadDataEx": (c_void_p, c_char_p, c_uint, c_void_p, c_void_p),
+    "cuModuleGetFunction": (c_void_p, c_void_p, c_char_p),
+    "cuStreamCreate": (c_void_p, c_uint),
+    "cuStreamSynchronize": (c_void_p,),
+    "cuStreamDestroy_v2": (c_void_p,),
+    "cuMemAlloc_v2": (c_void_p, c_size_t),
+    "cuMemFree_v2": (c_uint64,),
+    "cuMemcpyHtoDAsync_v2": (c_uint64, c_void_p, c_size_t, c_void_p),
+    "cuMemcpyDtoHAsync_v2": (c_void_p, c_uint64, c_size_t, c_void_p),
+    "cuLaunchKernel": (c_void_p, *([c_uint] * 7), c_void_p, c_void_p, c_void_p),
+}
+"""Types of the arguments of each function that is called. All return an error's number, 0 for success."""
+
+
+class GpuError(Exception):
+    """There is no GPU that can run lanes, or its driver refused something."""
+
+
+class Driver:
+    """The driver with the first GPU that this process may use, in the context that other libraries use, too.
+
+    Args:
+        library: The loaded library.
+
+    Raises:
+        GpuError: There is no GPU, or it is too old.
+    """
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+        for name, types in ARGUMENTS.items():
+            getattr(library, name).argtypes = types
+        self.call("cuInit", 0)
+        device, context = c_int(), c_void_p()
+        self.call("cuDeviceGet", byref(device), 0)
+        self.device = device.value
+        name = ctypes.create_string_buffer(256)
+        self.call("cuDeviceGetName", name, len(name), self.device)
+        self.name = name.value.decode()
+        capability = self.attribute(MAJOR), self.attribute(MINOR)
+        if capability < CAPABILITY:
+            found, needed = (".".join(map(str, pair)) for pair in (capability, CAPABILITY))
+            raise GpuError(f"{self.name} has compute capability {found}, lanes need {needed} or later")
+        self.call("cuDevicePrimaryCtxRetain", byref(context), self.device)
+        self._context = context
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function of the driver.
+
+        Raises:
+            GpuError: It returns an error.
+        """
+        status = getattr(self._library, name)(*arguments)
+        if status:
+            text = c_char_p()
+            known = self._library.cuGetErrorName(status, byref(text)) == 0 and text.value
+            error = known.decode() if known else f"error {status}"
+            remedy = "; run smaller blocks" if status == OUT_OF_MEMORY else ""
+            raise GpuError(f"{name} of the CUDA driver: {error}{remedy}")
+
+    def attribute(self, number: int) -> int:
+        """A property of the GPU."""
+        value = c_int()
+        self.call("cuDeviceGetAttribute", byref(value), number, self.device)
+        return value.value
+
+    def use(self) -> None:
+        """Let this thread use the GPU."""
+        self.call("cuCtxSetCurrent", self._context)
+
+    def kernel(self, code: bytes, entry: str) -> c_void_p:
+        """Load PTX and find its kernel.
+
+        Raises:
+            GpuError: The driver cannot translate it; the message holds what it says.
+        """
+        module, function = c_void_p(), c_void_p()
+        log = ctypes.create_string_buffer(LOG_BYTES)
+        options = (c_int * 2)(LOG, LOG_SIZE)
+        values = (c_void_p * 2)(ctypes.addressof(log), LOG_BYTES)
+        try:
+            self.call("cuModuleLoadDataEx", byref(module), code, 2, options, values)
+        except GpuError as error:
+            raise GpuError(f"{error}: {log.value.decode(errors='replace').strip()}") from None
+        self.call("cuModuleGetFunction", byref(function), module, entry.encode())
+        return function
+
+    def stream(self) -> c_void_p:
+        """A new queue of the GPU."""
+        stream = c_void_p()
+        self.call("cuStreamCreate", byref(stream), NON_BLOCKING)
+        return stream
+
+    def wait(self, stream: c_void_p) -> None:
+        """Wait for all that is in a queue."""
+        self.call("cuStreamSynchronize", stream)
+
+    def close(self, stream: c_void_p) -> None:
+        """Give a queue back."""
+        self.call("cuStreamDestroy_v2", stream)
+
+    def reserve(self, size: int) -> int:
+        """Reserve so many bytes of the GPU's memory; their address."""
+        address = c_uint64()
+        self.call("cuMemAlloc_v2", byref(address), max(size, 1))
+        return address.value
+
+    def free(self, address: int) -> None:
+        """Give memory back."""
+        self.call("cuMemFree_v2", address)
+
+    def send(self, address: int, array: np.ndarray, stream: c_void_p) -> None:
+        """Copy a contiguous array to the GPU."""
+        self.call("cuMemcpyHtoDAsync_v2", address, array.ctypes.data, array.nbytes, stream)
+
+    def fetch(self, array: np.ndarray, address: int, stream: c_void_p) -> None:
+        """Copy from the GPU to a contiguous array."""
+        self.call("cuMemcpyDtoHAsync_v2", array.ctypes.data, address, array.nbytes, stream)
+
+    def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
+        """Queue a kernel with so many blocks of so many threads."""
+        places = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
+        self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, places, None)
+
+
+@cache
+def driver() -> Driver:
+    """The driver of this machine.
+
+    Raises:
+        GpuError: It has none, or no GPU that can run lanes.
+    """
+    try:
+        library = ctypes.CDLL(LIBRARY)
+    except OSError:
+        raise GpuError(f"this machine has no driver of NVIDIA's ({LIBRARY} cannot be loaded)") from None
+    return Driver(library)

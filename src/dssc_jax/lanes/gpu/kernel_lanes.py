@@ -1,0 +1,129 @@
+"""Batches of lanes on a GPU."""
+
+import ctypes
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dssc_jax.lanes.gpu import ptx
+from dssc_jax.lanes.gpu.driver import Driver, driver
+from dssc_jax.lanes.interface import ENTRY_POINT
+from dssc_jax.lanes.lanes import CompiledLanes
+
+if TYPE_CHECKING:
+    from dssc_jax.lanes.gpu.kernel_text import TracedKernel
+
+THREADS = 64  # of a block; a vehicle takes all registers of a thread, of which a processor then holds 256
+
+
+class KernelLanes(CompiledLanes):
+    """The program of a lane as a kernel; arguments as of :class:`CompiledLanes`, without the width.
+
+    Raises:
+        Unsupported: An operation has no translation, or none for a GPU.
+        GpuError: There is no GPU that can run lanes.
+    """
+
+    def translated(
+        self, lane: Callable[..., Any], arguments: tuple[Any, ...], width: int | None, strict: bool
+    ) -> "TracedKernel":
+        """The program of a lane and the kernel's text for LLVM."""
+        from dssc_jax.lanes.gpu.kernel_text import TracedKernel  # the translator, if the cache does not do without it
+
+        return TracedKernel(lane, arguments, strict)
+
+    def compiled(self) -> bytes:
+        """The PTX of the text."""
+        return ptx.ptx(self.traced.text)
+
+    def loaded(self, code: bytes) -> "LoadedKernel":
+        """The kernel in the driver."""
+        return LoadedKernel(code, driver())
+
+    def interleaved(self, lanes: int) -> int:
+        """The recordings of all lanes lie side by side."""
+        return lanes
+
+
+class LoadedKernel:
+    """A kernel that a GPU can run.
+
+    Args:
+        code: PTX with the kernel :data:`~dssc_jax.lanes.interface.ENTRY_POINT`.
+        gpu: The driver.
+    """
+
+    def __init__(self, code: bytes, gpu: Driver) -> None:
+        self._gpu = gpu
+        gpu.use()
+        self._kernel = gpu.kernel(code, ENTRY_POINT)
+
+    def start(
+        self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
+    ) -> Callable[[], float]:
+        """Begin to run all lanes, one a thread; see :class:`~dssc_jax.lanes.interface.Loaded`.
+
+        Raises:
+            GpuError: The driver refused something, such as more memory than there is.
+        """
+        batch = KernelBatch(self._gpu)
+        try:
+            read = batch.table([batch.sent(column) for column in inputs])
+            places = [batch.reserved(column.nbytes) for column in outputs]
+            written = batch.table(places)
+            arguments = [ctypes.c_uint64(number) for number in (read, written, lanes)]
+            self._gpu.launch(self._kernel, -(-lanes // THREADS), THREADS, arguments, batch.stream)
+        except BaseException:
+            batch.close()
+            raise
+
+        def finish() -> float:
+            self._gpu.use()  # perhaps another thread than the one that started
+            try:
+                self._gpu.wait(batch.stream)
+                ended = time.perf_counter()
+                for column, place in zip(outputs, places, strict=True):
+                    self._gpu.fetch(column, place, batch.stream)
+                self._gpu.wait(batch.stream)
+            finally:
+                batch.close()
+            return ended
+
+        return finish
+
+
+class KernelBatch:
+    """Memory and queue of one batch on a GPU, and the arrays that are on their way."""
+
+    def __init__(self, gpu: Driver) -> None:
+        gpu.use()
+        self._gpu = gpu
+        self._addresses: list[int] = []
+        self._arrays: list[np.ndarray] = []
+        self.stream = gpu.stream()
+
+    def reserved(self, size: int) -> int:
+        """The address of so many bytes."""
+        address = self._gpu.reserve(size)
+        self._addresses.append(address)
+        return address
+
+    def sent(self, array: np.ndarray) -> int:
+        """The address of an array's copy."""
+        address = self.reserved(array.nbytes)
+        self._arrays.append(array)
+        self._gpu.send(address, array, self.stream)
+        return address
+
+    def table(self, addresses: Sequence[int]) -> int:
+        """The address of a table of addresses."""
+        return self.sent(np.array([*addresses, 0], np.uint64))
+
+    def close(self) -> None:
+        """Give memory and queue back, after the queue has ended."""
+        self._gpu.wait(self.stream)
+        for address in self._addresses:
+            self._gpu.free(address)
+        self._gpu.close(self.stream)

@@ -1,0 +1,139 @@
+"""What an allocation gives up where rotors would exceed their limits.
+
+PX4's sequential desaturation moves the thrusts along the directions of net thrust, roll, pitch and yaw, one after the
+other, until no rotor exceeds its limits, or as little as possible. Yaw is given up first, then roll and pitch; net
+thrust is raised only in the modes of airmode.
+
+Source: PX4's ControlAllocationSequentialDesaturation, versions 1.13 to 1.15, whose modes are those of MC_AIRMODE, and
+the scale of the directions in ControlAllocationPseudoInverse. PX4's actuators range from 0 to 1, and its z points down.
+"""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+WEAK = 0.2
+"""A rotor with a smaller share in a direction, on PX4's scale, is not desaturated along it."""
+YAW_MARGIN = 0.15
+"""Share of the range of thrust beyond the upper limit that yaw may use before net thrust falls (MINIMUM_YAW_MARGIN)."""
+NONZERO = 1e-3
+"""Entries that PX4 counts as parts of a direction, relative to the largest one."""
+
+
+@jax.tree_util.register_static
+class Desaturation(StrEnum):
+    """Each thrust clipped by itself, or PX4's sequential desaturation with one of the modes of MC_AIRMODE."""
+
+    CLIP = "clip"
+    AIRMODE_DISABLED = "airmode_disabled"
+    AIRMODE_ROLL_PITCH = "airmode_roll_pitch"
+    AIRMODE_ROLL_PITCH_YAW = "airmode_roll_pitch_yaw"
+
+
+class Direction(NamedTuple):
+    """A column of the allocation: thrust of each rotor per unit, and whether the rotor counts along it."""
+
+    entries: tuple[float, ...]
+    strong: tuple[bool, ...]
+
+
+class Directions(NamedTuple):
+    """The four columns of the allocation."""
+
+    thrust: Direction
+    roll: Direction
+    pitch: Direction
+    yaw: Direction
+
+
+def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
+    """The columns of an allocation, (n_r, 4), with the strength of each rotor on PX4's scale."""
+    thrust, roll, pitch, yaw = np.array(inverse, dtype=float).T
+    turning = max(root_mean(roll), root_mean(pitch))
+    lifting = np.abs(thrust)[np.abs(thrust) > 0.0].mean()
+    scales = (lifting, turning, turning, (-yaw).max())  # PX4's yaw is about the axis that points down
+    found = []
+    for column, scale in zip((thrust, roll, pitch, yaw), scales, strict=True):
+        strong = np.abs(column) >= WEAK * scale if scale > 0.0 else np.abs(column) >= WEAK
+        found.append(Direction(tuple(column.tolist()), tuple(strong.tolist())))
+    return Directions(*found)
+
+
+def root_mean(column: np.ndarray) -> float:
+    """Root of the sum of squares over half the number of the rotors that have a part in the direction."""
+    size = np.abs(column)
+    return float(np.sqrt(np.sum(column**2) / (np.sum(size > NONZERO * size.max()) / 2.0)))
+
+
+def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> Scalar:
+    """The step along a direction that undoes as much as possible of what exceeds [0, limit]."""
+    low: Scalar = 0.0
+    high: Scalar = 0.0
+    for f, entry, strong in zip(thrusts, direction.entries, direction.strong, strict=True):
+        if not strong:
+            continue
+        beyond = jnp.where(f < 0.0, -f, jnp.where(f > limit, limit - f, 0.0))
+        low = jnp.minimum(low, beyond / entry)
+        high = jnp.maximum(high, beyond / entry)
+    return low + high
+
+
+def moved(direction: Direction, thrusts: Sequence[Scalar], gain: Scalar) -> list[Scalar]:
+    """The thrusts after a step along a direction."""
+    return [f + gain * entry for f, entry in zip(thrusts, direction.entries, strict=True)]
+
+
+def desaturated_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
+    """The thrusts after a step along a direction, and half a step towards what the first one left."""
+    thrusts = moved(direction, thrusts, gain_along(direction, thrusts, limit))
+    return moved(direction, thrusts, 0.5 * gain_along(direction, thrusts, limit))
+
+
+def reduced_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -> list[Scalar]:
+    """As :func:`desaturated_along`, but nothing where the first step would raise the net thrust."""
+    gain = gain_along(direction, thrusts, limit)
+    allowed = gain <= 0.0
+    first = moved(direction, thrusts, jnp.where(allowed, gain, 0.0))
+    second = 0.5 * gain_along(direction, first, limit)
+    return moved(direction, first, jnp.where(allowed, second, 0.0))
+
+
+def desaturated(
+    inverse: Sequence[Sequence[float]], thrust: Scalar, moment: Vec3, limit: Scalar, mode: Desaturation
+) -> list[Scalar]:
+    """Thrusts for a wanted net thrust [N] and moment [N m], desaturated along the allocation's directions.
+
+    Args:
+        inverse: The allocation, (n_r, 4), plain numbers.
+        thrust: Wanted net thrust [N].
+        moment: Wanted moment [N m].
+        limit: Largest thrust of a rotor [N].
+        mode: Any mode but ``CLIP``.
+
+    Returns:
+        Thrusts that may still exceed the limits where no step along the directions helps.
+    """
+    along = directions_of(inverse)
+    with_yaw = mode is Desaturation.AIRMODE_ROLL_PITCH_YAW
+    turning = moment if with_yaw else Vec3(moment.x, moment.y, 0.0)
+    thrusts: list[Scalar] = [dot(row, (thrust, *turning)) for row in inverse]
+    if with_yaw:
+        thrusts = desaturated_along(along.thrust, thrusts, limit)
+        return desaturated_along(along.yaw, thrusts, limit)
+    if mode is Desaturation.AIRMODE_ROLL_PITCH:
+        thrusts = desaturated_along(along.thrust, thrusts, limit)
+    else:
+        thrusts = reduced_along(along.thrust, thrusts, limit)
+        thrusts = desaturated_along(along.roll, thrusts, limit)
+        thrusts = desaturated_along(along.pitch, thrusts, limit)
+    thrusts = moved(along.yaw, thrusts, moment.z)
+    thrusts = desaturated_along(along.yaw, thrusts, limit * (1.0 + YAW_MARGIN))
+    return reduced_along(along.thrust, thrusts, limit)

@@ -1,0 +1,52 @@
+"""Inner loops of the vehicle, from commands of velocity and yaw rate to thrust and moment: one file each.
+
+The article's is continuous in time: it is evaluated in every stage of the integrator. Those of autopilots are sampled.
+"""
+
+from typing import Protocol, TypeVar
+
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.inner_loops.article import InnerGains
+from dssc_jax.models.uav.inner_loops.crazyflie import CrazyflieGains
+from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench
+
+S = TypeVar("S")
+
+
+class SampledInnerLoop(Protocol[S]):
+    """Gains of a sampled inner loop, with the functions of its software.
+
+    Its state has the fields ``unallocated``, the moment [N m] that the rotors did not give at the last tick, and
+    ``bounded``, whether the thrust is at its lower limit.
+    """
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        ...
+
+    def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
+        """k_p of x, y, z and psi [1/s]."""
+        ...
+
+    def init(self, craft: Craft, readings: Readings) -> S:
+        """The state in hover."""
+        ...
+
+    def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:
+        """Velocity control at a sample of the loop."""
+        ...
+
+    def tick(self, craft: Craft, state: S, readings: Readings, dt: float) -> tuple[S, Wrench]:
+        """Attitude and rate control at a tick."""
+        ...
+
+
+INNER_LOOPS: Registry = {
+    "article": single(InnerGains, "the article's: velocity and attitude loops by state feedback, continuous in time"),
+    "px4": single(Px4Gains, "PX4's cascade: velocity PID, quaternion attitude control, rate PID; sampled"),
+    "crazyflie": single(CrazyflieGains, "the Crazyflie's PID cascade of velocity, angles and rates; sampled"),
+}

@@ -1,0 +1,263 @@
+"""The Crazyflie's PID cascade below its position control: velocity, attitude and rate, in Euler angles.
+
+    theta_d = PID(u - v, forward), phi_d = -PID(u - v, left), within the limit of tilt; f_d = hover + PID(u_z - v_z)
+    (phi', theta', psi')_d = PID of the angles, psi_d the integral of u_psi
+    M_d = PID(Omega_d - Omega)
+
+All derivatives are those of the measurement, and there is no compensation of the tilt. The firmware's units are degrees
+and motor commands of 16 bit; here they are radians and shares of the full thrust, so the firmware's gains are converted
+by 180/pi/65535. A roll or pitch command changes each rotor by half of it, that of yaw by all of it.
+
+References:
+    Bitcraze, crazyflie-firmware, controller_pid.c, position_controller_pid.c, attitude_pid_controller.c, pid.c,
+    power_distribution_quadrotor.c and platform_defaults_cf2.h (2024).
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import clip, wrap_angle
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench, limited
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+MOTOR_RANGE = 65535.0
+"""Motor command of full thrust."""
+PER_RADIAN = math.degrees(1.0) / MOTOR_RANGE
+"""From the firmware's motor command per degree to a share of the full thrust per radian."""
+THRUST_SCALE = 1000.0 / MOTOR_RANGE
+"""From the output of the vertical PID to a share of the full thrust."""
+OVERHEAD = 1.1
+"""Limit of the horizontal PIDs over that of the tilt."""
+INTEGRAL_OF_VELOCITY = 5000.0
+"""Limit of the integrals of velocity [m]."""
+
+
+class CrazyflieGains(NamedTuple):
+    """Gains of the Crazyflie's cascade; the defaults are those of the firmware, in SI units.
+
+    Triples are those of roll, pitch and yaw; pairs are those of the horizontal and the vertical direction.
+    """
+
+    frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0
+    velocity_p: Annotated[Scalar, Quantity("rad s/m", "proportional gain of velocity, to tilt", above=0.0)] = (
+        math.radians(25.0)
+    )
+    velocity_i: Annotated[Scalar, Quantity("rad/m", "integral gain of velocity", at_least=0.0)] = math.radians(1.0)
+    velocity_d: Annotated[Scalar, Quantity("rad s^2/m", "derivative gain of velocity", at_least=0.0)] = 0.0
+    climb_p: Annotated[Scalar, Quantity("s/m", "proportional gain of climb, to full thrust", above=0.0)] = (
+        25.0 * THRUST_SCALE
+    )
+    climb_i: Annotated[Scalar, Quantity("1/m", "integral gain of climb", at_least=0.0)] = 15.0 * THRUST_SCALE
+    climb_d: Annotated[Scalar, Quantity("s^2/m", "derivative gain of climb", at_least=0.0)] = 0.0
+    tilt_max: Annotated[Scalar, Quantity("rad", "limit of roll and pitch", above=0.0, below=1.55)] = math.radians(20.0)
+    thrust_min: Annotated[Scalar, Quantity("1", "least share of full thrust", at_least=0.0, below=1.0)] = (
+        20000.0 / MOTOR_RANGE
+    )
+    thrust_hover: Annotated[
+        Scalar | None, Quantity("1", "share of full thrust in hover; absent: exact", above=0.0, below=1.0)
+    ] = None
+    attitude_p: Annotated[tuple[Scalar, ...], Quantity("1/s", "proportional gains of angles", at_least=0.0)] = (
+        6.0,
+        6.0,
+        6.0,
+    )
+    attitude_i: Annotated[tuple[Scalar, ...], Quantity("1/s^2", "integral gains of angles", at_least=0.0)] = (
+        3.0,
+        3.0,
+        1.0,
+    )
+    attitude_d: Annotated[tuple[Scalar, ...], Quantity("1", "derivative gains of angles", at_least=0.0)] = (
+        0.0,
+        0.0,
+        0.35,
+    )
+    attitude_integral_max: Annotated[tuple[Scalar, ...], Quantity("rad s", "limits of integrals", above=0.0)] = (
+        math.radians(20.0),
+        math.radians(20.0),
+        math.radians(360.0),
+    )
+    rate_p: Annotated[tuple[Scalar, ...], Quantity("s", "proportional gains of rates", at_least=0.0)] = (
+        250.0 * PER_RADIAN,
+        250.0 * PER_RADIAN,
+        120.0 * PER_RADIAN,
+    )
+    rate_i: Annotated[tuple[Scalar, ...], Quantity("1", "integral gains of rates", at_least=0.0)] = (
+        500.0 * PER_RADIAN,
+        500.0 * PER_RADIAN,
+        16.7 * PER_RADIAN,
+    )
+    rate_d: Annotated[tuple[Scalar, ...], Quantity("s^2", "derivative gains of rates", at_least=0.0)] = (
+        2.5 * PER_RADIAN,
+        2.5 * PER_RADIAN,
+        0.0,
+    )
+    rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("rad", "limits of integrals", above=0.0)] = (
+        math.radians(33.3),
+        math.radians(33.3),
+        math.radians(166.7),
+    )
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        return 1.0 / self.frequency
+
+    def prepare(self) -> "CrazyflieGains":
+        """Require triples; raises ConfigError."""
+        names = "attitude_p attitude_i attitude_d attitude_integral_max rate_p rate_i rate_d rate_integral_max"
+        for name in names.split():
+            if len(getattr(self, name)) != 3:
+                raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        return self
+
+    def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
+        """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
+        level = GRAVITY * self.velocity_p
+        yaw = self.attitude_p[2] * self.rate_p[2] * torque_units(craft).z / craft.inertia.z
+        return level, level, self.climb_p * craft.full_thrust / craft.mass, yaw
+
+    def init(self, craft: Craft, readings: Readings) -> "CrazyflieState":
+        """Integrals at zero, hover."""
+        zero = Vec3(0.0, 0.0, 0.0)
+        angles = angles_of(readings.attitude.matrix())
+        wanted = Vec3(0.0, 0.0, angles.z)
+        level = heading_velocity(readings.velocity, readings.attitude.matrix())
+        still = Pid(zero, zero)
+        return CrazyflieState(
+            Pid(zero, level),
+            still._replace(measured=angles),
+            still._replace(measured=readings.rate),
+            self.hover(craft),
+            wanted,
+            0.0,
+            zero,
+            0.0,
+        )
+
+    def hover(self, craft: Craft) -> Scalar:
+        """Share of the full thrust that is taken to carry the weight."""
+        return craft.mass * GRAVITY / craft.full_thrust if self.thrust_hover is None else self.thrust_hover
+
+    def sample(
+        self, craft: Craft, state: "CrazyflieState", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
+    ) -> "CrazyflieState":
+        """Velocity control: from commands to thrust, roll and pitch."""
+        rotation = readings.attitude.matrix()
+        measured = heading_velocity(readings.velocity, rotation)
+        error = heading_velocity(command, rotation) - measured
+        gains = (
+            Vec3(self.velocity_p, self.velocity_p, self.climb_p),
+            Vec3(self.velocity_i, self.velocity_i, self.climb_i),
+            Vec3(self.velocity_d, self.velocity_d, self.climb_d),
+        )
+        bound = Vec3(INTEGRAL_OF_VELOCITY, INTEGRAL_OF_VELOCITY, INTEGRAL_OF_VELOCITY)
+        slope = (measured - state.velocity.measured) * (1.0 / dt)
+        velocity, output = pid(state.velocity, error, measured, slope, gains, bound, dt)
+        forward = clip(output.x, -self.tilt_max, self.tilt_max)
+        left = clip(output.y, -self.tilt_max, self.tilt_max)
+        climb = clip(output.z, -0.5, 0.5)
+        thrust = climb + self.hover(craft)
+        bounded = thrust < self.thrust_min
+        return state._replace(
+            velocity=velocity,
+            thrust=clip(thrust, self.thrust_min, 1.0),
+            wanted=Vec3(-left, forward, state.wanted.z),
+            yaw_rate=yaw_command,
+            bounded=jnp.where(bounded, 1.0, 0.0),
+        )
+
+    def tick(
+        self, craft: Craft, state: "CrazyflieState", readings: Readings, dt: float
+    ) -> tuple["CrazyflieState", Wrench]:
+        """Attitude and rate control: from the held angles to thrust and moment."""
+        angles = angles_of(readings.attitude.matrix())
+        wanted = state.wanted._replace(z=wrap_angle(state.wanted.z + state.yaw_rate * dt))
+        error = wanted - angles
+        error = error._replace(z=wrap_angle(error.z))
+        change = angles - state.attitude.measured
+        slope = change._replace(z=wrap_angle(change.z)) * (1.0 / dt)
+        gains = (Vec3(*self.attitude_p), Vec3(*self.attitude_i), Vec3(*self.attitude_d))
+        bound = Vec3(*self.attitude_integral_max)
+        attitude, rates = pid(state.attitude, error, angles, slope, gains, bound, dt)
+        slope = (readings.rate - state.rate.measured) * (1.0 / dt)
+        gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
+        bound = Vec3(*self.rate_integral_max)
+        rate, torque = pid(state.rate, rates - readings.rate, readings.rate, slope, gains, bound, dt)
+        after = state._replace(attitude=attitude, rate=rate, wanted=wanted)
+        return after, Wrench(state.thrust * craft.full_thrust, torque.scale(torque_units(craft)))
+
+
+class Pid(NamedTuple):
+    """Integrals of three PIDs, and their last measurements."""
+
+    integral: Vec3
+    measured: Vec3
+
+
+class CrazyflieState(NamedTuple):
+    """State of the cascade.
+
+    Args:
+        velocity: That of the velocity PIDs, along the heading, to its left, and up.
+        attitude: That of the attitude PIDs.
+        rate: That of the rate PIDs.
+        thrust: Held thrust, as a share of the full one.
+        wanted: Held roll and pitch, and the desired yaw [rad].
+        yaw_rate: Held rate of yaw [rad/s].
+        unallocated: Moment that the rotors did not give at the last tick, which this cascade does not read [N m].
+        bounded: Whether the thrust is at its lower limit.
+    """
+
+    velocity: Pid
+    attitude: Pid
+    rate: Pid
+    thrust: Scalar
+    wanted: Vec3
+    yaw_rate: Scalar
+    unallocated: Vec3
+    bounded: Scalar
+
+
+def pid(
+    state: Pid,
+    error: Vec3,
+    measured: Vec3,
+    slope: Vec3,
+    gains: tuple[Vec3, Vec3, Vec3],
+    integral_max: Vec3,
+    dt: Scalar,
+) -> tuple[Pid, Vec3]:
+    """One sample of three PIDs with the derivative of the measurement and a limited integral, backward Euler."""
+    proportional, integral_gain, derivative = gains
+    integral = limited(state.integral + error * dt, integral_max)
+    output = error.scale(proportional) + integral.scale(integral_gain) - slope.scale(derivative)
+    return Pid(integral, measured), output
+
+
+def angles_of(rotation: Mat3) -> Vec3:
+    """Roll, pitch and yaw [rad]."""
+    flat = jnp.sqrt(rotation.c.y * rotation.c.y + rotation.c.z * rotation.c.z)
+    return Vec3(atan2(rotation.c.y, rotation.c.z), atan2(-rotation.c.x, flat), atan2(rotation.b.x, rotation.a.x))
+
+
+def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:
+    """A velocity along the heading, to its left, and up [m/s]."""
+    flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))
+    cosine = rotation.a.x * flat
+    sine = rotation.b.x * flat
+    return Vec3(velocity.x * cosine + velocity.y * sine, velocity.y * cosine - velocity.x * sine, velocity.z)
+
+
+def torque_units(craft: Craft) -> Vec3:
+    """The moment of commands of 1: a rotor with the largest share changes by 1/2, 1/2 and 1 of its limit [N m]."""
+    largest = np.abs(np.array(craft.allocation, dtype=float)[:, 1:4]).max(axis=0)
+    roll, pitch, yaw = (craft.rotor_limit / float(entry) for entry in largest)
+    return Vec3(0.5 * roll, 0.5 * pitch, yaw)

@@ -1,0 +1,361 @@
+"""PX4's cascade below its position control: velocity PID, quaternion attitude control, rate PID.
+
+    a_d = K_P (u - v) + I - K_D v'_f,  I' = K_I (u - v) with anti-windup            at each sample of the loop
+    f_d = M (a_z + g)/cos(tilt) along (a_x, a_y, g), within the limits of tilt and thrust
+    Omega_d = 2 K_q sgn(q_e0) q_e,  q_e from the attitude to that of f_d, with a yaw weight
+    M_d = K_P (Omega_d - Omega) + I - K_D Omega'_f + K_FF Omega_d                   at each tick
+
+The desired heading is the present one, and u_psi is fed forward as a rate of yaw, as PX4 does without a heading
+setpoint. Gains of the rate loop are in PX4's units: shares of the largest torque, see :func:`torque_units`. Axes here
+point forward, left and up instead of forward, right and down; gains are the same in both.
+
+References:
+    PX4 1.14, modules mc_pos_control (PositionControl), mc_att_control (AttitudeControl), lib/rate_control,
+    control_allocator (ControlAllocationPseudoInverse) and their parameter reference.
+    D. Brescianini, M. Hehn, R. D'Andrea, Nonlinear quadrocopter attitude control (2013).
+    L. Rundqwist, Anti-reset windup for PID controllers (1990).
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import clip
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.inner_loops.sampled import (
+    Craft,
+    LowPass,
+    Readings,
+    Wrench,
+    blend,
+    canonical,
+    conjugate,
+    half_angle,
+    half_turn,
+    limited,
+    low_pass,
+    product,
+    settled_low_pass,
+    smoothing,
+)
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+RATE_OF_LESS_INTEGRAL = math.radians(400.0)
+"""Rate error at which the rate integral stops growing: PX4's reduction of bounce-back after a flip."""
+SMALLEST_WEIGHT = 1e-4
+"""Smallest yaw weight whose effect on the yaw gain is compensated."""
+LEAST_MISSING = 2.0**-23
+"""Share of the largest torque beyond which a torque that the rotors do not give stops the integral: FLT_EPSILON."""
+NEGLIGIBLE_SHARE = 1e-9
+"""Share of a column's largest entry below which a rotor does not count."""
+
+
+class Px4Gains(NamedTuple):
+    """Gains of PX4's cascade; the defaults are those of its parameters, with angles in radians.
+
+    Triples are those of roll, pitch and yaw.
+    """
+
+    frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
+    velocity_p_xy: Annotated[Scalar, Quantity("1/s", "MPC_XY_VEL_P_ACC", above=0.0)] = 1.8
+    velocity_i_xy: Annotated[Scalar, Quantity("1/s^2", "MPC_XY_VEL_I_ACC", at_least=0.0)] = 0.4
+    velocity_d_xy: Annotated[Scalar, Quantity("1", "MPC_XY_VEL_D_ACC", at_least=0.0)] = 0.2
+    velocity_p_z: Annotated[Scalar, Quantity("1/s", "MPC_Z_VEL_P_ACC", above=0.0)] = 4.0
+    velocity_i_z: Annotated[Scalar, Quantity("1/s^2", "MPC_Z_VEL_I_ACC", at_least=0.0)] = 2.0
+    velocity_d_z: Annotated[Scalar, Quantity("1", "MPC_Z_VEL_D_ACC", at_least=0.0)] = 0.0
+    velocity_cutoff: Annotated[float | None, Quantity("Hz", "cutoff of v'", above=0.0, law=False)] = 5.0
+    tilt_max: Annotated[Scalar, Quantity("rad", "MPC_TILTMAX_AIR", above=0.0, below=1.55)] = math.radians(45.0)
+    thrust_min: Annotated[Scalar, Quantity("1", "MPC_THR_MIN, share of full thrust", above=0.0, below=1.0)] = 0.12
+    thrust_max: Annotated[Scalar, Quantity("1", "MPC_THR_MAX", above=0.0, at_most=1.0)] = 1.0
+    thrust_margin: Annotated[Scalar, Quantity("1", "MPC_THR_XY_MARG", at_least=0.0, at_most=1.0)] = 0.3
+    thrust_hover: Annotated[Scalar | None, Quantity("1", "MPC_THR_HOVER; absent: exact", above=0.0, below=1.0)] = None
+    attitude_p: Annotated[tuple[Scalar, ...], Quantity("1/s", "MC_ROLL_P, _PITCH_P, _YAW_P", at_least=0.0)] = (
+        6.5,
+        6.5,
+        2.8,
+    )
+    yaw_weight: Annotated[Scalar, Quantity("1", "MC_YAW_WEIGHT", at_least=0.0, at_most=1.0)] = 0.4
+    rate_max: Annotated[tuple[Scalar, ...], Quantity("rad/s", "MC_ROLLRATE_MAX, ..", above=0.0)] = (
+        math.radians(220.0),
+        math.radians(220.0),
+        math.radians(200.0),
+    )
+    rate_p: Annotated[tuple[Scalar, ...], Quantity("s", "MC_ROLLRATE_P, .. times _K", at_least=0.0)] = (0.15, 0.15, 0.2)
+    rate_i: Annotated[tuple[Scalar, ...], Quantity("1", "MC_ROLLRATE_I, ..", at_least=0.0)] = (0.2, 0.2, 0.1)
+    rate_d: Annotated[tuple[Scalar, ...], Quantity("s^2", "MC_ROLLRATE_D, ..", at_least=0.0)] = (0.003, 0.003, 0.0)
+    rate_ff: Annotated[tuple[Scalar, ...], Quantity("s", "MC_ROLLRATE_FF, ..", at_least=0.0)] = (0.0, 0.0, 0.0)
+    rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("1", "MC_RR_INT_LIM, ..", at_least=0.0)] = (0.3, 0.3, 0.3)
+    gyro_cutoff: Annotated[float | None, Quantity("Hz", "IMU_GYRO_CUTOFF", above=0.0, law=False)] = 40.0
+    derivative_cutoff: Annotated[float | None, Quantity("Hz", "IMU_DGYRO_CUTOFF", above=0.0, law=False)] = 30.0
+
+    @property
+    def period(self) -> float:
+        """Time between two ticks [s]."""
+        return 1.0 / self.frequency
+
+    def prepare(self) -> "Px4Gains":
+        """Check rules that span several fields; raises ConfigError."""
+        for name in ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "rate_integral_max"):
+            if len(getattr(self, name)) != 3:
+                raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        cutoff = self.gyro_cutoff
+        if cutoff is not None and not 2.0 * cutoff < self.frequency:
+            rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
+            raise ConfigError("gyro_cutoff", f"{rule}, got {cutoff:g} Hz")
+        return self
+
+    def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
+        """k_p of x, y, z and psi: what a command adds to the acceleration at first [1/s]."""
+        yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z
+        return self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z, yaw
+
+    def init(self, craft: Craft, readings: Readings) -> "Px4State":
+        """Integrals at zero, filters settled, hover."""
+        zero = Vec3(0.0, 0.0, 0.0)
+        gyro = () if self.gyro_cutoff is None else settled_low_pass(readings.rate, self.gyro_cutoff, self.period)
+        hover = Vec3(0.0, 0.0, self.hover(craft))
+        held = hover, readings.attitude, 0.0
+        return Px4State(zero, readings.velocity, zero, *held, zero, zero, gyro, readings.rate, zero, 0.0)
+
+    def hover(self, craft: Craft) -> Scalar:
+        """Share of the full thrust that is taken to carry the weight."""
+        return craft.mass * GRAVITY / craft.full_thrust if self.thrust_hover is None else self.thrust_hover
+
+    def sample(
+        self, craft: Craft, state: "Px4State", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
+    ) -> "Px4State":
+        """Velocity control: from commands to thrust, attitude and rate of yaw."""
+        slope = (readings.velocity - state.velocity) * (1.0 / dt)
+        acceleration = blend(state.acceleration, slope, smoothing(self.velocity_cutoff, dt))
+        error = command - readings.velocity
+        proportional = Vec3(self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z)
+        derivative = Vec3(self.velocity_d_xy, self.velocity_d_xy, self.velocity_d_z)
+        wanted = error.scale(proportional) + state.velocity_integral - acceleration.scale(derivative)
+        thrust, bounded = self.thrust_of(wanted, self.hover(craft))
+        given, windup = self.within_thrust(thrust, wanted, error, self.hover(craft))
+        gain = Vec3(self.velocity_i_xy, self.velocity_i_xy, self.velocity_i_z)
+        integral = state.velocity_integral + windup.scale(gain) * dt
+        integral = integral._replace(z=clip(integral.z, -GRAVITY, GRAVITY))
+        return state._replace(
+            velocity_integral=integral,
+            velocity=readings.velocity,
+            acceleration=acceleration,
+            thrust=given,
+            attitude=attitude_of(given, readings.attitude),
+            yaw_rate=yaw_command,
+            bounded=jnp.where(bounded, 1.0, 0.0),
+        )
+
+    def thrust_of(self, wanted: Vec3, hover: Scalar) -> tuple[Vec3, Scalar]:
+        """Thrust for an acceleration, in shares of the full one, within tilt and lower limit; whether that binds."""
+        horizontal = jnp.sqrt(wanted.x * wanted.x + wanted.y * wanted.y)
+        steepest = GRAVITY * jnp.sin(self.tilt_max) / jnp.cos(self.tilt_max)
+        share = jnp.where(horizontal > steepest, steepest / jnp.maximum(horizontal, steepest), 1.0)
+        direction = Vec3(wanted.x * share, wanted.y * share, GRAVITY)
+        direction = direction / jnp.sqrt(direction.dot(direction))
+        collective = (wanted.z * (hover / GRAVITY) + hover) / direction.z
+        bounded = collective < self.thrust_min
+        return direction * jnp.maximum(collective, self.thrust_min), bounded
+
+    def within_thrust(self, thrust: Vec3, wanted: Vec3, error: Vec3, hover: Scalar) -> tuple[Vec3, Vec3]:
+        """Thrust within its upper limit, the vertical part first; the velocity error that the integral takes."""
+        low = (thrust.z <= self.thrust_min) & (error.z <= 0.0)
+        high = (thrust.z >= self.thrust_max) & (error.z >= 0.0)
+        vertical_error = jnp.where(low | high, 0.0, error.z)
+        norm = jnp.sqrt(thrust.x * thrust.x + thrust.y * thrust.y)
+        kept = jnp.minimum(norm, self.thrust_margin)
+        full = self.thrust_max * self.thrust_max
+        vertical = jnp.minimum(thrust.z, jnp.sqrt(jnp.maximum(full - kept * kept, 0.0)))
+        left = jnp.sqrt(jnp.maximum(full - vertical * vertical, 0.0))
+        share = jnp.where(norm > left, left / jnp.maximum(norm, 1e-12), 1.0)
+        given = Vec3(thrust.x * share, thrust.y * share, vertical)
+        x = given.x * (GRAVITY / hover)
+        y = given.y * (GRAVITY / hover)
+        saturated = wanted.x * wanted.x + wanted.y * wanted.y > x * x + y * y
+        gain = 2.0 / self.velocity_p_xy
+        return given, Vec3(
+            error.x - jnp.where(saturated, gain * (wanted.x - x), 0.0),
+            error.y - jnp.where(saturated, gain * (wanted.y - y), 0.0),
+            vertical_error,
+        )
+
+    def tick(self, craft: Craft, state: "Px4State", readings: Readings, dt: float) -> tuple["Px4State", Wrench]:
+        """Attitude and rate control: from the held attitude to thrust and moment."""
+        rate = readings.rate
+        gyro = state.gyro
+        if isinstance(gyro, LowPass) and self.gyro_cutoff is not None:
+            gyro, rate = low_pass(gyro, readings.rate, self.gyro_cutoff, dt)
+        slope = (rate - state.rate) * (1.0 / dt)
+        turning = blend(state.turning, slope, smoothing(self.derivative_cutoff, dt))
+        wanted = limited(self.rate_for(state, readings.attitude), Vec3(*self.rate_max))
+        error = wanted - rate
+        torque = (
+            error.scale(Vec3(*self.rate_p))
+            + state.rate_integral
+            - turning.scale(Vec3(*self.rate_d))
+            + wanted.scale(Vec3(*self.rate_ff))
+        )
+        missing = state.unallocated.over(torque_units(craft))
+        integral = state.rate_integral + self.integrated(error, missing) * dt
+        after = state._replace(
+            gyro=gyro,
+            rate=rate,
+            turning=turning,
+            rate_integral=limited(integral, Vec3(*self.rate_integral_max)),
+        )
+        collective = state.thrust.norm()
+        return after, Wrench(collective * craft.full_thrust, torque.scale(torque_units(craft)))
+
+    def rate_for(self, state: "Px4State", attitude: Quaternion) -> Vec3:
+        """The body rate that turns an attitude into the held one [rad/s]: tilt first, yaw by its weight."""
+        error = product(conjugate(attitude), state.attitude)
+        # seen from the body, the desired body z; the rotation to it without yaw, then the yaw that is left
+        x = 2.0 * (error.x * error.z + error.w * error.y)
+        y = 2.0 * (error.y * error.z - error.w * error.x)
+        z = 1.0 - 2.0 * (error.x * error.x + error.y * error.y)
+        cosine, half = half_angle(z, 1.0)
+        reduced = Quaternion(cosine, -y * half, x * half, 0.0)
+        yaw = canonical(product(conjugate(reduced), error))
+        turn = self.yaw_weight * atan2(yaw.z, yaw.w)
+        weighted = canonical(product(reduced, Quaternion(jnp.cos(turn), 0.0, 0.0, jnp.sin(turn))))
+        roll_p, pitch_p, yaw_p = self.attitude_p
+        yaw_p = yaw_p / jnp.where(self.yaw_weight > SMALLEST_WEIGHT, self.yaw_weight, 1.0)
+        turned = Vec3(weighted.x, weighted.y, weighted.z).scale(Vec3(2.0 * roll_p, 2.0 * pitch_p, 2.0 * yaw_p))
+        return turned + attitude.matrix().c * state.yaw_rate
+
+    def integrated(self, error: Vec3, lacking: Vec3) -> Vec3:
+        """Slope of the rate integral: less of a large error, none towards a limit of the rotors."""
+        slopes = []
+        for value, missing, gain in zip(error, lacking, self.rate_i, strict=True):
+            held = jnp.where(missing > LEAST_MISSING, jnp.minimum(value, 0.0), value)
+            held = jnp.where(missing < -LEAST_MISSING, jnp.maximum(held, 0.0), held)
+            ratio = held / RATE_OF_LESS_INTEGRAL
+            slopes.append(jnp.maximum(1.0 - ratio * ratio, 0.0) * gain * held)
+        return Vec3(*slopes)
+
+
+class Px4State(NamedTuple):
+    """State of the cascade.
+
+    Args:
+        velocity_integral: I of the velocity loops [m/s^2].
+        velocity: The last measured velocity [m/s].
+        acceleration: Its filtered slope [m/s^2].
+        thrust: Held thrust, inertial, in shares of the full one.
+        attitude: Held attitude.
+        yaw_rate: Held rate of yaw [rad/s].
+        rate_integral: I of the rate loops, in shares of the largest torque.
+        unallocated: Moment that the rotors did not give at the last tick [N m].
+        gyro: State of the rate's low-pass filter; () without one.
+        rate: The last filtered rate [rad/s].
+        turning: Its filtered slope [rad/s^2].
+        bounded: Whether the thrust is at its lower limit.
+    """
+
+    velocity_integral: Vec3
+    velocity: Vec3
+    acceleration: Vec3
+    thrust: Vec3
+    attitude: Quaternion
+    yaw_rate: Scalar
+    rate_integral: Vec3
+    unallocated: Vec3
+    gyro: LowPass | tuple[()]
+    rate: Vec3
+    turning: Vec3
+    bounded: Scalar
+
+
+def torque_units(craft: Craft) -> Vec3:
+    """The moment of a torque setpoint of 1 in PX4, whose allocation scales the pseudo-inverse [N m].
+
+    Roll and pitch share the larger of the root mean squares of their columns, times the root of 2; yaw has the largest
+    entry of its own.
+    """
+    columns = np.array(craft.allocation, dtype=float)[:, 1:4].T
+    scales = []
+    for column in columns[:2]:
+        used = np.count_nonzero(np.abs(column) > NEGLIGIBLE_SHARE * np.abs(column).max())
+        scales.append(math.sqrt(2.0 * float(column @ column) / used))
+    tilting = craft.rotor_limit / max(scales)
+    return Vec3(tilting, tilting, craft.rotor_limit / float(columns[2].max()))
+
+
+def attitude_of(thrust: Vec3, present: Quaternion) -> Quaternion:
+    """The attitude whose body z points along a thrust, at the heading of the present attitude."""
+    rotation = present.matrix()
+    flat = 1.0 / jnp.sqrt(jnp.maximum(rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x, 1e-12))
+    heading = rotation.a.x * flat, rotation.b.x * flat
+    along = thrust / jnp.sqrt(jnp.maximum(thrust.dot(thrust), 1e-12))
+    forward = along.x * heading[0] + along.y * heading[1]
+    left = along.y * heading[0] - along.x * heading[1]
+    lean = jnp.sqrt(forward * forward + along.z * along.z)
+    cr, sr = half_angle(lean, -left)
+    cp, sp = half_angle(along.z / lean, forward / lean)
+    cy, sy = half_turn(*heading)
+    return Quaternion(
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+PARAMETERS = {
+    "velocity_p_xy": "MPC_XY_VEL_P_ACC",
+    "velocity_i_xy": "MPC_XY_VEL_I_ACC",
+    "velocity_d_xy": "MPC_XY_VEL_D_ACC",
+    "velocity_p_z": "MPC_Z_VEL_P_ACC",
+    "velocity_i_z": "MPC_Z_VEL_I_ACC",
+    "velocity_d_z": "MPC_Z_VEL_D_ACC",
+    "thrust_min": "MPC_THR_MIN",
+    "thrust_max": "MPC_THR_MAX",
+    "thrust_margin": "MPC_THR_XY_MARG",
+    "thrust_hover": "MPC_THR_HOVER",
+    "yaw_weight": "MC_YAW_WEIGHT",
+    "gyro_cutoff": "IMU_GYRO_CUTOFF",
+    "derivative_cutoff": "IMU_DGYRO_CUTOFF",
+}
+"""PX4's parameters of the fields that are single numbers in the same units."""
+TRIPLES = {
+    "attitude_p": ("MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P"),
+    "rate_i": ("MC_ROLLRATE_I", "MC_PITCHRATE_I", "MC_YAWRATE_I"),
+    "rate_p": ("MC_ROLLRATE_P", "MC_PITCHRATE_P", "MC_YAWRATE_P"),
+    "rate_d": ("MC_ROLLRATE_D", "MC_PITCHRATE_D", "MC_YAWRATE_D"),
+    "rate_ff": ("MC_ROLLRATE_FF", "MC_PITCHRATE_FF", "MC_YAWRATE_FF"),
+    "rate_integral_max": ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM"),
+}
+DEGREES = {"rate_max": ("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX")}
+FACTORS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
+"""PX4's factors of the gains P, I and D of the rate loops."""
+FACTORED = ("rate_p", "rate_i", "rate_d")
+
+
+def gains_from(parameters: Mapping[str, float]) -> TomlTable:
+    """The table ``[plant.inner_loop]`` of PX4's parameters, MC_ and MPC_; what they do not set has its default."""
+    table: TomlTable = {"kind": "px4"}
+    for field, name in PARAMETERS.items():
+        if name in parameters:
+            table[field] = parameters[name]
+    for field, names in (TRIPLES | DEGREES).items():
+        involved = names + FACTORS if field in FACTORED else names
+        if not any(name in parameters for name in involved):
+            continue
+        values = []
+        for place, name in enumerate(names):
+            default = Px4Gains._field_defaults[field][place]
+            value = parameters.get(name, math.degrees(default) if field in DEGREES else default)
+            value = math.radians(value) if field in DEGREES else value
+            values.append(value * parameters.get(FACTORS[place], 1.0) if field in FACTORED else value)
+        table[field] = values
+    if "MPC_TILTMAX_AIR" in parameters:
+        table["tilt_max"] = math.radians(parameters["MPC_TILTMAX_AIR"])
+    return table

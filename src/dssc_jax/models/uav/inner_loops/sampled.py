@@ -1,0 +1,133 @@
+"""What sampled inner loops share: what they know and give, their limits, and the filters of autopilots."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.numerics import clip, dot
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Quaternion, Vec3
+
+
+class Readings(NamedTuple):
+    """What an inner loop measures: velocity [m/s], inertial; attitude, body to inertial; body rate [rad/s]."""
+
+    velocity: Vec3
+    attitude: Quaternion
+    rate: Vec3
+
+
+class Craft(NamedTuple):
+    """The vehicle as an inner loop knows it.
+
+    Args:
+        mass: M [kg].
+        inertia: Diagonal of J [kg m^2].
+        allocation: Rows (f, M_x, M_y, M_z) -> f_i, one for each rotor.
+        moments: Rows f_i -> M_x, M_y, M_z.
+        rotor_limit: Largest thrust of a rotor [N].
+    """
+
+    mass: Scalar
+    inertia: Vec3
+    allocation: tuple[tuple[float, ...], ...]
+    moments: tuple[tuple[float, ...], ...]
+    rotor_limit: Scalar
+
+    @property
+    def full_thrust(self) -> Scalar:
+        """Thrust of all rotors at their limit [N]."""
+        return len(self.allocation) * self.rotor_limit
+
+
+class Wrench(NamedTuple):
+    """Thrust along body z [N] and moment, body frame [N m]."""
+
+    thrust: Scalar
+    moment: Vec3
+
+
+def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
+    """The moment of rotor thrusts in the geometry that the inner loop knows [N m]."""
+    return Vec3(*(dot(row, thrusts) for row in craft.moments))
+
+
+def limited(vector: Vec3, limit: Vec3) -> Vec3:
+    """The vector with each component within [-limit, limit]."""
+    return Vec3(*(clip(value, -bound, bound) for value, bound in zip(vector, limit, strict=True)))
+
+
+def smoothing(cutoff: float | None, dt: float) -> float:
+    """Weight of a new value in a first-order low-pass filter of a cutoff frequency [Hz]; 1 without a filter."""
+    return 1.0 if cutoff is None else dt / (dt + 1.0 / (2.0 * math.pi * cutoff))
+
+
+def blend(old: Vec3, new: Vec3, weight: float) -> Vec3:
+    """One step of a first-order low-pass filter."""
+    return new if weight == 1.0 else old + (new - old) * weight
+
+
+class LowPass(NamedTuple):
+    """Two last internal values of a second-order filter in direct form II."""
+
+    last: Vec3
+    earlier: Vec3
+
+
+def butterworth(cutoff: float, dt: float) -> tuple[float, float, float]:
+    """(b_0, a_1, a_2) of the second-order Butterworth low-pass, sampled by the bilinear transform with prewarping."""
+    c = math.tan(math.pi * cutoff * dt)
+    root = 2.0 * math.cos(0.25 * math.pi)
+    scale = 1.0 / (1.0 + root * c + c * c)
+    return c * c * scale, 2.0 * (c * c - 1.0) * scale, (1.0 - root * c + c * c) * scale
+
+
+def settled_low_pass(value: Vec3, cutoff: float, dt: float) -> LowPass:
+    """The filter's state after a constant input."""
+    b0, _, _ = butterworth(cutoff, dt)
+    return LowPass(value * (0.25 / b0), value * (0.25 / b0))
+
+
+def low_pass(state: LowPass, value: Vec3, cutoff: float, dt: float) -> tuple[LowPass, Vec3]:
+    """One step of the second-order Butterworth low-pass."""
+    b0, a1, a2 = butterworth(cutoff, dt)
+    inner = value - state.last * a1 - state.earlier * a2
+    return LowPass(inner, state.last), (inner + state.last * 2.0 + state.earlier) * b0
+
+
+def half_angle(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
+    """(cos, sin) of half an angle in (-pi, pi) from those of the angle."""
+    half_cosine = jnp.sqrt(jnp.maximum(0.5 * (1.0 + cosine), 1e-12))
+    return half_cosine, 0.5 * sine / half_cosine
+
+
+def half_turn(cosine: Scalar, sine: Scalar) -> tuple[Scalar, Scalar]:
+    """(cos, sin) of half an angle of any size, up to the sign of both, which turns nothing."""
+    back = cosine < 0.0
+    large = jnp.sqrt(0.5 * (1.0 + jnp.abs(cosine)))
+    small = 0.5 * sine / large
+    return jnp.where(back, small, large), jnp.where(back, large, small)
+
+
+def product(left: Quaternion, right: Quaternion) -> Quaternion:
+    """The rotation ``left`` after ``right``, Hamilton's product."""
+    a, b, c, d = left
+    w, x, y, z = right
+    return Quaternion(
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse of a rotation."""
+    return Quaternion(q.w, -q.x, -q.y, -q.z)
+
+
+def canonical(q: Quaternion) -> Quaternion:
+    """The same rotation with a scalar part that is not negative."""
+    sign = jnp.where(q.w < 0.0, -1.0, 1.0)
+    return Quaternion(q.w * sign, q.x * sign, q.y * sign, q.z * sign)
