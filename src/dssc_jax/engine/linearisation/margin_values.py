@@ -17,7 +17,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, closure, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.response import classical_margins, grid_with_poles, own_grids, response_of
-from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_there
+from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
@@ -139,7 +139,7 @@ class MarginValues:
         settled[count:] = False
         if settled.any():
             findings = self.examine(values, indices, np.where(settled[:, None], states, states[settled][0]), 1)
-            require_smooth_there(self.study, self.resting.places, findings[settled])
+            require_smooth_at(self.study, self.resting.places, findings[settled])
             if np.any(findings == Finding.CORNER):
                 matrices = self.resting.linearise(values, indices, states, 1, findings)
         places = place_names(self.study.loop.channels)
