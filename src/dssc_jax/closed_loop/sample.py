@@ -93,6 +93,7 @@ class Recorded(NamedTuple):
         references: The desired outputs.
         finite: Whether the state after the sample is finite.
         broken: Whether the plant's model is no longer valid.
+        grounded: Whether it has flown into the ground; False: there is none.
         controlled: What each channel's controller saw and gave.
     """
 
@@ -101,6 +102,7 @@ class Recorded(NamedTuple):
     references: ReferencePoints
     finite: Scalar
     broken: Scalar
+    grounded: Scalar | bool
     controlled: tuple[Controlled, ...]
 
 
@@ -369,5 +371,6 @@ def step(
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
     after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors))
     broken = loop.plant.broken(params.plant, after.plant)
+    grounded = loop.plant.grounded(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info, signals)
-    return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))
+    return after, Recorded(instant, measurements, references, all_finite(after), broken, grounded, tuple(outputs))

@@ -101,6 +101,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
+        grounded: ``(params, state) -> bool``: whether it has flown into the ground; False itself: there is none.
         linear: ``(params) -> LinearDynamics``: the plant's linear part, which the loop advances by its exact solution.
             None: the loop integrates ``derivative`` by its fixed-step method.
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
@@ -128,6 +129,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = never_broken
+    grounded: Callable[[Params, State], Scalar | bool] = never_broken
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()

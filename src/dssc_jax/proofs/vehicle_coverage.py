@@ -149,6 +149,8 @@ def require_geometry(plant: Ends) -> None:
             "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
             "rotor_angles and spins"
         )
+    if plant.low.ground is not None:
+        raise NotCovered("[plant.ground] pushes the vehicle up")
     if plant.low.desaturation is not Desaturation.CLIP:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import Condition
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import Quantity, nominal
@@ -20,13 +19,16 @@ from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate, geometry, pseudo_inverse
+from dssc_jax.models.uav.condition import conditioned_motion, wind_at
 from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.ground import Ground, contact, has_crashed, lift_factor, prepared_ground
+from dssc_jax.models.uav.info import UavInfo
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
 from dssc_jax.models.uav.presets import VEHICLES
 from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
-from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
+from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
@@ -52,7 +54,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
-    The fields after ``desaturation`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    The fields after ``ground`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
     (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
     circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
@@ -64,6 +66,7 @@ class UavParams(NamedTuple):
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
     desaturation: Desaturation = Desaturation.CLIP
+    ground: Ground | None = None
     allocation: tuple = ()
     moments: tuple = ()
     believed_rotors: tuple = ()
@@ -126,29 +129,6 @@ class UavState(NamedTuple):
     rate: Vec3
     inner: State
     speeds: tuple[Scalar, ...]
-
-
-class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
-
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
-    ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
-    ``rotor_speed`` the speeds |thetadot_i| [rad/s].
-    """
-
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
-    theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
-    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
-    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
-    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
-    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
-    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
-    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
-    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
-    attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
-    rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
-    rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
 
 
 def init(params: UavParams) -> UavState:
@@ -258,13 +238,22 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    ground = params.ground
+    if ground is not None and ground.rotor_radius is not None:
+        factor = lift_factor(ground, state.position.z)
+        lift = tuple(factor * f for f in lift)
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - wind_at(state, drive), speeds)
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
+    if ground is not None:
+        standing = contact(ground, state.position, state.velocity, rotation, state.rate)
+        force = force + standing.force
+        torque = torque + standing.torque
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
     if drive.condition is not None and drive.condition.load is not None:
         in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
@@ -273,27 +262,6 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
     return UavState(*slope, commands.slope, turning.accelerations)
-
-
-def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
-    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
-    if condition is None or (not condition.effectiveness and condition.voltage is None):
-        return motion
-    voltage = 1.0 if condition.voltage is None else condition.voltage
-    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
-    factors = [root_abs(share) * voltage for share in shares]
-    speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
-    if not motion.accelerations:
-        return RotorMotion(speeds, ())
-    return RotorMotion(speeds, tuple(f * w for f, w in zip(factors, motion.accelerations, strict=True)))
-
-
-def wind_at(state: UavState, drive: PlantInput) -> Vec3:
-    """The wind at the vehicle, with the shears of its condition [m/s]."""
-    wind: Vec3 = drive.wind
-    for shear in drive.condition.shears if drive.condition is not None else ():
-        wind = wind + shear.gradient * (state.position.z - shear.height)
-    return wind
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -320,12 +288,18 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
     turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
     body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind_at(state, drive), *body)
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
     """Whether the vehicle has flipped or the Euler angles of the inner loop are near their singularity."""
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
+
+
+def into_ground(params: UavParams, state: UavState) -> Scalar | bool:
+    """Whether the vehicle has flown into the ground; False where there is none."""
+    return False if params.ground is None else has_crashed(params.ground, state.position.z, state.velocity.z)
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
@@ -367,6 +341,7 @@ def prepare(params: UavParams) -> UavParams:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
     limit = vehicle.max_thrust
     return params._replace(
+        ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
         believed=believed,
         allocation=allocation,
         moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
@@ -398,6 +373,7 @@ UAV = Plant(
     project=project,
     monitor=monitor,
     broken=broken,
+    grounded=into_ground,
     onboard=(
         "the velocity loops of x, y and z",
         "the attitude loops and the yaw-rate loop",
