@@ -228,13 +228,20 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    ``defaults`` is an instance of the parameters with the values that a table does not give.
+    Args:
+        params: NamedTuple type of the parameters.
+        at: The point at a time.
+        prepare: As in :class:`Plant`.
+        defaults: An instance of the parameters with the values that a table does not give.
+        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends, and where
+            the linearised loop has its equilibrium. None: 0.
     """
 
     params: type
     at: Callable[[Params, Scalar], Desired]
     prepare: Callable[[Params], Params] = as_given
     defaults: Params = None
+    level: Callable[[Params], Scalar] | None = None
 
 
 class Variation(StrEnum):
