@@ -142,8 +142,8 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
     ``/x``, ``/y`` and so on have those of a channel, ``/rotors`` those of rotors, ``/signals`` all others.
 
     Example:
-        >>> signal_topics(["x_y", "x_e", "rotor_1", "tilt"])
-        {'/x': {'y': 'x_y', 'e': 'x_e'}, '/rotors': {'rotor_1': 'rotor_1'}, '/signals': {'tilt': 'tilt'}}
+        >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])
+        {'/x': {'y': 'x_y', 'y_ref': 'x_y_ref'}, '/rotors': {'rotor_1': 'rotor_1'}, '/signals': {'tilt': 'tilt'}}
     """
     channels = {name.removesuffix("_y_ref") for name in names if name.endswith("_y_ref")}
     topics: dict[str, dict[str, str]] = {}
@@ -160,10 +160,13 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
 
 def signals(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Written]:
     """The signals of a topic at each sample; NaN once the draw has ended."""
+    from google.protobuf.timestamp_pb2 import Timestamp
+
     of = signal_type(topic.strip("/"), list(columns))
     for time, *values in zip(times, *columns.values(), strict=True):
-        message = of(**dict(zip(columns, map(float, values), strict=True)))
-        message.timestamp.FromNanoseconds(int(time))
+        stamp = Timestamp()
+        stamp.FromNanoseconds(int(time))
+        message = of(timestamp=stamp, **dict(zip(columns, map(float, values), strict=True)))
         yield Written(topic, int(time), message)
 
 
