@@ -16,6 +16,10 @@ from dssc_jax.analyses.loading import load as load
 from dssc_jax.analyses.loop_margins import LoopMargins as LoopMargins, loop_margins as loop_margins
 from dssc_jax.analyses.margins import Margins as Margins, margin as margin
 from dssc_jax.analyses.noise_spectrum.spectrum import noise_spectrum as noise_spectrum
+from dssc_jax.analyses.probability.probability import (
+    FailureProbability as FailureProbability,
+    probability as probability,
+)
 from dssc_jax.analyses.rare_events.importance import ImportanceSampling as ImportanceSampling
 from dssc_jax.analyses.rare_events.rare import RareEvent as RareEvent, rare as rare
 from dssc_jax.analyses.rare_events.splitting import Splitting as Splitting

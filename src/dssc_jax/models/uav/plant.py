@@ -6,12 +6,12 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Plant, Preset
+from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
@@ -19,21 +19,20 @@ from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate, geometry, pseudo_inverse
+from dssc_jax.models.uav.condition import conditioned_motion, wind_at
 from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.ground import Ground, contact, has_crashed, lift_factor, prepared_ground
+from dssc_jax.models.uav.info import UavInfo
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
 from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
 
 
 class Believed(NamedTuple):
@@ -55,7 +54,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
-    The fields after ``desaturation`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    The fields after ``ground`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
     (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
     circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
@@ -67,6 +66,7 @@ class UavParams(NamedTuple):
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
     desaturation: Desaturation = Desaturation.CLIP
+    ground: Ground | None = None
     allocation: tuple = ()
     moments: tuple = ()
     believed_rotors: tuple = ()
@@ -118,37 +118,17 @@ class HeldLoop(NamedTuple):
 
 
 class UavState(NamedTuple):
-    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s]."""
+    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
+
+    ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
+    """
 
     position: Vec3
     velocity: Vec3
     attitude: Quaternion
     rate: Vec3
-    inner: Integrals | HeldLoop
+    inner: State
     speeds: tuple[Scalar, ...]
-
-
-class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
-
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
-    ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
-    ``rotor_speed`` the speeds |thetadot_i| [rad/s].
-    """
-
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
-    theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
-    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
-    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
-    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
-    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
-    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
-    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
-    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
-    attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
-    rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
-    rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
 
 
 def init(params: UavParams) -> UavState:
@@ -159,13 +139,28 @@ def init(params: UavParams) -> UavState:
     if vehicle.motor_lag is not None:
         hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
         speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
-    velocity = Vec3(*params.velocity)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
-    inner: Integrals | HeldLoop = Integrals(zero, 0.0)
-    if not isinstance(params.inner_loop, InnerGains):
-        software = params.inner_loop.init(params.craft, Readings(velocity, attitude, zero))
-        inner = HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
-    return UavState(Vec3(*params.position), velocity, attitude, zero, inner, speeds)
+    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
+    return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
+
+
+def sampled_loop(params: UavParams) -> SampledInnerLoop | None:
+    """The sampled inner loop; None: it is the article's."""
+    gains = params.inner_loop
+    return None if isinstance(gains, InnerGains) else gains
+
+
+def required_loop(params: UavParams) -> SampledInnerLoop:
+    """The sampled inner loop of parameters that have one."""
+    loop = sampled_loop(params)
+    assert loop is not None
+    return loop
+
+
+def software_start(params: UavParams, state: UavState) -> HeldLoop:
+    """A sampled inner loop in hover."""
+    software = required_loop(params).init(params.craft, readings_of(state))
+    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
 
 
 def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
@@ -188,7 +183,9 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held = state.inner
-        rotors = Thrusts(held.rotor, held.limited > 0.5)
+        limit = params.vehicle.thrust_limit
+        given = tuple(jnp.minimum(f, limit) for f in held.rotor)
+        rotors = Thrusts(given, held.limited > 0.5)
         return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
     model = params.inner_model
     rotation = state.attitude.matrix()
@@ -203,7 +200,8 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
 
 def software_period(params: UavParams) -> float | None:
     """Time between two ticks of a sampled inner loop [s]."""
-    return None if isinstance(params.inner_loop, InnerGains) else params.inner_loop.period
+    loop = sampled_loop(params)
+    return None if loop is None else loop.period
 
 
 def readings_of(state: UavState) -> Readings:
@@ -211,53 +209,59 @@ def readings_of(state: UavState) -> Readings:
     return Readings(state.velocity, state.attitude, state.rate)
 
 
-def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: Scalar) -> UavState:
+def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
     """Velocity control of a sampled inner loop."""
     command, yaw_command = velocity_commands(drive)
-    software = params.inner_loop.sample(
+    software = required_loop(params).sample(
         params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
     )
     return state._replace(inner=state.inner._replace(software=software))
 
 
-def software_tick(params: UavParams, state: UavState, drive: PlantInput, index: Scalar, dt: Scalar) -> UavState:
+def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
-    del drive
-    return state._replace(
-        inner=ticked(params, params.vehicle.thrust_limit, state.inner.software, readings_of(state), index, dt)
-    )
-
-
-def ticked(
-    params: UavParams, limit: Scalar, software: State, readings: Readings, index: Scalar, dt: Scalar
-) -> HeldLoop:
-    """One tick of a sampled inner loop with the allocation, whose rotors give at most ``limit`` [N] each."""
     craft = params.craft
-    software, wanted = params.inner_loop.tick(craft, software, readings, index, dt)
-    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, limit, params.desaturation)
+    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
     missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
     unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
     software = software._replace(unallocated=unallocated)
-    return HeldLoop(software, wanted.thrust, thrusts.commanded, jnp.where(thrusts.limited, 1.0, 0.0))
+    limited = jnp.where(thrusts.limited, 1.0, 0.0)
+    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    ground = params.ground
+    if ground is not None and ground.rotor_radius is not None:
+        factor = lift_factor(ground, state.position.z)
+        lift = tuple(factor * f for f in lift)
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
+    if ground is not None:
+        standing = contact(ground, state.position, state.velocity, rotation, state.rate)
+        force = force + standing.force
+        torque = torque + standing.torque
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    return UavState(*slope, commands.slope, motion.accelerations)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    return UavState(*slope, commands.slope, turning.accelerations)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -282,9 +286,10 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    motion = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
-    body = drive.wind, state.attitude, state.rate, motion.speeds
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, *body)
+    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
@@ -292,12 +297,18 @@ def broken(params: UavParams, state: UavState) -> Scalar:
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
 
 
+def into_ground(params: UavParams, state: UavState) -> Scalar | bool:
+    """Whether the vehicle has flown into the ground; False where there is none."""
+    return False if params.ground is None else has_crashed(params.ground, state.position.z, state.velocity.z)
+
+
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
     """k_p of each channel: the velocity loops' proportional gains [1/s]."""
-    if not isinstance(params.inner_loop, InnerGains):
-        return params.inner_loop.input_gain(params.craft)
-    linear = params.inner_loop.kd_velocity
-    return linear, linear, linear, params.inner_loop.kd_yaw
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return gains.input_gain(params.craft)
+    linear = gains.kd_velocity
+    return linear, linear, linear, gains.kd_yaw
 
 
 def smoothness(params: UavParams) -> Smoothness:
@@ -330,6 +341,7 @@ def prepare(params: UavParams) -> UavParams:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
     limit = vehicle.max_thrust
     return params._replace(
+        ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
         believed=believed,
         allocation=allocation,
         moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
@@ -361,6 +373,7 @@ UAV = Plant(
     project=project,
     monitor=monitor,
     broken=broken,
+    grounded=into_ground,
     onboard=(
         "the velocity loops of x, y and z",
         "the attitude loops and the yaw-rate loop",
@@ -368,5 +381,13 @@ UAV = Plant(
     ),
     smooth=smoothness,
     info=UavInfo,
-    software=Onboard(software_period, software_sample, software_tick, frequency="inner_loop.frequency"),
+    software=Onboard(
+        period=software_period,
+        start=software_start,
+        held=lambda state: state.inner,
+        holding=lambda state, held: state._replace(inner=held),
+        sample=software_sample,
+        tick=software_tick,
+        frequency="inner_loop.frequency",
+    ),
 )
