@@ -9,7 +9,7 @@ Sources: MCAP format specification; Foxglove schemas (PoseInFrame, PosesInFrame,
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -160,17 +160,14 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
 
 def signals(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Written]:
     """The signals of a topic at each sample; NaN once the draw has ended."""
-    from google.protobuf.timestamp_pb2 import Timestamp
-
     of = signal_type(topic.strip("/"), list(columns))
     for time, *values in zip(times, *columns.values(), strict=True):
-        stamp = Timestamp()
-        stamp.FromNanoseconds(int(time))
-        message = of(timestamp=stamp, **dict(zip(columns, map(float, values), strict=True)))
+        message = of(**dict(zip(columns, map(float, values), strict=True)))
+        message.timestamp.FromNanoseconds(int(time))
         yield Written(topic, int(time), message)
 
 
-def signal_type(name: str, fields: list[str]) -> type["Message"]:
+def signal_type(name: str, fields: list[str]) -> type[Any]:
     """The type of a message with a stamp and one number for each field."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
