@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import sampled_signals
+from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
@@ -186,8 +186,7 @@ def parsed_parts(table: TomlTable) -> Parts:
     metrics = kinds_of(config)
     fields, seen = info_fields(loop, template)
     names = available_metrics(fields, seen, metrics)
-    reports = [quantities_of(model.info) for model in loop.controller]
-    signals = sampled_signals(fields, seen, units, reports, loop.quantities, measures)
+    signals = signals_of(loop, template, units)
     computed, requirements = measured(config, names, metrics, channels, units, signals, parameters.constant)
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
@@ -195,6 +194,13 @@ def parsed_parts(table: TomlTable) -> Parts:
     check_swept_parts(table, config, loop, known, numbers)
     check_settled(loop, computed)
     return Parts(config, loop, template, units, numbers, computed, requirements)
+
+
+def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
+    """Every signal of a loop, by the name of its column in a trajectory."""
+    fields, seen = info_fields(loop, template)
+    reports = [quantities_of(model.info) for model in loop.controller]
+    return sampled_signals(fields, seen, units, reports, loop.quantities, loop.measures)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
