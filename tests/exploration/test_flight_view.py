@@ -5,6 +5,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
+from dssc_jax.exploration.figures import TICK_TEXT
 from dssc_jax.exploration.flight_page import flight_html
 from dssc_jax.exploration.flight_view import VIEW, FlightView
 from dssc_jax.exploration.live import ATTITUDE, LiveRun, flies, recorded_signals
@@ -107,6 +108,11 @@ MOVE = """
 """
 
 
+def tick_texts(page, ticks):
+    """The texts of an axis with given ticks."""
+    return [page.evaluate(f"([tick, ticks]) => {{ {TICK_TEXT} }}", [tick, list(ticks)]) for tick in ticks]
+
+
 @needs_browser
 def test_what_the_browser_projects(flown, tmp_path):
     """The path of the chosen draw up to the slider's time, by NumPy: two rows of a rotation of the camera."""
@@ -124,8 +130,15 @@ def test_what_the_browser_projects(flown, tmp_path):
         whole = page.evaluate(READ)
         page.evaluate(MOVE, 0.5)
         half = page.evaluate(READ)
+        texts = {
+            ticks: tick_texts(page, ticks) for ticks in ((0.0, 2e-6, 4e-6), (-0.5, 0.25), (0.0, 12e6), (10.0, 10.5))
+        }
         browser.close()
     assert wrong == []
+    assert texts[0.0, 2e-6, 4e-6] == ["0", "2\u00b710\u207b\u2076", "4\u00b710\u207b\u2076"]
+    assert texts[-0.5, 0.25] == ["\u22120.5", "0.25"]
+    assert texts[0.0, 12e6] == ["0", "1.2\u00b710\u2077"]
+    assert texts[10.0, 10.5] == ["10", "10.5"]
     azimuth, elevation = VIEW["azimuth"], VIEW["elevation"]
     towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     across = np.cross([0.0, 0.0, 1.0], towards) / np.cos(elevation)
