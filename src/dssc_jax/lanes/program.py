@@ -104,7 +104,7 @@ class Record:
     """Stores a value at a position of a lane's output array, such as one sample of a trajectory.
 
     Args:
-        output: Number of the output.
+        recording: The array.
         position: Uniform index in the array.
         value: The value.
     """

@@ -109,6 +109,8 @@ def require_laws(study: Study) -> None:
 def require_loop(study: Study) -> None:
     """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
     loop = study.loop
+    if study.config.event:
+        raise NotCovered("[[event]] changes the loop at a time")
     if loop.reference not in (HOVER, WHOLE_MISSION):
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
@@ -150,6 +152,8 @@ def require_geometry(plant: Ends) -> None:
             "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
             "rotor_angles and spins"
         )
+    if plant.low.ground is not None:
+        raise NotCovered("[plant.ground] pushes the vehicle up")
     if plant.low.desaturation is not Desaturation.CLIP:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors

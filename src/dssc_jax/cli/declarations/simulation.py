@@ -96,6 +96,13 @@ class Simulate(TrajectoryOptions, SeededOptions):
     also: ClassVar = ("step", "lsim", "sim", "impulse")
 
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")] = 0
+    flight: Annotated[
+        Path | None,
+        typer.Option("--flight", metavar="FILE", help="Write the flight of a vehicle in 3-D over time, as HTML."),
+    ] = None
+    ghosts: Annotated[
+        int | None, typer.Option("--ghosts", metavar="N", min=0, help="Other draws that --flight shows [32].")
+    ] = None
     no_check: NoCheck = False
     as_json: Json = False
 

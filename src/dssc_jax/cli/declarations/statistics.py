@@ -5,7 +5,18 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.analyses.defaults import FEWER_PLAIN, LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS, VARIATION
+from dssc_jax.analyses.defaults import (
+    FEWER_PLAIN,
+    LEAST_REPEATS,
+    LIMIT,
+    MOST_STRATIFIED,
+    MOVES,
+    PARTICLES,
+    PLAIN,
+    REPEATS,
+    VARIATION,
+    WIDTH,
+)
 from dssc_jax.cli.declarations.types import (
     DrawsOptions,
     Json,
@@ -71,6 +82,22 @@ class Laws(OutputOptions, StatedOptions, DrawsOptions):
     limit: Annotated[float, typer.Option("--limit", metavar="P", help="Largest failure probability allowed.")] = LIMIT
     fresh: Annotated[int, typer.Option("--fresh", metavar="N", help="New draws to simulate under changed laws.")] = 0
     trust_code: TrustCode = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Probability(OutputOptions, SeededOptions):
+    """A failure probability to a width, by as few simulations as a prediction allows.
+
+    A pilot of plain draws predicts where draws fail. The numbers are divided into strata along the predicted border of
+    failure, and draws are spent where the prediction is in doubt. The interval holds however bad the prediction is. The
+    output tells how many plain draws an interval as narrow would take. The study's [sweep], draws and sampling are
+    ignored. For probabilities below some 1e-3, ask rare.
+    """
+
+    width: Annotated[float, typer.Option("--width", metavar="W", help="Width of the interval to aim at.")] = WIDTH
+    most: Annotated[int, typer.Option("--most", metavar="N", help="Largest number of draws in the strata.")] = (
+        MOST_STRATIFIED
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

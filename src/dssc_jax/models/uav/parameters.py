@@ -2,24 +2,20 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Preset
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.allocation import geometry, pseudo_inverse
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
+from dssc_jax.models.uav.ground import Ground, prepared_ground
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.sampled import Craft
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
 
 
 class Believed(NamedTuple):
@@ -41,7 +37,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
-    The fields after ``desaturation`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    The fields after ``ground`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
     (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
     circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
@@ -54,6 +50,7 @@ class UavParams(NamedTuple):
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
     estimator: Annotated[NoEstimator | Estimator, Slot(ESTIMATORS, default="none")] = NoEstimator()
     desaturation: Desaturation = Desaturation.CLIP
+    ground: Ground | None = None
     allocation: tuple = ()
     moments: tuple = ()
     believed_rotors: tuple = ()
@@ -111,6 +108,7 @@ def prepare(params: UavParams) -> UavParams:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
     limit = vehicle.max_thrust
     return params._replace(
+        ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
         believed=believed,
         allocation=allocation,
         moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),

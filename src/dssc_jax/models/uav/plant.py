@@ -1,7 +1,7 @@
 """The complete UAV as a plant with four channels, from velocity commands to position and yaw (1), Section V-B."""
 
 import math
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
-from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
@@ -19,7 +19,10 @@ from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate
+from dssc_jax.models.uav.condition import conditioned_motion, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
+from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
+from dssc_jax.models.uav.info import EstimatedUavInfo, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.onboard import (
     EstimationError,
@@ -37,52 +40,11 @@ from dssc_jax.models.uav.onboard import (
     velocity_commands,
 )
 from dssc_jax.models.uav.parameters import UavParams, prepare
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
 from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-
-class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
-
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
-    """
-
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
-    theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
-    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
-    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
-    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
-    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
-    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
-    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
-    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
-
-
-class EstimatedUavInfo(NamedTuple):
-    """The values of :class:`UavInfo`, and the errors of the estimate.
-
-    ``nees`` is the normalised squared error of position, velocity and attitude: chi-squared with 9 degrees of freedom
-    for a consistent filter, and 0 where the estimator has no covariance.
-    """
-
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
-    theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
-    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
-    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
-    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
-    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
-    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
-    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
-    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
-    position_estimate_error: Annotated[Scalar, Quantity("m", "error of the estimated position")]
-    velocity_estimate_error: Annotated[Scalar, Quantity("m/s", "error of the estimated velocity")]
-    attitude_estimate_error: Annotated[Scalar, Quantity("rad", "angle of the attitude's estimation error")]
-    nees: Annotated[Scalar, Quantity("1", "normalised squared error of the estimate")]
 
 
 def init(params: UavParams) -> UavState:
@@ -134,20 +96,35 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    ground = params.ground
+    if ground is not None and ground.rotor_radius is not None:
+        factor = lift_factor(ground, state.position.z)
+        lift = tuple(factor * f for f in lift)
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
+    if ground is not None:
+        standing = contact(ground, state.position, state.velocity, rotation, state.rate)
+        force = force + standing.force
+        torque = torque + standing.torque
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
     still = jax.tree.map(lambda leaf: 0.0, state.error)
-    return UavState(*slope, commands.slope, motion.accelerations, still)
+    return UavState(*slope, commands.slope, turning.accelerations, still)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -172,7 +149,10 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo | 
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, drive.wind)
+    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
     if state.error == ():
         return info
     error: EstimationError = state.error
@@ -189,6 +169,11 @@ def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
 def broken(params: UavParams, state: UavState) -> Scalar:
     """Whether the vehicle has flipped or the Euler angles of the inner loop are near their singularity."""
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
+
+
+def into_ground(params: UavParams, state: UavState) -> Scalar | bool:
+    """Whether the vehicle has flown into the ground; False where there is none."""
+    return False if params.ground is None else has_crashed(params.ground, state.position.z, state.velocity.z)
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
@@ -223,6 +208,7 @@ UAV = Plant(
     project=project,
     monitor=monitor,
     broken=broken,
+    grounded=into_ground,
     onboard=(
         "the velocity loops of x, y and z",
         "the attitude loops and the yaw-rate loop",

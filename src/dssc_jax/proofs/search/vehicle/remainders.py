@@ -29,14 +29,14 @@ class Attitude:
         secant: 1/cos beta.
         tilt_rate: beta_1 [rad/s].
         yaw_rate: psi_1 [rad/s].
-        lift: A, of the wanted vertical acceleration [m/s^2].
+        lift: A_z, of the wanted vertical acceleration [m/s^2].
         carried: Q, of what the rotors achieve of it [m/s^2].
         desired: r_2, how far the desired tilt is from a_h/g [rad].
         euler_rate: T, of |(phi', theta')| [rad/s].
         wanted_tilt: H, of |(eta_phi, eta_theta)| [rad/s^2].
-        wanted_yaw: N, of |eta_psi| [rad/s^2].
-        frame_h: w_h, of the part of W' times the rates [rad/s^2].
-        frame_z: w_z, likewise.
+        wanted_yaw: H_psi, of |eta_psi| [rad/s^2].
+        frame_h: w_h, of B' E' across body z [rad/s^2].
+        frame_z: w_z, of B' E' along body z [rad/s^2].
         rate_h: Omega_h [rad/s].
         rate_z: Omega_z [rad/s].
     """
@@ -72,8 +72,8 @@ class Rotors:
         largest: Of the thrusts [N].
         spread: Of the difference of two rotors' speeds [rad/s].
         sum: Of the sum of the speeds [rad/s].
-        behind: d, how far a thrust is behind its command [N].
-        defect: rho [N/s].
+        shortfall: d, how far a thrust is behind its command [N].
+        defect: zeta [N/s].
         spin_up: Of the sum of the speeds' rates [rad/s^2].
     """
 

@@ -22,7 +22,7 @@ SignalBalls = Mapping[str, Mapping[str, arb]]
 
 
 class Attitude(NamedTuple):
-    """How far the vehicle tilts and turns: s, t, S, beta_1, psi_1, A, Q, r_2, T, H, N, w and Omega of the page."""
+    """How far the vehicle tilts and turns: s, t, S, beta_1, psi_1, A_z, Q, r_2, T, H, H_psi, w, Omega of the page."""
 
     s: arb
     t: arb
