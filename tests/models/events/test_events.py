@@ -181,7 +181,7 @@ def test_take_off_landing_and_a_flight_into_the_ground():
     run = dj.simulate(study, draw=int(np.flatnonzero(~falls)[0]))
     z = run["z_y"].values
     assert z[:90].min() > 0.19
-    assert z[:90].max() < 0.3  # near its feet until it takes off
+    assert z[:90].max() < 0.4  # the effect of the ground lifts it a little
     assert z[750] == pytest.approx(4.0, abs=0.1)
     assert 0.185 < z[-1] < 0.2  # on its feet
     assert abs(run["z_y_dot"].values[-1]) < 1e-3
