@@ -105,9 +105,10 @@ def test_px4s_position_controller_in_the_models_axes():
         names = ("y", "y_ref", "y_ref_dot", "u_total")
         values = [nearest_values(log.columns[f"{axis}_{name}"], log.start, 0.1, 60) for name in names]
         y, y_ref, y_ref_dot, logged = values
-        command = gain * (y_ref - y) + np.where(np.isfinite(y_ref_dot), y_ref_dot, 0.0)
-        assert np.isfinite(command).all()
-        assert np.std(command - logged) < 0.01 * np.std(logged)
+        command = gain * (y_ref - y) + y_ref_dot
+        told = np.isfinite(command)  # the trajectory is logged at every second sample
+        assert told.sum() >= 29
+        np.testing.assert_allclose(command[told], logged[told], atol=1e-6)
 
 
 def test_a_board_that_was_never_armed(capsys):
