@@ -19,6 +19,7 @@ import dssc_jax as dj
 from benchmarks.pages import PAGES as PAGES_OF
 from benchmarks.pages import type_name
 from dssc_jax.cli.application import app
+from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.study.build import FIXED_TABLES
 from tests.page_examples import BLOCK
 
@@ -214,6 +215,11 @@ def navigation(entries):
     for entry in entries:
         for value in entry.values():
             yield from navigation(value) if isinstance(value, list) else [value]
+
+
+def test_every_actuator_is_on_the_models_page():
+    page = (ROOT / "docs" / "model.md").read_text()
+    assert [kind for kind in UNMODELLED if kind != "none" and f"| `{kind}` |" not in page] == []
 
 
 def test_every_page_is_in_the_sites_contents():

@@ -257,7 +257,8 @@ def batching(path, text):
     if layer(path) != "models":
         return []
     names = {full for _, _, full in full_names(ast.parse(text)) if full.startswith("jax.")}
-    return sorted(full for full in names if full.rpartition(".")[2] in ("vmap", "jit", "map", "pmap", "shard_map"))
+    transformations = ("vmap", "jit", "pmap", "shard_map")
+    return sorted(full for full in names if full.rpartition(".")[2] in transformations or full == "jax.lax.map")
 
 
 def test_models_do_not_batch():
