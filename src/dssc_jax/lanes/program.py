@@ -169,7 +169,7 @@ class Subroutine:
 
 
 Node: TypeAlias = Value | CodeLoop | Branch | Record
-"""What a block holds, in its order."""
+"""An entry of a block; the entries run in order."""
 
 
 def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:

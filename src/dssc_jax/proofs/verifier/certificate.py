@@ -36,7 +36,7 @@ class Problem(TypedDict):
 
 
 class Stage(TypedDict):
-    """What the stages of both methods have: a region, bounds of the disturbance, lambda, P and the method."""
+    """The entries of a stage of either method: a region, bounds of the disturbance, lambda, P and the method."""
 
     sigma: float
     e: float
