@@ -120,10 +120,14 @@ def sampler(
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         code = jnp.where(recorded.broken, np.int32(Outcome.SINGULAR_ATTITUDE), np.int32(Outcome.OK))
+        ended = recorded.broken
+        if recorded.grounded is not False:
+            code = jnp.where(recorded.grounded, np.int32(Outcome.INTO_GROUND), code)
+            ended = jnp.logical_or(ended, recorded.grounded)
         code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))
         running = is_running(loop, at)
         outcome = jnp.where(running, code, at.outcome)
-        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(recorded.broken))
+        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(ended))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
         if freeze:
@@ -203,7 +207,7 @@ def simulate_recorded(
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         after, recorded = advance(at)
-        return after, recorded._replace(controlled=())  # the trajectory has it all, by other names
+        return after, recorded._replace(controlled=(), grounded=())  # the trajectory has it all, by other names
 
     begin = initial_progress(loop, params, key, measures, requirements, margins)
     end, recorded = scan_recorded(sample, begin, loop.steps, stride)

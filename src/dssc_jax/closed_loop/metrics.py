@@ -27,9 +27,9 @@ class Sample(NamedTuple):
     """The signals of one channel at a sample instant, for metrics.
 
     ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
-    ``sigma_measured`` are what the controller sees.
-    ``u`` is the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the
-    draw's own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
+    ``sigma_measured`` are what the controller sees. ``u`` is the robust command and ``u_previous`` its previous value
+    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + y_m with the desired
+    output y_m = ``reference.y``.
     """
 
     k: Scalar
@@ -89,7 +89,7 @@ class Metric(NamedTuple):
         update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
         needs: Fields of the controller's (the vehicle's) info that the metric requires.
-        scope: Whether the metric describes a channel or the vehicle.
+        scope: A channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
         counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
         course: How the value changes while samples are added.

@@ -80,6 +80,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
+        grounded=plant.grounded,
         linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
         onboard=plant.onboard,
@@ -88,6 +89,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         outputs=plant.outputs,
         inputs=plant.inputs,
         software=software,
+        estimation=plant.estimation,
     )
 
 

@@ -87,6 +87,7 @@ class Outcome(IntEnum):
     OK = 0
     NON_FINITE = 1
     SINGULAR_ATTITUDE = 2
+    INTO_GROUND = 3
     REQUIREMENT = 10
 
 

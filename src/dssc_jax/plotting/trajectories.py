@@ -169,10 +169,26 @@ def flight(run: xr.Dataset) -> Figure:
         if channel == active[-1]:
             left.set_xlabel("time [s]")
             right.set_xlabel("time [s]")
+    for ax in figure.axes:
+        if ax.name != "3d" and ax.get_xlabel() != "x [m]":
+            mark_events(ax, run, named=ax.get_subplotspec().is_last_row())
     hidden = [channel for channel in channels if channel not in active]
     note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
     title(figure, how_it_ended(run) + note)
     return figure
+
+
+def mark_events(ax: Axes, run: xr.Dataset, named: bool) -> None:
+    """Mark the times of a draw's events by lines, with their kinds where they are named."""
+    kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
+    times = np.atleast_1d(run.attrs.get("event_times", []))
+    for kind, time in zip(kinds, times, strict=True):
+        ax.axvline(float(time), color=RED, linestyle=":", linewidth=1.2)
+        if named:
+            name = str(kind).replace("_", " ")
+            ax.annotate(
+                name, (float(time), 1.0), xycoords=("data", "axes fraction"), fontsize=8, color=RED, va="bottom"
+            )
 
 
 def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:

@@ -115,6 +115,9 @@ def require_loop(study: Study) -> None:
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
         raise NotCovered("the rotors have a lag, and the reference moves")
+    estimation = loop.plant.estimation
+    if estimation is not None and estimation.chosen(study.template.plant):
+        raise NotCovered("the controllers see an estimate; a proof of the vehicle takes plant.estimator.kind = 'none'")
     if any(sensor is not IDEAL for sensor in loop.sensor):
         raise NotCovered("a sensor is not ideal")
     if any(differentiator is not NO_DIFFERENTIATOR for differentiator in loop.differentiator):
@@ -149,6 +152,8 @@ def require_geometry(plant: Ends) -> None:
             "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
             "rotor_angles and spins"
         )
+    if plant.low.ground is not None:
+        raise NotCovered("[plant.ground] pushes the vehicle up")
     if plant.low.desaturation is not Desaturation.CLIP:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors

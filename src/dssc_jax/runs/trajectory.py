@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.quantities import Quantity, nominal, quantities_of
 from dssc_jax.core.signals import Info
 from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
@@ -138,6 +138,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             "study": study.name,
             "draw": draw,
             **values,
+            **events_in(study, values),
             "outcome": code,
             "outcome_meaning": outcome_codes(study)[code],
             "verdict": verdict(study, code, ended.slacks),
@@ -146,6 +147,17 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             **{name: float(value) for name, value in {**ended.metrics, **ended.slacks, **ended.violated_at}.items()},
         },
     )
+
+
+def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] | list[float]]:
+    """Kinds and times [s] of the study's events in a draw, for figures; nothing where there are none."""
+    if not study.config.event:
+        return {}
+    kinds = [str(table.get("kind", "rotor")) for table in study.config.event]
+    names = [f"event.{index}.at" for index in range(len(kinds))]
+    known = {**study.derived(values), **values}
+    times = [float(known.get(name, nominal(study.leaves()[name]))) for name in names]
+    return {"event_kinds": kinds, "event_times": times}
 
 
 def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:

@@ -66,8 +66,8 @@ class Description(BaseModel):
     """Information about a study that only the models provide and readers need.
 
     ``units`` are units and meanings of output and command in each channel. ``fields`` are the names in each
-    channel's info, ``seen`` those in the plant's info, ``signals`` all that requirements can name. ``certified`` and ``silence`` are the results of Theorem 1
-    at every point of the sweep.
+    channel's info, ``seen`` those in the plant's info, ``signals`` all that requirements can name. ``certified`` and
+    ``silence`` are the results of Theorem 1 at every point of the sweep.
     """
 
     model_config = NO_EXTRA_FIELDS

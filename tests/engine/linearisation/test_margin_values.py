@@ -84,7 +84,7 @@ def assert_margins(values, loop, response, t_s):
     assert values["gain_margin"] == pytest.approx(min(exact, default=np.inf), rel=1e-9)
     crossings = [refined(lambda w: np.log(abs(response(w))), omega) for omega in gain_at]
     left = [abs(np.angle(-response(omega))) for omega in crossings]
-    assert min(left) == pytest.approx(np.radians(np.min(np.abs(phases))), rel=1e-4)
+    assert min(left) == pytest.approx(np.radians(np.min(np.abs(phases))), rel=1e-3, abs=1e-4)
     assert values["phase_margin"] == pytest.approx(min(left), rel=1e-9)
     grid = np.geomspace(0.01 * min(gain_at), np.pi / t_s, 4000)
     distances = [abs(1.0 + response(w)) for w in grid]
@@ -140,10 +140,10 @@ def test_a_buck_converter_meets_what_python_control_finds():
         {"margin": "phase", "min": "40 deg"},
         {"margin": "modulus", "min": 0.5},
     ]
-    buck = buck.override({"draws": 12, "requirement": wanted, "loop.duration": 1e-3, "metrics": {}})
-    numbers = draw(buck, np.arange(12))
-    found = MarginValues(buck)(numbers, np.arange(12))
-    for i in range(12):
+    buck = buck.override({"draws": 5, "requirement": wanted, "loop.duration": 1e-3, "metrics": {}})
+    numbers = draw(buck, np.arange(5))
+    found = MarginValues(buck)(numbers, np.arange(5))
+    for i in range(5):
         at = {name: float(column[i]) for name, column in numbers.items()}
         henry, farad, load, coil, volt = (at[f"parameters.{name}"] for name in ("L", "C", "R", "r", "V"))
         gains = {name: float(buck.leaves()[f"controller.{name}"]) for name in ("k_p", "k_i", "k_d", "filter")}

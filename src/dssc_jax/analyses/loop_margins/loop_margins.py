@@ -64,8 +64,8 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     if not any(parts.values()):
         raise ConfigError(
             study.source,
-            "no break point has an effect: the loop is open at its operating points, as where a command is at its limit; "
-            "`times` takes others, along the flight",
+            "no break point has an effect: the loop is open at its operating points, as where a command is at its "
+            "limit; `times` takes others, along the flight",
         )
     poles = []
     for by_loop in parts.values():
