@@ -231,13 +231,8 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    Args:
-        params: NamedTuple type of the parameters.
-        at: The point at a time.
-        prepare: As in :class:`Plant`.
-        defaults: An instance of the parameters with the values that a table does not give.
-        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends, and where
-            the linearised loop has its equilibrium. None: 0.
+    ``defaults`` is an instance of the parameters with the values that a table does not give. ``level`` of one channel,
+    ``(params) -> y``, is the constant about which it moves or at which it ends; None: 0.
     """
 
     params: type
