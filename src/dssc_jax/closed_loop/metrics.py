@@ -1,7 +1,6 @@
 """Metrics in streaming form, whose memory does not grow with the duration.
 
-A metric consists of the start of its accumulator and two pure functions, ``update`` and ``value``. Only samples at t
->= ``after`` count.
+A metric is the start of its accumulator and two pure functions, ``update`` and ``value``, of the samples in a window.
 """
 
 import math
