@@ -123,7 +123,7 @@ def sampler(
         ended = recorded.broken
         if recorded.grounded is not False:
             code = jnp.where(recorded.grounded, np.int32(Outcome.INTO_GROUND), code)
-            ended = ended | recorded.grounded
+            ended = jnp.logical_or(ended, recorded.grounded)
         code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))
         running = is_running(loop, at)
         outcome = jnp.where(running, code, at.outcome)
