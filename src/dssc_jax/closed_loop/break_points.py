@@ -65,12 +65,14 @@ def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """
     channels = range(len(loop.channels))
     origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)
-    level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
-    desired = (ReferencePoint(level, 0.0, 0.0),)
+    desired: ReferencePoint | tuple[ReferencePoint, ...]
     if len(loop.channels) > 1:
         start = measure(loop, params, loop.plant.init(params.plant), origin)
         desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
-    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else desired[0])
+    else:
+        level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
+        desired = ReferencePoint(level, 0.0, 0.0)
+    fixed = Reference(NoParams, lambda params, t: desired)
     quiet = tuple(NO_DISTURBANCE for _ in channels)
     inputs = tuple(NO_DISTURBANCE for _ in loop.inputs)
     undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=quiet, inputs=inputs)

@@ -26,7 +26,7 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
             start = as_arrays(initial_control(loop, params, i, measurements[i], references[i]))
             forms[form] = control(loop, params, i, start, measurements[i], references[i])[1].info
         infos.append(forms[form])
-    zeros = (0.0,) * len(loop.channels)
+    zeros: Signals = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
     condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
     drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind, condition=condition)

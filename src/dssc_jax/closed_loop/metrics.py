@@ -28,7 +28,8 @@ class Sample(NamedTuple):
 
     ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
     ``sigma_measured`` are what the controller sees. ``u`` is the robust command and ``u_previous`` its previous value
-    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
+    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + y_m with the desired
+    output y_m = ``reference.y``.
     """
 
     k: Scalar

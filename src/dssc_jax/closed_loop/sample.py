@@ -16,6 +16,7 @@ from dssc_jax.closed_loop.control import (
     principal_value,
     unwrap,
 )
+from dssc_jax.closed_loop.estimates import renewed_estimate, seen_measurements, start_estimate
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
@@ -70,13 +71,14 @@ class ChannelState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the plant, the wind, every channel, the disturbances at named inputs, and the sensors of signals."""
+    """State of plant, wind, every channel, disturbances at named inputs, sensors of signals, and the estimator."""
 
     plant: State
     wind: State
     channels: tuple[ChannelState, ...]
     inputs: tuple[State, ...] = ()
     signals: tuple[State, ...] = ()
+    estimate: State = ()
 
     @property
     def disturbances(self) -> tuple[State, ...]:
@@ -123,8 +125,10 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
     condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
     drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0, condition)
-    measurements = measure(loop, params, plant, references, drive)
-    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, measurements, drive))
+    exact = measure(loop, params, plant, references, drive)
+    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
+    plant, estimate = start_estimate(loop, params, key, plant)
+    measurements = seen_measurements(loop, params, plant, references, drive, exact)
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -147,7 +151,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reading=control.reading,
             )
         )
-    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors))
+    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
 
 
 def held_parts(loop: Loop) -> HeldParts:
@@ -335,6 +339,7 @@ def step(
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     values = signal_values(loop, params, state.plant, measurements, arriving_drive)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
+    seen = seen_measurements(loop, params, state.plant, references, arriving_drive, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -342,7 +347,7 @@ def step(
     outputs = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], signals, reference, k)
+        after, controlled = control_channel(loop, params, key, channel, i, seen[i], signals, reference, k)
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
@@ -364,12 +369,13 @@ def step(
         return plant_input(loop, params, following.disturbances, wind, plant, actuation, time, condition)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
+    plant, estimate = renewed_estimate(loop, params, key, plant, state.estimate, k + 1)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
     arriving = actuate(loop, params, unmodelled, held)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors))
+    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors, estimate))
     broken = loop.plant.broken(params.plant, after.plant)
     grounded = loop.plant.grounded(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info, signals)

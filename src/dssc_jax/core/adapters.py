@@ -89,6 +89,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         outputs=plant.outputs,
         inputs=plant.inputs,
         software=software,
+        estimation=plant.estimation,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 
+from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
@@ -114,6 +115,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
+        estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
     """
 
     params: type
@@ -138,6 +140,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     software: Onboard | None = None
+    estimation: Estimation | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""

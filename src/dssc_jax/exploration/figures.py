@@ -37,7 +37,7 @@ const raised = {"-": "\u207b", 1: "\u00b9", 2: "\u00b2", 3: "\u00b3"}
 const digits = [...String(power)].map(c => raised[c] ?? String.fromCharCode(0x2070 + Number(c)))
 return minus(String(Number((tick / 10 ** power).toPrecision(6)))) + "\u00b710" + digits.join("")
 """
-"""Text of a tick: plain decimals, or 5·10⁻⁶ with one power of ten for all ticks of an axis of small or large numbers."""
+"""Text of a tick: plain decimals; of an axis with small or large numbers, 5·10⁻⁶ with one power of ten for all."""
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
 
 
@@ -48,7 +48,7 @@ def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
     plot.toolbar.autohide = True
     for axis in plot.axis:
         if isinstance(axis, LinearAxis):
-            axis.formatter = CustomJSTickFormatter(code=TICK_TEXT)
+            axis.update(formatter=CustomJSTickFormatter(code=TICK_TEXT))
     return plot
 
 

@@ -35,10 +35,11 @@ class FlightView:
     """The flights of a run over time: the chosen draw with its attitude, all others as ghosts."""
 
     def __init__(self) -> None:
-        first = {name: [[0.0, 0.0]] for name in PLACE}
-        chosen = {name: [0.0] for name in ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))}
-        view = {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
-        self.scene = ColumnDataSource({name: [value] for name, value in VIEW.items()} | view)
+        first: dict[str, Any] = {name: [[0.0, 0.0]] for name in PLACE}
+        chosen: dict[str, Any] = {name: [0.0] for name in ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))}
+        view: dict[str, Any] = {name: [value] for name, value in VIEW.items()}
+        view |= {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
+        self.scene = ColumnDataSource(view)
         self.tracks = ColumnDataSource({**first, "colour": [BLUE], "mark": [-1]})
         self.one = ColumnDataSource(chosen)
         self.floor = ColumnDataSource(first)
@@ -56,8 +57,8 @@ class FlightView:
             frame_width=width,
             frame_height=height,
             tools="save",
-            x_range=Range1d(-1.0, 1.0),
-            y_range=Range1d(-height / width, height / width),
+            x_range=Range1d(start=-1.0, end=1.0),
+            y_range=Range1d(start=-height / width, end=height / width),
             output_backend="canvas",
         )
         plot.axis.visible = False
@@ -133,7 +134,7 @@ class FlightView:
         extent = [high - low for low, high in zip(lows, highs, strict=True)]
         span = 0.6 * max(*extent, 0.5)
         centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
-        view = {name: self.scene.data[name] for name in VIEW}
+        view: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}
         places = {f"c{axis}": [value] for axis, value in zip(PLACE, centre, strict=True)}
         self.scene.data = {**view, **places, "span": [span]}
         width, height = FRAME
@@ -156,7 +157,7 @@ def mark_of(run: LiveRun, draw: int) -> int:
     return min(last, int(np.searchsorted(run.times, min(known, default=run.times[-1]))))
 
 
-def floor_lines(centre: list[float], height: float, span: float) -> dict[str, list[list[float]]]:
+def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:
     """The lines of a square grid below the flights."""
     offsets = np.linspace(-1.2 * span, 1.2 * span, FLOOR_LINES).tolist()
     ends = [offsets[0], offsets[-1]]

@@ -87,8 +87,8 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 def leading_names(study: Study) -> list[str]:
     """The numbers with which the exploration of a vehicle begins; none of another plant.
 
-    They are those whose quantity is ``leading`` (mass, rotor lag, wind, noise), and two usual gains of its controller. A
-    number of a single channel is not among them.
+    They are those whose quantity is ``leading`` (mass, rotor lag, wind, noise), and two usual gains of its controller.
+    A number of a single channel is not among them.
     """
     channels = study.loop.channels
     if len(channels) == 1:

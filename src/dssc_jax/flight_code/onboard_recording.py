@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.estimates import estimation_of
 from dssc_jax.closed_loop.hold import advance_by_steps
 from dssc_jax.closed_loop.sample import LoopState, held_parts, initial_state, step
 from dssc_jax.core.numerics import arithmetic
@@ -40,7 +41,9 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             rows: list[Row] = []
 
             def observe(before: State, drive: PlantInput, after: State) -> None:
-                readings = jax.tree.leaves(without_held(software, before))
+                estimation = estimation_of(loop, params)
+                known = before if estimation is None else estimation.seen(params.plant, before)
+                readings = jax.tree.leaves(without_held(software, known))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 row = (*readings, *commands, *jax.tree.leaves(software.held(after)))
                 rows.append(tuple(jnp.asarray(number, real) for number in row))

@@ -171,8 +171,8 @@ def flight(run: xr.Dataset) -> Figure:
             right.set_xlabel("time [s]")
     for ax in figure.axes:
         place = ax.get_subplotspec()
-        if ax.name != "3d" and ax.get_xlabel() != "x [m]":
-            mark_events(ax, run, named=place is not None and place.is_last_row())
+        if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
+            mark_events(ax, run, named=place.is_last_row())
     hidden = [channel for channel in channels if channel not in active]
     note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
     title(figure, how_it_ended(run) + note)

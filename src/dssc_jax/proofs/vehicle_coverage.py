@@ -1,4 +1,4 @@
-"""What of a vehicle's study a proof covers: from its loop to the plain numbers of a problem."""
+"""The parts of a vehicle's study that a proof covers, and the plain numbers of the problem that follow from them."""
 
 import math
 from collections.abc import Sequence
@@ -115,6 +115,9 @@ def require_loop(study: Study) -> None:
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
         raise NotCovered("the rotors have a lag, and the reference moves")
+    estimation = loop.plant.estimation
+    if estimation is not None and estimation.chosen(study.template.plant):
+        raise NotCovered("the controllers see an estimate; a proof of the vehicle takes plant.estimator.kind = 'none'")
     if any(sensor is not IDEAL for sensor in loop.sensor):
         raise NotCovered("a sensor is not ideal")
     if any(differentiator is not NO_DIFFERENTIATOR for differentiator in loop.differentiator):

@@ -9,7 +9,7 @@ Sources: MCAP format specification; Foxglove schemas (PoseInFrame, PosesInFrame,
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -142,8 +142,8 @@ def signal_topics(names: list[str]) -> dict[str, dict[str, str]]:
     ``/x``, ``/y`` and so on have those of a channel, ``/rotors`` those of rotors, ``/signals`` all others.
 
     Example:
-        >>> signal_topics(["x_y", "x_e", "rotor_1", "tilt"])
-        {'/x': {'y': 'x_y', 'e': 'x_e'}, '/rotors': {'rotor_1': 'rotor_1'}, '/signals': {'tilt': 'tilt'}}
+        >>> signal_topics(["x_y", "x_y_ref", "rotor_1", "tilt"])
+        {'/x': {'y': 'x_y', 'y_ref': 'x_y_ref'}, '/rotors': {'rotor_1': 'rotor_1'}, '/signals': {'tilt': 'tilt'}}
     """
     channels = {name.removesuffix("_y_ref") for name in names if name.endswith("_y_ref")}
     topics: dict[str, dict[str, str]] = {}
@@ -167,7 +167,7 @@ def signals(topic: str, columns: Mapping[str, np.ndarray], times: np.ndarray) ->
         yield Written(topic, int(time), message)
 
 
-def signal_type(name: str, fields: list[str]) -> type["Message"]:
+def signal_type(name: str, fields: list[str]) -> type[Any]:
     """The type of a message with a stamp and one number for each field."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 

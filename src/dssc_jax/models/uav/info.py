@@ -28,3 +28,29 @@ class UavInfo(NamedTuple):
     attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
     rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
     rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
+
+
+class EstimatedUavInfo(NamedTuple):
+    """The values of :class:`UavInfo`, and the errors of the estimate.
+
+    ``nees`` is the normalised squared error of position, velocity and attitude: chi-squared with 9 degrees of freedom
+    for a consistent filter, and 0 where the estimator has no covariance.
+    """
+
+    phi: Annotated[Scalar, Quantity("rad", "roll")]
+    theta: Annotated[Scalar, Quantity("rad", "pitch")]
+    psi: Annotated[Scalar, Quantity("rad", "yaw")]
+    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
+    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
+    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
+    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
+    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
+    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
+    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
+    attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
+    rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
+    rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
+    position_estimate_error: Annotated[Scalar, Quantity("m", "error of the estimated position")]
+    velocity_estimate_error: Annotated[Scalar, Quantity("m/s", "error of the estimated velocity")]
+    attitude_estimate_error: Annotated[Scalar, Quantity("rad", "angle of the attitude's estimation error")]
+    nees: Annotated[Scalar, Quantity("1", "normalised squared error of the estimate")]
