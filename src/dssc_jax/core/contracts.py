@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 
 from dssc_jax.core.estimation import Estimation
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
@@ -154,18 +155,6 @@ class Preset(NamedTuple):
     params: type
     defaults: Params
     prepare: Callable[[Params], Params] = as_given
-
-
-class HarmonicBalance(NamedTuple):
-    """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
-
-    Args:
-        amplitude: ``(q) -> A`` from the real part.
-        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
-    """
-
-    amplitude: Callable[[complex], float]
-    residual: Callable[[complex, float, float], float]
 
 
 def takes_none(gains: Params) -> int:
