@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws library formulas notebooks pages screenshots exploring pareto wind docs clean hover vehicle
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws library formulas notebooks pages screenshots exploring pareto wind docs clean hover vehicle answers
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -82,6 +82,9 @@ exploring: $(VENV)/test  ## regenerate the measured part of docs/explore.md
 pareto: $(VENV)/test  ## regenerate docs/tuning.md: gains tuned, failures hunted, controllers on the same budget
 	$(BIN)/python benchmarks/pareto.py
 
+answers: $(VENV)/run $(VENV)/peers/done  ## regenerate the table of docs/which_method.md: simulations and seconds, beside other tools
+	$(BIN)/python -m benchmarks.answers $(VENV)/peers/bin/python
+
 hover: $(VENV)/test  ## regenerate docs/figures/hover_wind.png and a part of docs/vehicle_proofs.md: hover in bounded wind
 	$(BIN)/python -m benchmarks.hover
 
@@ -115,6 +118,12 @@ $(VENV)/simulators/done:
 $(VENV)/rtamt/done:
 	$(PYTHON) -m venv $(VENV)/rtamt
 	$(VENV)/rtamt/bin/python -m pip install --quiet --disable-pip-version-check rtamt==0.4.10
+	touch $@
+
+# Other tools for uncertainty, which want an older numpy than we do.
+$(VENV)/peers/done: benchmarks/answers/peers.txt
+	$(PYTHON) -m venv $(VENV)/peers
+	$(VENV)/peers/bin/python -m pip install --quiet --disable-pip-version-check --requirement benchmarks/answers/peers.txt
 	touch $@
 
 clean:

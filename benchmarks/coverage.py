@@ -12,6 +12,7 @@ from itertools import count
 from statistics import mode
 
 import numpy as np
+from coverage_designs import DESIGN_CASES, Trial, latin, side, sobol
 from page import put
 from scipy import integrate, special, stats
 
@@ -21,13 +22,10 @@ from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
-from dssc_jax.engine.sampling import latin_design, sobol_points
-from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
 from dssc_jax.statistics import (
     CONFIDENCE,
     FixedCount,
     Look,
-    Replicated,
     compare_failures,
     compare_metrics,
     multistage_interval,
@@ -35,76 +33,12 @@ from dssc_jax.statistics import (
 )
 
 REPETITIONS, NOMINAL, ALLOWED = 1000, 0.95, 0.02
-REPLICATES = 8
 TELLING = 100  # printed intervals from which their share is told, where most are refused
-Trial = Callable[[int], np.ndarray | str]
-"""Of a seed: where the interval lies, -1 below the truth, 0 around it, 1 above it; or why there is none."""
-
-
-def side(intervals: np.ndarray | tuple[float, float], truth: np.ndarray | float) -> np.ndarray:
-    """Where intervals, shape (..., 2), lie by the truth."""
-    low, high = np.moveaxis(np.asarray(intervals), -1, 0)
-    return np.where(high < truth, -1, np.where(low > truth, 1, 0))
 
 
 def independent(p: float, draws: int) -> Trial:
     """Failures of independent draws."""
     return lambda seed: side(FixedCount().interval(np.random.default_rng(seed).random(draws) < p), p)
-
-
-def half_space(points: np.ndarray, p: float) -> np.ndarray:
-    """A failure region of probability p that involves all coordinates alike."""
-    return stats.norm.ppf(points).sum(-1) / np.sqrt(points.shape[-1]) > stats.norm.isf(p)
-
-
-def sobol(p: float, draws: int) -> Trial:
-    """Failures of scrambled Sobol replicates."""
-    return nets(p, lambda points: half_space(points, p), REPLICATES, draws // REPLICATES)
-
-
-def nets(p: float, fails: Callable[[np.ndarray], np.ndarray], replicates: int, size: int) -> Trial:
-    """Failures in three numbers by independently scrambled Sobol nets."""
-
-    def trial(seed: int) -> np.ndarray:
-        points = [sobol_points(3, 0, size, (seed, r)) for r in range(replicates)]
-        failed = fails(np.stack(points, axis=1).reshape(replicates * size, 3))
-        return side(Replicated(replicates, "Sobol").interval(failed), p)
-
-    return trial
-
-
-def two_modes(points: np.ndarray, p: float) -> np.ndarray:
-    """Failures at both ends of the first number."""
-    return np.abs(points[..., 0] - 0.5) > 0.5 * (1.0 - p)
-
-
-def behind_bend(points: np.ndarray, p: float) -> np.ndarray:
-    """Failures outside a sphere around the median."""
-    return np.sum(special.ndtri(points) ** 2, axis=-1) > stats.chi2(3).isf(p)
-
-
-def automatic(p: float, fails: Callable[[np.ndarray, float], np.ndarray], draws: int) -> Trial:
-    """A run of ``sampling = "auto"``: the pilot's choice, then the run."""
-    replicates, size = nets_of(draws)
-
-    def trial(seed: int) -> np.ndarray:
-        points = [sobol_points(3, 0, PILOT // PILOT_NETS, (seed, 1, r)) for r in range(PILOT_NETS)]
-        expected = (np.count_nonzero(fails(np.concatenate(points), p)) + 0.5) / (PILOT + 1) * draws
-        if min(expected, draws - expected) >= SEEN:
-            return nets(p, lambda cube: fails(cube, p), replicates, size)(seed)
-        return side(FixedCount().interval(fails(np.random.default_rng(seed).random((draws, 3)), p)), p)
-
-    return trial
-
-
-def latin(p: float, draws: int) -> Trial:
-    """Failures of Latin-hypercube replicates."""
-
-    def trial(seed: int) -> np.ndarray:
-        failed = half_space(latin_design(seed, (1, 2, 3), REPLICATES, draws), p)
-        return side(Replicated(REPLICATES, "Latin").interval(failed), p)
-
-    return trial
 
 
 def quantile(level: float, draws: int) -> Trial:
@@ -295,11 +229,7 @@ CASES: dict[str, tuple[str, Trial]] = {
     "Sobol replicates, p = 0.004, n = 1024": ("failure probability", sobol(0.004, 1024)),
     "Latin-hypercube replicates, p = 0.1, n = 1000": ("failure probability", latin(0.1, 1000)),
     "Latin-hypercube replicates, p = 0.004, n = 1000": ("failure probability", latin(0.004, 1000)),
-    **{
-        f"chosen design, {name}, p = {p:g}, n = {draws:,}": ("failure probability", automatic(p, fails, draws))
-        for name, fails in (("half space", half_space), ("two modes", two_modes), ("curved border", behind_bend))
-        for p, draws in ((0.2, 1000), (0.05, 1000), (0.05, 4096), (0.01, 10_000), (1e-4, 20_000))
-    },
+    **DESIGN_CASES,
     "median, lognormal, n = 100": ("quantile", quantile(0.5, 100)),
     "95 % quantile, lognormal, n = 200": ("quantile", quantile(0.95, 200)),
     "0.06 against 0.04, n = 500": ("paired difference", paired(0.06, 0.04, 500)),

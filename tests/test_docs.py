@@ -1,5 +1,6 @@
 """The documentation's examples run as printed; its links lead somewhere."""
 
+import ast
 import doctest
 import importlib
 import os
@@ -18,6 +19,7 @@ import dssc_jax as dj
 from benchmarks.pages import PAGES as PAGES_OF
 from benchmarks.pages import type_name
 from dssc_jax.cli.application import app
+from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.study.build import FIXED_TABLES
 from tests.page_examples import BLOCK
 
@@ -144,6 +146,45 @@ def test_types_of_the_study_file():
     assert type_name(FIXED_TABLES["requirement"].model_fields["max"].annotation) == "number"
 
 
+def arguments_of(node):
+    """Names that the documentation of a function or class may describe: its arguments, fields and those of __init__."""
+    if isinstance(node, ast.FunctionDef):
+        return {argument.arg for argument in ast.walk(node.args) if isinstance(argument, ast.arg)}
+    names = {
+        part.target.id for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name)
+    }
+    begin = [part for part in node.body if isinstance(part, ast.FunctionDef) and part.name == "__init__"]
+    return names.union(*(arguments_of(part) for part in begin))
+
+
+def described_but_absent(text):
+    """Definitions of a module's text that document arguments which they do not have, with these arguments."""
+    found = {}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            section = re.search(r"^Args:\n((?: {4}.*\n?|\n)+)", ast.get_docstring(node) or "", re.MULTILINE)
+            described = re.findall(r"^ {4}(\w+(?:, \w+)*):", section[1], re.MULTILINE) if section else []
+            absent = {name for names in described for name in names.split(", ")} - arguments_of(node)
+            if absent:
+                found[node.name] = sorted(absent)
+    return found
+
+
+def test_documented_arguments_exist():
+    assert {
+        str(file): absent for file in SOURCE.rglob("*.py") if (absent := described_but_absent(file.read_text()))
+    } == {}
+
+
+def test_a_documented_argument_that_was_renamed_is_found():
+    old = 'def f(x):\n    """Double.\n\n    Args:\n        y: A number.\n    """\n'
+    assert described_but_absent(old) == {"f": ["y"]}
+    assert described_but_absent(old.replace("(x)", "(y)")) == {}
+    assert described_but_absent('class C:\n    """A.\n\n    Args:\n        a: One.\n    """\n\n    b: int\n') == {
+        "C": ["a"]
+    }
+
+
 def test_every_source_is_in_the_bibliography():
     """By its first author's name and its year."""
     page = " ".join((ROOT / "docs" / "bibliography.md").read_text().split())
@@ -174,6 +215,11 @@ def navigation(entries):
     for entry in entries:
         for value in entry.values():
             yield from navigation(value) if isinstance(value, list) else [value]
+
+
+def test_every_actuator_is_on_the_models_page():
+    page = (ROOT / "docs" / "model.md").read_text()
+    assert [kind for kind in UNMODELLED if kind != "none" and f"| `{kind}` |" not in page] == []
 
 
 def test_every_page_is_in_the_sites_contents():

@@ -13,7 +13,7 @@ from benchmarks.fuzz.generate import SINGLES
 from benchmarks.fuzz.program import Kind, Program, abstract, scalars, text
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import column
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.lanes import CompiledLanes
@@ -217,11 +217,11 @@ def falls_back(program: Program) -> str:
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         try:
-            start = forms.compiled("lanes", numbers, ["a"], 16, None, None)
+            start = kernels.compiled("lanes", numbers, ["a"], 16, None, None)
             start({"a": np.arange(16.0)}, np.arange(16))()
         except Exception as problem:
             return "" if xla_fails(program) else f"no result: {type(problem).__name__}: {problem}"
-    told = [str(warning.message) for warning in raised if issubclass(warning.category, forms.KernelWarning)]
+    told = [str(warning.message) for warning in raised if issubclass(warning.category, kernels.KernelWarning)]
     return "" if told and "no machine code for " in told[0] else "no warning"
 
 

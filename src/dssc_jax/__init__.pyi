@@ -16,6 +16,10 @@ from dssc_jax.analyses.loading import load as load
 from dssc_jax.analyses.loop_margins import LoopMargins as LoopMargins, loop_margins as loop_margins
 from dssc_jax.analyses.margins import Margins as Margins, margin as margin
 from dssc_jax.analyses.noise_spectrum.spectrum import noise_spectrum as noise_spectrum
+from dssc_jax.analyses.probability.probability import (
+    FailureProbability as FailureProbability,
+    probability as probability,
+)
 from dssc_jax.analyses.rare_events.importance import ImportanceSampling as ImportanceSampling
 from dssc_jax.analyses.rare_events.rare import RareEvent as RareEvent, rare as rare
 from dssc_jax.analyses.rare_events.splitting import Splitting as Splitting
@@ -42,6 +46,7 @@ from dssc_jax.proofs.prove_vehicle import VehicleProved as VehicleProved
 from dssc_jax.proofs.reach import ProvedReach as ProvedReach, proved_up_to as proved_up_to
 from dssc_jax.results.analysis import Analysis as Analysis
 from dssc_jax.results.export import export as export
+from dssc_jax.results.mcap_recording import write_mcap as write_mcap
 from dssc_jax.results.proofs import SweepProofs as SweepProofs
 from dssc_jax.results.result import Result as Result
 from dssc_jax.runs.prove_sweep import prove_sweep as prove_sweep

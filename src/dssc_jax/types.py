@@ -20,6 +20,7 @@ from dssc_jax.core.contracts import (
     stateless,
     unchanged,
 )
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Registry, Slot, single
 from dssc_jax.core.sampled_linear import LinearSystem
@@ -51,6 +52,7 @@ __all__ = [
     "LinearSystem",
     "Measurement",
     "Moments",
+    "NamedSignal",
     "NoParams",
     "Outcome",
     "Plant",

@@ -63,6 +63,7 @@ RUN = {
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
     "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), [LOG] * 9),
+    "probability": lambda study: dj.probability(study, 0.1),
     "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),

@@ -16,7 +16,7 @@ from benchmarks.fuzz.program import text
 from benchmarks.fuzz.referee import Referee
 from benchmarks.fuzz.values import TYPES
 from benchmarks.fuzz.worker import Unit
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.lanes.functions import elementary
 from dssc_jax.lanes.tracing import primitives
 
@@ -97,7 +97,7 @@ def test_a_fall_back_without_a_warning_is_found(monkeypatch):
     monkeypatch.setattr(worker, "REFUSALS", set())
     assert ran(alone("sort", "float64")).findings == []
     monkeypatch.setattr(worker, "REFUSALS", set())
-    monkeypatch.setattr(forms, "slower", lambda reason: None)
+    monkeypatch.setattr(kernels, "slower", lambda reason: None)
     assert {found["said"] for found in ran(alone("sort", "float64")).findings} == {"no warning"}
 
 

@@ -9,11 +9,11 @@ import pytest
 import dssc_jax as dj
 from benchmarks.speed import workloads
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import Engine, computing
 from dssc_jax.lanes.gpu.driver import driver
 from tests.conftest import UNCERTAIN
-from tests.engine.test_forms import batch
+from tests.engine.test_kernels import batch
 from tests.lanes.gpu_on_cpu import emulated
 from tests.lanes.test_translation import sorts
 
@@ -45,11 +45,11 @@ def test_a_thread_has_the_bits_of_strict_arithmetic(study, monkeypatch):
 
 
 def test_the_manifest_names_the_gpu(monkeypatch):
-    monkeypatch.setenv(forms.KERNEL_VARIABLE, "gpu")
+    monkeypatch.setenv(kernels.KERNEL_VARIABLE, "gpu")
     with emulated(monkeypatch):
         settings = computing()["compiler"]
     assert "gpu Emulated GPU" in settings
-    assert f"{forms.KERNEL_VARIABLE}=gpu" in settings
+    assert f"{kernels.KERNEL_VARIABLE}=gpu" in settings
 
 
 @pytest.mark.parametrize(("form", "remedy"), [("gpu", "lanes"), ("gpu-strict", "strict")])
@@ -67,4 +67,4 @@ def test_a_machine_without_a_driver_says_so(form, remedy, monkeypatch):
 
 def test_what_a_kernel_cannot_express_is_refused(monkeypatch):
     with emulated(monkeypatch), pytest.raises(ConfigError, match="a kernel cannot express 'sort' in sorts"):
-        forms.compiled("gpu", sorts, ["a"], LANES, None, None)
+        kernels.compiled("gpu", sorts, ["a"], LANES, None, None)

@@ -111,3 +111,23 @@ def test_rules_between_numbers_narrow_a_slider(explored):
     """A rate limit's sliders may be anything; those of a saturating PID with lo < hi may not cross."""
     law = explored.override({"disturbance": {"kind": "sine", "amplitude": 0.2, "period": 3.0}})
     assert [s.key for s in admitted(law, sliders_of(law))] == [s.key for s in sliders_of(law)]
+
+
+def test_a_vehicle_begins_with_few_numbers():
+    """Mass, rotor lag, wind, noise, two gains and the sample time, one slider each; any number by its name."""
+    study = dj.Study.load("uav_robustness")
+    keys = [slider.key for slider in sliders_of(study.without_sweep())]
+    assert keys == [
+        "plant.vehicle.mass (median)",
+        "plant.vehicle.motor_lag (median)",
+        "wind.speed (median)",
+        "sensor.position_std",
+        "controller.functions.kappa_o",
+        "controller.functions.kappa_m",
+        "loop.sample_time",
+    ]
+    swept = [slider.key for slider in sliders_of(study)]
+    assert swept[0] == "plant.vehicle.motor_lag"
+    assert len(swept) == 7
+    named = [slider.key for slider in sliders_of(study, ["plant.vehicle.mass"])]
+    assert named == ["plant.vehicle.mass (median)", "plant.vehicle.mass (width)"]

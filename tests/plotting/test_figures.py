@@ -44,7 +44,7 @@ def drawings(swept, one, flown):
         "probability curve": lambda ax: dj.plot.probability(row, ax),
         "typical map": lambda ax: dj.plot.typical(swept, ax),
         "typical curve": lambda ax: dj.plot.typical(row, ax, metric="command_tv"),
-        "signals": lambda ax: dj.plot.signals(flown, ["e", "sigma"], ax),
+        "signals": lambda ax: dj.plot.signals(flown, ["e", "y"], ax),
     }
 
 
@@ -122,6 +122,29 @@ def test_the_certified_stretch_is_hatched(swept):
     assert axis[1] < hatched.get_x() + hatched.get_width() < axis[2]
     labels = [text.get_text() for text in ax.get_legend().get_texts()]
     assert labels.count("Theorem 1: without lag and sampling") == 1
+
+
+def test_an_axis_has_one_unit(flown):
+    figure = dj.plot.signals(flown, ["e", "sigma", "y", "u"])
+    assert [ax.get_ylabel() for ax in figure.axes] == ["[m]", "[m/s]"]
+    assert [len(ax.get_lines()) for ax in figure.axes] == [2, 2]
+    with pytest.raises(ValueError, match=r"axes have one unit, got signals in \[m\], \[m/s\]"):
+        dj.plot.signals(flown, ["e", "sigma"], figure.axes[0])
+    for ax in dj.plot.trajectory(flown).axes:
+        assert ax.get_ylabel().count("[") <= 1
+
+
+def test_the_failure_figure_shows_what_fails_most(swept):
+    study = swept.study.without_sweep()
+    rules = [
+        {"metric": "error_max", "max": 1e6},
+        {"metric": "command_max", "min": 1e6},
+        {"metric": "sigma_max", "max": 1e6},
+    ]
+    run = dj.run(study.override({"requirement": rules, "plot": {}, "draws": 20}))
+    assert dj.plot.failures(run).axes[0].get_xlabel().startswith("largest |u|")
+    named = run.study.override({"plot": {"metric": "sigma_max"}})
+    assert "sigma" in dj.plot.failures(dj.run(named)).axes[0].get_xlabel()
 
 
 def test_more_signals_than_colours(flown):

@@ -43,6 +43,23 @@ def test_every_law_is_tested():
     assert {kind for kind, _ in ORACLES} | {"choice"} == set(LAWS)
 
 
+def test_every_law_but_the_choice_can_be_moved_and_widened():
+    """A law without ``roles`` would silently keep its values where all laws are widened or shifted."""
+    assert [kind for kind, spec in LAWS.items() if not spec.roles] == ["choice"]
+
+
+@pytest.mark.parametrize("case", ORACLES, ids=str)
+def test_a_moved_law_has_moved_values(case):
+    """Values of the law with other arguments are those of the law, moved and widened about the median."""
+    law = Law(*case)
+    u = np.linspace(0.01, 0.99, 25)
+    median = 1.3 * law.median
+    moved = law.moved(median, 0.8).quantile(u)
+    spread = law.spread(law.quantile(u), 0.8)
+    expected = spread * (median / law.median) if law.logarithmic else spread + (median - law.median)
+    np.testing.assert_allclose(moved, expected, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [

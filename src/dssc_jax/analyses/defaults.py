@@ -28,6 +28,9 @@ LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 1024
 """Importance sampling: coefficient of variation to reach, largest number of weighted points, plain draws."""
 
+WIDTH, MOST_STRATIFIED = 0.02, 1_000_000
+"""Failure probability: width of the interval, and largest number of draws in the strata."""
+
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
 

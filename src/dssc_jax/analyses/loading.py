@@ -18,6 +18,7 @@ KINDS = {
     "margins": "dssc_jax.analyses.comparison:MarginContest",
     "compare": "dssc_jax.analyses.comparison:Comparison",
     "sensitivity": "dssc_jax.analyses.sensitivity:Sensitivity",
+    "probability": "dssc_jax.analyses.probability:FailureProbability",
     "rare": "dssc_jax.analyses.rare_events.rare:RareEvent",
     "falsify": "dssc_jax.analyses.falsification.falsify:Falsified",
     "tune": "dssc_jax.analyses.tuning:Tuned",

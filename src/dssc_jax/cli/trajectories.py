@@ -1,6 +1,8 @@
 """What the commands simulate and replay share: the files of a trajectory."""
 
 import json
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import xarray as xr
@@ -11,6 +13,7 @@ from dssc_jax.cli.declarations.simulation import Replay, Simulate
 from dssc_jax.console.draws import show_draw
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.results.mcap_recording import write_mcap
 from dssc_jax.results.summary import jsonable
 
 FIGURES = (".png", ".svg", ".pdf")
@@ -25,26 +28,53 @@ def require_writable(options: Simulate | Replay) -> None:
     figure = options.figure
     if figure is not None and figure.suffix.lower() not in FIGURES:
         raise ConfigError(str(figure), f"cannot be written: the name must end in one of {', '.join(FIGURES)}")
-    for file in (options.csv, figure):
+    for file in (options.csv, options.parquet, options.mcap, figure):
         if file is not None and not file.parent.is_dir():
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
-def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay) -> None:
-    """Write the requested files of a trajectory, and show how the draw ended."""
-    csv = options.csv
-    figure = options.figure
-    if csv is not None:
-        attempt(csv, lambda: write_table(trajectory, csv))
-    if figure is not None:
-        attempt(figure, lambda: plotting.write(plotting.trajectory(trajectory), figure))
+def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, others: Sequence[Path] = ()) -> None:
+    """Write the requested files of a trajectory, and show how the draw ended, with all files and ``others``."""
+    writers: list[tuple[Path | None, Callable[[Path], object]]] = [
+        (options.csv, lambda path: write_table(trajectory, path)),
+        (options.parquet, lambda path: write_parquet(trajectory, path)),
+        (options.mcap, lambda path: write_mcap(trajectory, path)),
+        (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
+    ]
+    written = [*others]
+    for path, write in writers:
+        if path is not None:
+            attempt(path, partial(write, path))
+            written.append(path)
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(trajectory.attrs, [path for path in (csv, figure) if path is not None])
+        show_draw(trajectory.attrs, written)
 
 
 def write_table(trajectory: xr.Dataset, path: Path) -> None:
     """Write a trajectory as CSV."""
     with files.replacing(path) as file:
         trajectory.to_dataframe().to_csv(file, index_label="t")
+
+
+def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
+    """Write a trajectory as Parquet, with unit and meaning of each column in the metadata of its field.
+
+    Raises:
+        ConfigError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa  # an optional extra
+        from pyarrow import parquet
+    except ImportError as error:
+        raise ConfigError(str(path), "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
+    names = ["t", *map(str, trajectory.data_vars)]
+    columns = [pa.array(trajectory[name].values) for name in names]
+    fields = []
+    for name, column in zip(names, columns, strict=True):
+        described = {key: str(value) for key, value in trajectory[name].attrs.items()}
+        fields.append(pa.field(name, column.type, metadata=described))
+    table = pa.Table.from_arrays(columns, schema=pa.schema(fields))
+    with files.replacing(path) as file:
+        parquet.write_table(table, file)

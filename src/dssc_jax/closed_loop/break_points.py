@@ -5,7 +5,7 @@ dynamics, sensors and the sampled controller. The loop stays closed; a signal is
 signal before the sum is read. The loop transfer function at that place follows from this pair exactly.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
@@ -34,6 +34,11 @@ class BreakPoint(StrEnum):
     RATE = "rate"
 
 
+def place_names(channels: Sequence[str]) -> list[str]:
+    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
+    return [f"{channel} {point}".strip() for channel in channels for point in BreakPoint]
+
+
 class WithAdded(NamedTuple):
     """Parameters of a sensor, and the measurement added to its input."""
 
@@ -55,15 +60,19 @@ def with_added_measurement(sensor: Sensor) -> Sensor:
 def undisturbed(loop: Loop, params: LoopParams) -> tuple[Loop, LoopParams]:
     """The loop at a constant reference, without disturbance, wind and sensor noise.
 
-    The reference of a plant of one channel is 0; that of several channels is their outputs at t = 0: hover.
+    The reference of a plant of one channel is its constant level (``Reference.level``), or 0; that of several channels
+    is their outputs at t = 0: hover.
     """
     channels = range(len(loop.channels))
     origin = tuple(ReferencePoint(0.0, 0.0, 0.0) for _ in channels)
-    desired = origin
+    desired: ReferencePoint | tuple[ReferencePoint, ...]
     if len(loop.channels) > 1:
         start = measure(loop, params, loop.plant.init(params.plant), origin)
         desired = tuple(ReferencePoint(m.y, 0.0, 0.0) for m in start)
-    fixed = Reference(NoParams, lambda params, t: desired if len(desired) > 1 else ReferencePoint(0.0, 0.0, 0.0))
+    else:
+        level = 0.0 if loop.reference.level is None else loop.reference.level(params.reference)
+        desired = ReferencePoint(level, 0.0, 0.0)
+    fixed = Reference(NoParams, lambda params, t: desired)
     quiet = tuple(NO_DISTURBANCE for _ in channels)
     inputs = tuple(NO_DISTURBANCE for _ in loop.inputs)
     undisturbed_loop = replace(loop, reference=fixed, wind=NO_WIND, disturbance=quiet, inputs=inputs)
@@ -118,8 +127,8 @@ def sample_map(
 
 
 def break_points(loop: Loop) -> list[str]:
-    """Name of each break point, e.g. ``input``, or ``x input`` for a plant of several channels."""
-    return [f"{channel} {point}".strip() for channel in loop.channels for point in BreakPoint]
+    """Name of each break point, in the order of the channels."""
+    return place_names(loop.channels)
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:

@@ -1,6 +1,6 @@
 """Simulation of one draw from its first to its last sample: streaming metrics, early ends, and the outcome."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.margin_kinds import NO_MARGINS
 from dssc_jax.closed_loop.metrics import Accumulator, Instant, Measure, starts, update_all, values
 from dssc_jax.closed_loop.requirements import Requirement, certain_violations, judge, violated, watch
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
@@ -67,13 +68,14 @@ def initial_progress(
     key: jax.Array,
     measures: tuple[Measure, ...],
     requirements: tuple[Requirement, ...] = (),
+    margins: Mapping[str, Scalar] = NO_MARGINS,
 ) -> Progress:
-    """The state of the time loop before the first sample."""
+    """The state of the time loop before the first sample; ``margins`` are those among the measures, by name."""
     zero = jnp.zeros((), dtype=jnp.int32)
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
     watched = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
-    return Progress(zero, state, as_arrays(starts(measures)), zero, zero, in_band, watched)
+    return Progress(zero, state, as_arrays(starts(measures, margins)), zero, zero, in_band, watched)
 
 
 def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
@@ -118,10 +120,14 @@ def sampler(
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         code = jnp.where(recorded.broken, np.int32(Outcome.SINGULAR_ATTITUDE), np.int32(Outcome.OK))
+        ended = recorded.broken
+        if recorded.grounded is not False:
+            code = jnp.where(recorded.grounded, np.int32(Outcome.INTO_GROUND), code)
+            ended = jnp.logical_or(ended, recorded.grounded)
         code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))
         running = is_running(loop, at)
         outcome = jnp.where(running, code, at.outcome)
-        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(recorded.broken))
+        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(ended))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
         if freeze:
@@ -149,6 +155,7 @@ def simulate_draw(
     requirements: tuple[Requirement, ...] = (),
     axis_name: str | None = None,
     segment: int | None = None,
+    margins: Mapping[str, Scalar] = NO_MARGINS,
 ) -> Run:
     """Simulate one draw without recording it; memory does not grow with the duration.
 
@@ -166,10 +173,11 @@ def simulate_draw(
         axis_name: Name of the mapped axis of the draws that share the time loop, which stops when all of
             them have ended. None: the loop has its full length, as derivatives require.
         segment: See :func:`dssc_jax.closed_loop.time_loops.scan_segments`; for ``axis_name`` = None only.
+        margins: Value of each margin of the linearised loop among the measures, by the measure's name.
     """
     freeze = axis_name is None or loop.settled is not None
     sample = sampler(loop, params, key, measures, requirements, freeze)
-    begin = initial_progress(loop, params, key, measures, requirements)
+    begin = initial_progress(loop, params, key, measures, requirements, margins)
 
     def advance(at: Progress) -> Progress:
         return sample(at)[0]
@@ -188,6 +196,7 @@ def simulate_recorded(
     measures: tuple[Measure, ...] = (),
     requirements: tuple[Requirement, ...] = (),
     stride: int = 1,
+    margins: Mapping[str, Scalar] = NO_MARGINS,
 ) -> tuple[Run, Recorded]:
     """Simulate one draw and record its trajectory; an ended draw stays at its last state.
 
@@ -198,9 +207,9 @@ def simulate_recorded(
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         after, recorded = advance(at)
-        return after, recorded._replace(controlled=())  # the trajectory has it all, by other names
+        return after, recorded._replace(controlled=(), grounded=())  # the trajectory has it all, by other names
 
-    begin = initial_progress(loop, params, key, measures, requirements)
+    begin = initial_progress(loop, params, key, measures, requirements, margins)
     end, recorded = scan_recorded(sample, begin, loop.steps, stride)
     return conclude(loop, measures, requirements, end), recorded
 

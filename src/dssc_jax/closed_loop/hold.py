@@ -34,6 +34,10 @@ Advance = Callable[[DriveAt, State, States, Signals, Scalar], tuple[State, State
 """``(drive, plant's state, states of the unmodelled dynamics, commands, t)`` -> both states after the sample."""
 
 
+Observer = Callable[[State, PlantInput[Signals], State], None]
+"""``(plant's state before a tick of software on board, input of the sample, state after it)``, while tracing."""
+
+
 class HeldParts(NamedTuple):
     """The parts of a loop that move between the samples, and how time is divided.
 
@@ -324,8 +328,8 @@ def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...],
     return tuple(reaching)
 
 
-def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Advance:
-    """Advance a plant without a linear part by the loop's fixed-step method."""
+def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
+    """Advance a plant without a linear part by the loop's fixed-step method; ``observe`` sees each tick on board."""
     h = parts.sample_time / parts.substeps
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []
@@ -363,19 +367,24 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States) -> Ad
         if software is None or period is None:
             return repeat_substeps(substep, (plant, states), parts.substeps)
 
-        def onboard_drive(plant: State, states: States, time: Scalar) -> PlantInput[Signals]:
-            channels = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
-            return drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in channels), time)
+        run_tick = software.tick
+        tick_time: float = period
+        received = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
+        drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in received), t)
 
-        def between_ticks(tick: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
-            plant, states = carry
-            drive = onboard_drive(plant, states, t + tick * period)
-            ticked = software.tick(params, plant, drive, tick, period)
-            return repeat_substeps(
-                lambda i, at: substep(tick * steps_per_tick + i, at), (ticked, states), steps_per_tick
-            )
+        def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
+            before, states = at
+            ticked = run_tick(params, before, tick_time)
+            if observe is not None:
+                observe(before, drive, ticked)
+            first = tick * steps_per_tick
+            return repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
 
-        sampled = software.sample(params, plant, onboard_drive(plant, states, t), parts.sample_time)
-        return repeat_substeps(between_ticks, (sampled, states), ticks)
+        carry = (software.sample(params, plant, drive, parts.sample_time), states)
+        if observe is None:
+            return repeat_substeps(between_ticks, carry, ticks)
+        for tick in range(ticks):
+            carry = between_ticks(tick, carry)
+        return carry
 
     return advance

@@ -5,7 +5,8 @@ import jax
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import as_arrays, control, initial_control, measure
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Info, PlantInput
+from dssc_jax.core.events import condition_at
+from dssc_jax.core.signals import Info, PlantInput, Signals
 
 
 def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]:
@@ -25,9 +26,11 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
             start = as_arrays(initial_control(loop, params, i, measurements[i], references[i]))
             forms[form] = control(loop, params, i, start, measurements[i], references[i])[1].info
         infos.append(forms[form])
-    zeros = (0.0,) * len(loop.channels)
+    zeros: Signals = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
-    return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, PlantInput(zeros, zeros, wind))
+    condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
+    drive = PlantInput(zeros, zeros, wind, condition=condition)
+    return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, drive)
 
 
 def fields_of(info: Info, part: str) -> tuple[str, ...]:

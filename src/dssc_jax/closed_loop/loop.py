@@ -8,6 +8,7 @@ import jax
 
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled, Wind
+from dssc_jax.core.events import VehicleEvent
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import stream
@@ -20,7 +21,7 @@ class LoopParams(NamedTuple):
 
     Those of controller, sensor, differentiator, unmodelled dynamics and disturbance are tuples with one element per
     channel. Those of ``inputs`` are the disturbances at the inputs that the plant names, those of ``signal_sensor`` the
-    sensors of the measured signals.
+    sensors of the measured signals, and those of ``events`` what happens to the vehicle.
     """
 
     plant: Params
@@ -33,6 +34,7 @@ class LoopParams(NamedTuple):
     disturbance: tuple[Params, ...]
     inputs: tuple[Params, ...] = ()
     signal_sensor: tuple[Params, ...] = ()
+    events: tuple[Params, ...] = ()
 
 
 class Settled(NamedTuple):
@@ -64,6 +66,8 @@ class Loop:
         measures: Signals that are measured beside y and y' of each channel.
         signal_sensor: A sensor for each of them.
         settled: Rule for ending a settled draw; None: never.
+        events: What happens to the vehicle.
+        rotors: Number of its rotors, if something happens to it.
     """
 
     plant: Plant
@@ -85,6 +89,8 @@ class Loop:
     outputs: tuple[NamedSignal, ...] = ()
     measures: tuple[NamedSignal, ...] = ()
     signal_sensor: tuple[Sensor, ...] = ()
+    events: tuple[VehicleEvent, ...] = ()
+    rotors: int = 0
 
     @cached_property
     def mimo_plant(self) -> Plant[Measurements, Signals]:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.margin_kinds import NO_MARGINS, LoopMargin
 from dssc_jax.closed_loop.spans import Span, in_window, span_of
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.errors import errors_in_code
@@ -26,9 +27,9 @@ class Sample(NamedTuple):
     """The signals of one channel at a sample instant, for metrics.
 
     ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
-    ``sigma_measured`` are what the controller sees.
-    ``u`` is the robust command and ``u_previous`` its previous value (at the first sample: ``u``); ``k_p`` is the
-    draw's own input gain. The output is y = e + y_m with the desired output y_m = ``reference.y``.
+    ``sigma_measured`` are what the controller sees. ``u`` is the robust command and ``u_previous`` its previous value
+    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + y_m with the desired
+    output y_m = ``reference.y``.
     """
 
     k: Scalar
@@ -85,15 +86,15 @@ class Metric(NamedTuple):
     Args:
         unit: Unit, with the symbols ``y`` and ``u`` of :mod:`dssc_jax.core.units` for those of the channel.
         meaning: Long name.
-        update: ``(accumulator, sample, window) -> accumulator`` for a sample within the window; a metric of the
-            vehicle receives the :class:`Instant`.
+        update: ``(accumulator, sample, window) -> accumulator``; a vehicle's metric receives the :class:`Instant`.
         value: ``(accumulator, window, span) -> value``.
         needs: Fields of the controller's (the vehicle's) info that the metric requires.
-        scope: Whether the metric describes a channel or the vehicle.
+        scope: A channel, or the vehicle as a whole.
         start: The accumulator before the first sample: a number, or a ``NamedTuple`` of numbers.
         counted: Whether the value counts samples, as a time or as a share; rounding changes it by whole samples.
         course: How the value changes while samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
+        margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
     """
 
     unit: str
@@ -106,11 +107,13 @@ class Metric(NamedTuple):
     counted: bool = False
     course: Course = Course.OPEN
     certain_after: Callable[[Accumulator], Scalar] | None = None
+    margin: LoopMargin | None = None
 
     @property
     def worst(self) -> float:
-        """The value as which a draw without one counts: -inf of a minimum or a robustness, inf of all others."""
-        return -math.inf if self.course == Course.FALLS or self.certain_after is not None else math.inf
+        """The value as which a draw without one counts: -inf of a minimum or a robustness, the bad side of a margin."""
+        small = self.margin.kind.good == "large" if self.margin else self.certain_after is not None
+        return -math.inf if small or self.course == Course.FALLS else math.inf
 
 
 RISES = Course.RISES
@@ -350,9 +353,9 @@ def available_metrics(
     return kinds
 
 
-def starts(measures: tuple[Measure, ...]) -> tuple[Accumulator, ...]:
-    """Every accumulator before the first sample."""
-    return tuple(measure.metric.start for measure in measures)
+def starts(measures: tuple[Measure, ...], margins: Mapping[str, Scalar] = NO_MARGINS) -> tuple[Accumulator, ...]:
+    """Every accumulator before the first sample; those of margins start at their values, which are by measure."""
+    return tuple(m.metric.start if m.metric.margin is None else margins[m.name] for m in measures)
 
 
 def update_all(

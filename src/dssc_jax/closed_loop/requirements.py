@@ -20,7 +20,8 @@ class Requirement:
     """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit.
 
     ``size`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0. Of a
-    formula, whose robustness must not be negative, ``formula`` is the text.
+    formula, whose robustness must not be negative, ``formula`` is the text. ``written`` is the bound as the study has
+    it, if that has another unit.
     """
 
     measure: Measure
@@ -28,6 +29,7 @@ class Requirement:
     minimum: float | None = None
     size: float | None = None
     formula: str = ""
+    written: str = ""
 
     @property
     def label(self) -> str:
@@ -65,6 +67,8 @@ class Requirement:
         """The requirement in words."""
         if self.formula:
             return f"{self.label}: {self.formula}"
+        if self.written:
+            return f"{self.measure.label} {'<=' if self.maximum is not None else '>='} {self.written}"
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
 

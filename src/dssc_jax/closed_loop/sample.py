@@ -16,10 +16,12 @@ from dssc_jax.closed_loop.control import (
     principal_value,
     unwrap,
 )
+from dssc_jax.closed_loop.estimates import renewed_estimate, seen_measurements, start_estimate
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
 from dssc_jax.closed_loop.readings import first_readings, read_signals, signal_values
+from dssc_jax.core.events import condition_at
 from dssc_jax.core.numerics import as_arrays, is_word
 from dssc_jax.core.signals import (
     Measurement,
@@ -69,13 +71,14 @@ class ChannelState(NamedTuple):
 
 
 class LoopState(NamedTuple):
-    """State of the plant, the wind, every channel, the disturbances at named inputs, and the sensors of signals."""
+    """State of plant, wind, every channel, disturbances at named inputs, sensors of signals, and the estimator."""
 
     plant: State
     wind: State
     channels: tuple[ChannelState, ...]
     inputs: tuple[State, ...] = ()
     signals: tuple[State, ...] = ()
+    estimate: State = ()
 
     @property
     def disturbances(self) -> tuple[State, ...]:
@@ -92,6 +95,7 @@ class Recorded(NamedTuple):
         references: The desired outputs.
         finite: Whether the state after the sample is finite.
         broken: Whether the plant's model is no longer valid.
+        grounded: Whether it has flown into the ground; False: there is none.
         controlled: What each channel's controller saw and gave.
     """
 
@@ -100,6 +104,7 @@ class Recorded(NamedTuple):
     references: ReferencePoints
     finite: Scalar
     broken: Scalar
+    grounded: Scalar | bool
     controlled: tuple[Controlled, ...]
 
 
@@ -118,9 +123,12 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     inputs = []
     for model, p, name in zip(loop.inputs, params.inputs, loop.input_names, strict=True):
         inputs.append(model.init(p, jax.random.fold_in(loop.key(key, "input", name), 0)))
-    drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0)
-    measurements = measure(loop, params, plant, references, drive)
-    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, measurements, drive))
+    condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
+    drive = plant_input(loop, params, (*disturbances, *inputs), wind, plant, reaching, 0.0, condition)
+    exact = measure(loop, params, plant, references, drive)
+    signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
+    plant, estimate = start_estimate(loop, params, key, plant)
+    measurements = seen_measurements(loop, params, plant, references, drive, exact)
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -143,7 +151,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
                 reading=control.reading,
             )
         )
-    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors))
+    return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
 
 
 def held_parts(loop: Loop) -> HeldParts:
@@ -185,6 +193,7 @@ def plant_input(
     plant: State,
     actuation: Signals,
     t: Scalar,
+    condition: State = None,
 ) -> PlantInput[Signals]:
     """The plant's input at a stage of the integrator: commands, disturbances at the stage's plant state, and wind.
 
@@ -196,6 +205,7 @@ def plant_input(
         plant: State of the plant.
         actuation: The commands that reach it.
         t: Time [s].
+        condition: What events have made of the plant in this sample.
     """
     references = loop.mimo_reference.at(params.reference, t)
     measurements = measure(loop, params, plant, references)
@@ -207,7 +217,7 @@ def plant_input(
     inputs = []
     for model, p, state in zip(loop.inputs, params.inputs, held[len(loop.disturbance) :], strict=True):
         inputs.append(model.value(p, state, measurements[0], first, t))
-    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs))
+    return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs), condition)
 
 
 def all_finite(state: LoopState) -> Scalar:
@@ -324,10 +334,12 @@ def step(
     t = k * dt
     references = loop.mimo_reference.at(params.reference, t)
     reaching = tuple(channel.reaching for channel in state.channels)
-    arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t)
+    condition = condition_at(loop.events, params.events, t, dt, loop.rotors)
+    arriving_drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, t, condition)
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     values = signal_values(loop, params, state.plant, measurements, arriving_drive)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
+    seen = seen_measurements(loop, params, state.plant, references, arriving_drive, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -335,7 +347,7 @@ def step(
     outputs = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, measurements[i], signals, reference, k)
+        after, controlled = control_channel(loop, params, key, channel, i, seen[i], signals, reference, k)
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
@@ -354,15 +366,17 @@ def step(
     following = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, following.disturbances, wind, plant, actuation, time)
+        return plant_input(loop, params, following.disturbances, wind, plant, actuation, time, condition)
 
     plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
+    plant, estimate = renewed_estimate(loop, params, key, plant, state.estimate, k + 1)
     drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
     arriving = actuate(loop, params, unmodelled, held)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors))
+    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors, estimate))
     broken = loop.plant.broken(params.plant, after.plant)
+    grounded = loop.plant.grounded(params.plant, after.plant)
     instant = Instant(t, dt, tuple(samples), info, signals)
-    return after, Recorded(instant, measurements, references, all_finite(after), broken, tuple(outputs))
+    return after, Recorded(instant, measurements, references, all_finite(after), broken, grounded, tuple(outputs))

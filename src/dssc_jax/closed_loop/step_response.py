@@ -119,7 +119,7 @@ def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
 
 
 class Following(NamedTuple):
-    """Sums over the window: y, r, r', r^2, r'^2, y r and y r'."""
+    """Sums over the window's samples of y, r, r' and of the products r r, r' r', y r and y r'."""
 
     y: Scalar = 0.0
     r: Scalar = 0.0
@@ -140,9 +140,10 @@ def following(acc: Following, sample: Sample, window: Window) -> Following:
 
 
 def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
-    """The parts of y in phase with a sine r and 90 degrees ahead of it, as shares of r's amplitude.
+    """The amplitudes of the part of y in phase with a sine r and of the part 90 degrees ahead, over that of r.
 
-    r' is 90 degrees ahead of r, and its amplitude is larger by the angular frequency, whose square is var r'/var r.
+    They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
+    and the frequency squared is var r'/var r. Both are NaN if r does not move.
     """
     n = span.inside
     rr = acc.rr - acc.r * acc.r / n

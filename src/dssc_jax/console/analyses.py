@@ -8,6 +8,7 @@ from rich.markup import escape
 
 from dssc_jax.analyses.comparison import Comparison
 from dssc_jax.analyses.comparison.compare import ComparisonAnswer, ContestAnswer
+from dssc_jax.analyses.probability import FailureProbability
 from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
@@ -84,6 +85,30 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
 def interval_text(value: float, low: float, high: float) -> str:
     """A quantity with its interval, marked if it could be 0."""
     return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
+
+
+def show_probability(found: FailureProbability, files: list[Path]) -> None:
+    """Print a failure probability, its strata and its cost."""
+    answer = found.answer
+    console = output()
+    console.print(f"[bold]{escape(found.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    console.print(f"{found.headline} ({100 * answer.confidence:g} %, strata)", markup=False)
+    if not answer.reached:
+        low, high = answer.interval
+        remark = f"the interval has a width of {high - low:.3g}, not {answer.width:g}: the pilot expected another share"
+        console.print(remark, markup=False)
+    rows = []
+    for index, draws in enumerate(answer.draws):
+        cells = (f"{answer.weights[index]:.4f}", f"{draws:,}", f"{answer.failures[index]:,}")
+        rows.append((str(index), *cells))
+    show_table(("stratum", "probability", "draws", "failures"), rows)
+    ratio = answer.plain_draws / answer.simulations
+    console.print(
+        f"{answer.simulations:,} simulations; plain draws take {answer.plain_draws:,} for an interval as narrow, "
+        f"{ratio:.1f} times as many",
+        markup=False,
+    )
+    show_files(files)
 
 
 def show_rare(event: RareEvent, files: list[Path]) -> None:

@@ -11,7 +11,7 @@ import jax
 from dssc_jax.console.kinds import HEADS, KindDescription, kinds
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core import files
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
 
@@ -56,7 +56,7 @@ def environment() -> Environment:
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "devices": [str(device) for device in jax.devices()],
-        "compiler": forms.compiler_settings(),
+        "compiler": kernels.compiler_settings(),
         "kinds": kinds(),
         "metrics": metrics,
     }

@@ -45,7 +45,7 @@ def field_row(field: FieldValues) -> tuple[str, ...]:
     """A field as a row."""
     values = (field.lowest, field.median, field.highest)
     mark = DERIVED_MARK if field.derived else ""
-    return (field.name + mark, f"{field.count:,}", *(number(value) for value in values))
+    return (field.name + mark, f"{field.finite:,}", *(number(value) for value in values))
 
 
 def number(value: float) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
-from dssc_jax.analyses.loop_margins.result import LoopStatistics
+from dssc_jax.analyses.loop_margins.result import LoopStatistics, MultiloopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
 from dssc_jax.analyses.worst_loop.result import LoopWorst
 from dssc_jax.console.terminal import output, show_files, show_table
@@ -57,14 +57,34 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
             reason = no_margins_text(statistics, draws, needed, f"{share} with {confidence} confidence")
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
+        if point in answer.multiloop:
+            console.print(multiloop_text(answer.multiloop[point], place), markup=False, soft_wrap=True)
     console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
-    if set(answer.operating_points) == {EQUILIBRIUM}:
-        if not runs_linear_plants(margins.study):
-            text = "margins hold at the equilibrium; where the plant is not linear, --at T1,T2 takes them along the flight"
-            console.print(text, markup=False, soft_wrap=True)
+    if set(answer.operating_points) == {EQUILIBRIUM} and not runs_linear_plants(margins.study):
+        text = "margins hold at the equilibrium; where the plant is not linear, --at T1,T2 takes them along the flight"
+        console.print(text, markup=False, soft_wrap=True)
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
+
+
+def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:
+    """The disk margin of all loops at once, in words."""
+    form = MARGIN_ROWS["disk"][1]
+    margin = statistics.margin
+    numbers = ", ".join(
+        f"{name} {margin_text(value, form)}"
+        for name, value in (("median", margin.median), ("limit", margin.tolerance_limit), ("worst drawn", margin.worst))
+    )
+    text = f"all commands at once, {place}: disk margin {numbers}"
+    if not math.isfinite(margin.worst) or not math.isfinite(statistics.found):
+        return text
+    factors = ", ".join(
+        f"{channel} {gain:.3g} at {math.degrees(statistics.phases[channel]):.3g} deg"
+        for channel, gain in statistics.factors.items()
+    )
+    found = f"a perturbation of {form(statistics.found)} makes a loop oscillate at {statistics.frequency:.3g} rad/s"
+    return f"{text}; {found}: {factors}"
 
 
 def runs_linear_plants(study: Study | Described) -> bool:

@@ -59,16 +59,13 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
     def plain(drive: PlantInput[Signals]) -> PlantInput[Scalar]:
         (command,) = drive.command
         (disturbance,) = drive.disturbance
-        return PlantInput(command, disturbance, drive.wind, drive.inputs)
+        return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
     remainder = plant.remainder
     software = plant.software
     if software is not None:
-        sample, tick = software.sample, software.tick
-        software = software._replace(
-            sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt),
-            tick=lambda params, state, drive, index, dt: tick(params, state, plain(drive), index, dt),
-        )
+        sample = software.sample
+        software = software._replace(sample=lambda params, state, drive, dt: sample(params, state, plain(drive), dt))
     return Plant(
         plant.params,
         plant.init,
@@ -83,6 +80,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
+        grounded=plant.grounded,
         linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
         onboard=plant.onboard,
@@ -91,6 +89,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         outputs=plant.outputs,
         inputs=plant.inputs,
         software=software,
+        estimation=plant.estimation,
     )
 
 

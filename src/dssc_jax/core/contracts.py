@@ -11,6 +11,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
 
+from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
@@ -101,6 +102,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
+        grounded: ``(params, state) -> bool``: whether it has flown into the ground; False itself: there is none.
         linear: ``(params) -> LinearDynamics``: the plant's linear part, which the loop advances by its exact solution.
             None: the loop integrates ``derivative`` by its fixed-step method.
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
@@ -113,6 +115,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
+        estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
     """
 
     params: type
@@ -128,6 +131,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = never_broken
+    grounded: Callable[[Params, State], Scalar | bool] = never_broken
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()
@@ -136,6 +140,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     outputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     software: Onboard | None = None
+    estimation: Estimation | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
@@ -226,13 +231,20 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    ``defaults`` is an instance of the parameters with the values that a table does not give.
+    Args:
+        params: NamedTuple type of the parameters.
+        at: The point at a time.
+        prepare: As in :class:`Plant`.
+        defaults: An instance of the parameters with the values that a table does not give.
+        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends, and where
+            the linearised loop has its equilibrium. None: 0.
     """
 
     params: type
     at: Callable[[Params, Scalar], Desired]
     prepare: Callable[[Params], Params] = as_given
     defaults: Params = None
+    level: Callable[[Params], Scalar] | None = None
 
 
 class Variation(StrEnum):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Params, PlantInput, Scalar, Signal, State
+from dssc_jax.core.signals import Params, PlantInput, State
 
 WHOLE = 1e-9
 """Relative deviation of a ratio that counts as a whole number."""
@@ -18,14 +18,20 @@ class Onboard(NamedTuple):
 
     Args:
         period: ``(params) -> time between two ticks [s]``; None: these parameters choose no sampled software.
+        start: ``(params, state) -> held``: its part of the plant's state at the first sample, from the rest of it.
+        held: ``(state) -> held``: its part of a state.
+        holding: ``(state, held) -> state`` with another such part.
         sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
-        tick: ``(params, state, input, index, dt) -> state`` at tick ``index`` of a sample, dt apart.
+        tick: ``(params, state, dt) -> state`` at each tick, dt apart.
         frequency: Name of the plant's number that gives the period, dotted, for messages.
     """
 
     period: Callable[[Params], float | None]
-    sample: Callable[[Params, State, PlantInput[Signal], Scalar], State]
-    tick: Callable[[Params, State, PlantInput[Signal], Scalar, Scalar], State]
+    start: Callable[[Params, State], State]
+    held: Callable[[State], State]
+    holding: Callable[[State, State], State]
+    sample: Callable[[Params, State, PlantInput, float], State]
+    tick: Callable[[Params, State, float], State]
     frequency: str = ""
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:

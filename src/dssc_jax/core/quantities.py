@@ -18,6 +18,7 @@ class Quantity:
         at_most: Inclusive upper bound.
         law: Whether a probability law may replace the number.
         data: Whether it is one of many values of a record, which have no names in the study.
+        leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
     """
 
     unit: str
@@ -28,6 +29,7 @@ class Quantity:
     at_most: float | None = None
     law: bool = True
     data: bool = False
+    leading: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""

@@ -68,13 +68,14 @@ class PlantInput(NamedTuple, Generic[Signal]):
 
     Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
     ``Vec3`` [m/s] for flying plants. ``inputs`` are the disturbances at the inputs that the plant names, in their
-    order; () stands for zeros.
+    order; () stands for zeros. ``condition`` is what events have made of a vehicle; None: nothing has happened.
     """
 
     command: Signal
     disturbance: Signal
     wind: State = None
     inputs: Signals = ()
+    condition: State = None
 
 
 class Outcome(IntEnum):
@@ -86,6 +87,7 @@ class Outcome(IntEnum):
     OK = 0
     NON_FINITE = 1
     SINGULAR_ATTITUDE = 2
+    INTO_GROUND = 3
     REQUIREMENT = 10
 
 

@@ -78,7 +78,15 @@ class Reach(NamedTuple):
 
 
 class PlantBounds(NamedTuple):
-    """The plant's share of the bounds: those of k_p, |a_p| and |stiffness|, and the zero dynamics."""
+    """What the theorem needs to know of a plant.
+
+    Args:
+        k_min: Smallest high-frequency gain k_p [1/s].
+        k_max: Largest high-frequency gain k_p [1/s].
+        a_max: Bound of |a_p| [1/s].
+        zero_dynamics: The zero dynamics; None: there are none.
+        stiffness: Bound of the stiffness' magnitude [1/s^2].
+    """
 
     k_min: Numeric
     k_max: Numeric

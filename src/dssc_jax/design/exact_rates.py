@@ -4,10 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.loop import LoopParams
 from dssc_jax.core.quantities import nominal
-from dssc_jax.core.signals import PlantInput, Signals
+from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint, Scalar, Signals
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
+
+RATES = (1e-3, -1e-3, 1.0, -1.0, 1e3, -1e3)
+"""Values of y' that a controller is given to see whether it takes y'."""
 
 
 def exact_rates(study: Study) -> tuple[str, ...]:
@@ -32,11 +36,29 @@ def exact_rates(study: Study) -> tuple[str, ...]:
 
         slopes = jax.jacfwd(rates)(jnp.zeros(channels))
     for i, name in enumerate(loop.channels):
-        exact = not template.sensor[i] and not template.differentiator[i]
+        exact = not template.sensor[i] and not template.differentiator[i] and takes_rate(study, template, i)
         disturbed = [bool(slopes[i, j]) and loop.disturbance[j] != NO_DISTURBANCE for j in range(channels)]
         if exact and any(disturbed):
             found.append(name)
     return tuple(found)
+
+
+def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
+    """Whether a channel's controller takes y': its first two samples then differ for some of the rates tried."""
+    controller = study.loop.controller[channel]
+    gains = template.controller[channel]
+    dt = study.loop.sample_time
+    origin = ReferencePoint(0.0, 0.0, 0.0)
+    signals = (0.0,) * int(controller.takes(gains))
+
+    def two_samples(rate: float) -> list[Scalar]:
+        measured = Measurement(0.0, rate, signals)
+        state, command, _ = controller.step(gains, controller.init(gains, measured, origin), measured, origin, dt)
+        _, following, _ = controller.step(gains, state, measured, origin, dt)
+        return [float(leaf) for leaf in jax.tree.leaves((state, command, following))]
+
+    at_rest = two_samples(0.0)
+    return any(two_samples(rate) != at_rest for rate in RATES)
 
 
 def rate_warning(study: Study) -> str | None:

@@ -12,8 +12,9 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.design import Bounds, Free, Modulation, Parameters, Recipe, derive, synthesise
 from dssc_jax.design.bounds import Numbers, require_plain
 from dssc_jax.design.feasibility import RANGES, Criterion, DesignGoal, edges, optimise
-from dssc_jax.study.components import as_table, explain, parse_params
+from dssc_jax.study.components import as_table, parse_params
 from dssc_jax.study.schema import STRICT, finite_number
+from dssc_jax.study.table_errors import explain
 from dssc_jax.study.tables import read_toml
 
 FREE_DEFAULTS = Free(l0=1.0, phi_a=0.1, eps=0.5, delta=1.0, eps_1=1.0, eps_2=0.1, eps_3=1.0)

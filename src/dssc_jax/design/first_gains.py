@@ -1,6 +1,7 @@
 """First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
 
-The plant is linearised at its start and sampled exactly, with the command held. All three rules then work with numbers
+The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly, with
+the command held. All three rules then work with numbers
 of that plant alone, whatever its units:
 
 * PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it.
@@ -45,6 +46,8 @@ MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
 PLACES = 9  # bisections' decades of a weight on either side
 DIGITS = 4
 HALVINGS = 8
+NEWTON_STEPS = 20
+AT_REST = 1e-9  # share of the rate of change without a command that may be left
 
 
 class FirstController(StrEnum):
@@ -86,6 +89,8 @@ class FirstGains(NamedTuple):
 def plant_at_start(study: Study) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, b and c of a study's plant, linearised at its start with the median in place of each law.
 
+    The command is the one that keeps the plant at its start; 0 where there is none.
+
     Raises:
         ConfigError: the plant has several channels.
     """
@@ -101,12 +106,34 @@ def plant_at_start(study: Study) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             rate = loop.plant.derivative(params, unravel(x), PlantInput(u, 0.0, None, inputs), 0.0)
             return ravel_pytree(rate)[0]
 
-        def output(x: jax.Array) -> Scalar:
-            return loop.plant.measure(params, unravel(x), PlantInput(0.0, 0.0, None, inputs)).y
+        command = holding_command(slope, start)
 
-        a, b = jax.jacfwd(slope, argnums=(0, 1))(start, 0.0)
+        def output(x: jax.Array) -> Scalar:
+            return loop.plant.measure(params, unravel(x), PlantInput(command, 0.0, None, inputs)).y
+
+        a, b = jax.jacfwd(slope, argnums=(0, 1))(start, command)
         c = jax.grad(output)(start)
     return np.asarray(a, float), np.asarray(b, float), np.asarray(c, float)
+
+
+def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float:
+    """The command with which a state stays where it is, by Newton's method; 0 where there is none.
+
+    Args:
+        slope: ``(x, u) -> x'``.
+        start: The state x.
+    """
+    command = 0.0
+    for _ in range(NEWTON_STEPS):
+        rate = np.asarray(slope(start, command), float)
+        effect = np.asarray(jax.jacfwd(slope, argnums=1)(start, command), float)
+        size = float(effect @ effect)
+        if not size > 0.0:
+            return 0.0
+        command -= float(effect @ rate) / size
+    left = np.max(np.abs(np.asarray(slope(start, command), float)))
+    moved = np.max(np.abs(np.asarray(slope(start, 0.0), float)))
+    return command if left <= AT_REST * moved else 0.0
 
 
 def first_gains(
@@ -180,8 +207,9 @@ def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
     s = 1j * omega
     gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
     if needed < -math.radians(90.0):
-        rule = f"has at {omega:.4g} rad/s a phase that is {-math.degrees(needed):.0f} degrees ahead of what PID needs"
-        raise ConfigError("plant", f"{rule}; ask for another bandwidth or for 'lqg', or turn the command's sign")
+        rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(float(np.angle(at))):.0f} degrees"
+        remedy = "ask for a higher bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
+        raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
     k_i = gain * corner
     k_p = gain * (1.0 + corner * ahead) - k_i * filtered
     k_d = gain * ahead - k_p * filtered if lead else 0.0

@@ -65,7 +65,15 @@ def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
 
 
 def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, alpha_2: Numeric) -> Numeric:
-    """Smallest eigenvalue of Q - 2 eps I; ``gain`` is kappa_1, alpha_i = beta_i/phi_i."""
+    """Smallest eigenvalue of the symmetric matrix Q - 2 eps I, whose entries the module's text gives.
+
+    Args:
+        p: Parameters of Table 1.
+        k_p: High-frequency gain [1/s].
+        gain: kappa_1.
+        alpha_1: beta_1/phi_1 of the disturbance.
+        alpha_2: beta_2/phi_2.
+    """
     eps = p.eps
     first = p.gamma * k_p
     k_q = (
@@ -79,10 +87,12 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
     mean = 0.5 * k_q + eps
     half_difference = 0.5 * k_q - eps
     root = (half_difference**2 + off**2) ** 0.5
-    large = mean + root  # the smaller eigenvalue as determinant over the larger: no cancellation while that is positive
-    positive = large > 0.0
-    xp = namespace(large)
-    return xp.where(positive, (2.0 * eps * k_q - off**2) / xp.where(positive, large, 1.0), mean - root)
+    largest = mean + root
+    determinant = 2.0 * eps * k_q - off**2
+    positive = largest > 0.0
+    xp = namespace(largest)
+    divisor = xp.where(positive, largest, 1.0)
+    return xp.where(positive, determinant / divisor, mean - root)  # the quotient cancels no digits, the difference does
 
 
 def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: Numeric) -> Numeric:
@@ -113,13 +123,18 @@ def attack_q(p: Parameters, bounds: Bounds) -> float:
 
 
 def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
-    """Coefficients of a polynomial in (|sigma|, |e|) whose positivity for all of them is Q - 2 eps I > 0 throughout.
+    """Coefficients of a polynomial in |sigma| and |e| that is positive where Q - 2 eps I > 0, and only there.
 
-    2 eps k_q > (2 eps alpha_1 - alpha_2)^2 at the worst vertex (rho_1, -rho_2), where each of its terms is at its
-    worst, reads f kappa_1 - rho^2 - 4 eps gamma k_p rho_1 - 8 eps^2 rho_2 - 8 eps^2 gamma k_p - 4 eps^2 > 0 with
-    rho = 2 eps rho_1 + rho_2: a polynomial of second degree. If all its coefficients are positive, it is positive.
-    Divided by f, every subtracted term falls with k_p, so k_min suffices. This condition is weaker than Table 1,
-    which bounds rho_1 and rho_2 by rho.
+    If all coefficients are positive, so is the polynomial, and Q - 2 eps I > 0 for every sigma and e.
+
+    The matrix is positive if 2 eps k_q > (2 eps alpha_1 - alpha_2)^2. Each term is at its worst for alpha_1 = rho_1 and
+    alpha_2 = -rho_2. There the condition reads
+
+        f kappa_1 - rho^2 - 4 eps gamma k_p rho_1 - 8 eps^2 rho_2 - 8 eps^2 gamma k_p - 4 eps^2 > 0
+
+    with rho = 2 eps rho_1 + rho_2. It is a polynomial of second degree, since rho_1, rho_2 and the root of
+    kappa_1 - kappa_d are linear in |sigma| and |e|. Divided by f, every subtracted term falls with k_p, so k_min
+    suffices. Table 1 demands more: it bounds rho_1 and rho_2 by rho.
 
     Returns:
         The coefficients of sigma^2, |sigma e|, e^2, |sigma|, |e| and 1, at k_min.

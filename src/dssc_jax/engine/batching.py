@@ -1,7 +1,7 @@
 """Batching of lanes. No other module adds batch axes.
 
 A lane is one draw at one sweep point. A block is the unit of work and of storage: a box of the grid
-(sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.engine.forms`. Lanes are
+(sweep axes..., draw), computed as one batch of lanes in one of the forms of :mod:`dssc_jax.engine.kernels`. Lanes are
 independent, so results do not depend on the size of a block, nor on the cores that share it.
 """
 
@@ -18,10 +18,12 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import Run, simulate_draw
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
+from dssc_jax.engine.linearisation.margin_values import MarginValues, margin_values
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.study import Study
@@ -54,7 +56,9 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
         loop = study.loop
         params = study.params(values)
         judged = study.measures, study.requirements
-        return results_of(study, simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment))
+        margins = {name: values[name] for name in margins_of(study.measures)}
+        run = simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment, margins=margins)
+        return results_of(study, run)
 
     return lane
 
@@ -153,7 +157,7 @@ class Engine:
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
         program: The program to run for each lane.
-        kernel: The form, see :func:`dssc_jax.engine.forms.requested`.
+        kernel: The form, see :func:`dssc_jax.engine.kernels.requested`.
         extra: Numbers of each lane that the program needs in addition to those of the study.
     """
 
@@ -167,8 +171,9 @@ class Engine:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self.kernel = forms.requested(self.kernel)
-        self._start: forms.Start | None = None
+        self.kernel = kernels.requested(self.kernel)
+        self._start: kernels.Start | None = None
+        self._margins: MarginValues | None = None
         self._ended = 0.0
 
     @property
@@ -180,11 +185,15 @@ class Engine:
         """Start a batch and return a function that waits for its results.
 
         Args:
-            values: For each of ``names`` an array of shape (n,), n <= lanes.
+            values: For each of ``names`` an array of shape (n,), n <= lanes. Margins of the linearised loop are
+                computed unless they are among them.
             indices: Draw index of each lane, shape (n,).
         """
         count = len(indices)
         columns = {name: np.asarray(values[name]) for name in self.names}
+        margins = margins_of(self.study.measures)
+        known = margins.keys() <= values.keys()
+        columns |= {name: values[name] for name in margins} if known else self.margins(columns, np.asarray(indices))
         with arithmetic(self.study.config.loop.precision):
             start = self.compiled()
             began = time.perf_counter()
@@ -200,15 +209,23 @@ class Engine:
 
         return finish
 
-    def compiled(self) -> forms.Start:
+    def compiled(self) -> kernels.Start:
         """The compiled program of a batch; compiled once, on first use."""
         if self._start is None:
             began = time.perf_counter()
             lane = CountedLane(self.program(self.study), self.clock)
+            names = [*self.names, *margins_of(self.study.measures)]
             with arithmetic(self.study.config.loop.precision):
-                self._start = forms.compiled(self.kernel, lane, self.names, self.lanes, self.tile, self.devices)
+                self._start = kernels.compiled(self.kernel, lane, names, self.lanes, self.tile, self.devices)
             self.clock.compile_seconds += time.perf_counter() - began
         return self._start
+
+    @property
+    def margins(self) -> MarginValues:
+        """The required margins of the linearised loop, which are computed before the flight."""
+        if self._margins is None:
+            self._margins = margin_values(self.study)
+        return self._margins
 
     @property
     def rate(self) -> float:
@@ -269,12 +286,14 @@ def computing() -> JsonObject:
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONS}},
         "device": {"kind": device.device_kind, "platform": device.platform, "count": len(jax.devices())},
-        "compiler": forms.compiler_settings(),
+        "compiler": kernels.compiler_settings(),
     }
 
 
 def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-    """Compute blocks in turn. The first is started at once, each other one before the previous one is yielded.
+    """Compute blocks in turn: while the caller handles one block, the next is being computed.
+
+    The first block starts when this function is called, not when the iterator is first read.
 
     Returns:
         An iterator of the blocks: each with its results in the block's shape, and the drawn values of its draws.
@@ -285,15 +304,17 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
         values = drawn(engine.study, block[-1])
         return block, engine(*lanes_of(engine.study, block, values)), values
 
-    def finish(first: tuple[Block, Callable[[], Arrays], Arrays]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        waiting = first
+    def collect_all(first: tuple[Block, Callable[[], Arrays], Arrays]) -> Iterator[tuple[Block, Arrays, Arrays]]:
+        running = first
         for block in blocks[1:]:
-            started = start(block)
-            yield collect(*waiting)
-            waiting = started
-        yield collect(*waiting)
+            next_running = start(block)
+            yield collect(*running)
+            running = next_running
+        yield collect(*running)
 
-    return finish(start(blocks[0])) if blocks else iter(())
+    if not blocks:
+        return iter(())
+    return collect_all(start(blocks[0]))
 
 
 def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:

@@ -50,5 +50,5 @@ class LaneBatch:
         self._threads = min(cores or machine.usable_cores(), machine.usable_cores())
 
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.engine.forms.Start`."""
+        """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`."""
         return self._lanes.start_timed((values, index), len(index), self._threads)

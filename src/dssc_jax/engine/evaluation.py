@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
-from dssc_jax.engine.forms import Form
+from dssc_jax.engine.kernels import Form
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
@@ -74,7 +75,8 @@ class Evaluator:
             indices: Draw of each lane, shape (n,).
             values: Every law's and every chosen number's value, each of shape (n,).
         """
-        return evaluate(self.engine, {name: values[name] for name in self.engine.names}, indices)
+        known = {*self.engine.names, *margins_of(self.swept.measures)}
+        return evaluate(self.engine, {name: column for name, column in values.items() if name in known}, indices)
 
 
 def native_code(study: Study) -> str:
@@ -100,7 +102,7 @@ class GradientEvaluator(Evaluator):
     The derivatives are additional results with keys of type :class:`Derivative`. Forward mode computes each lane once
     for each number, along that number's tangent; memory does not grow with the duration. Reverse mode takes one
     backward pass for each metric and slack, however many numbers there are; it stores the state at about sqrt(steps)
-    samples and recomputes those between.
+    samples and recomputes those between. Margins of the linearised loop are differentiated by central differences.
 
     Args:
         names: The numbers.
@@ -128,11 +130,24 @@ class GradientEvaluator(Evaluator):
             ConfigError: A controller is native code.
         """
         require_derivatives(self.swept)
+        lanes = dict(values) | self.engine.margins(dict(values), indices)
+        results = self._of_flights(indices, lanes)
+        for name in self.names if margins_of(self.swept.measures) else ():
+            slopes = self.engine.margins.slopes(dict(values), indices, name)
+            results |= {Derivative(margin, name): slope for margin, slope in slopes.items()}
+            for requirement in self.swept.requirements:
+                if requirement.measure.name in slopes:
+                    sign = 1.0 if requirement.maximum is None else -1.0
+                    results[Derivative(requirement.name, name)] = sign * slopes[requirement.measure.name]
+        return results
+
+    def _of_flights(self, indices: np.ndarray, values: Arrays) -> Arrays:
+        """The results with the derivatives of the simulation, in which margins of the linearised loop stay constant."""
         if self.reverse:
             return super().__call__(indices, values)
         count = len(indices)
         size = len(self.names)
-        tiled = {name: np.tile(values[name], size) for name in self.engine.names if name != DIRECTION}
+        tiled = {name: np.tile(column, size) for name, column in values.items() if name != DIRECTION}
         columns = super().__call__(np.tile(indices, size), tiled | {DIRECTION: np.repeat(np.arange(size), count)})
         results = {}
         for key, column in columns.items():

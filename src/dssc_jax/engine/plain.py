@@ -61,7 +61,7 @@ class PlainBatch:
         self._run = lowered.compile(compiler_options=plain_options())
 
     def start(self, values: dict[str, np.ndarray], index: np.ndarray) -> Callable[[], tuple[Any, float]]:
-        """Begin to run a batch; see :data:`dssc_jax.engine.forms.Start`."""
+        """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`."""
         count, shape = len(index), (self._tiles, self._tile)
 
         def tiled(column: np.ndarray, dtype: Any) -> np.ndarray:

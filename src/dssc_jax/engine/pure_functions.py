@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
@@ -173,7 +174,7 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
             stores every sample.
 
     Raises:
-        ConfigError: the segment has no sample.
+        ConfigError: the segment has no sample, or a margin of the linearised loop is required.
 
     Example:
         >>> import jax
@@ -188,6 +189,12 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
     if segment is not None and segment < 1:
         raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
     study.require_single_laws()
+    margins = margins_of(study.measures)
+    if margins:
+        rule = (
+            f"{next(iter(margins))} is that of the linearised loop, which a pure function of the flight does not have"
+        )
+        raise ConfigError(study.source, f"{rule}; take the requirement out, or use `run`")
     return LaneFunction(study, lane_of_study(study, axis_name=None, segment=segment))
 
 

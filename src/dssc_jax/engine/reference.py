@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.engine.batching import Lanes, lane_numbers, lane_of_study
+from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics.order import typical_size
@@ -68,6 +69,7 @@ class Agreement(NamedTuple):
 
 def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndarray) -> Arrays:
     """Metrics, slacks and outcome of lanes by the plain program, shape (n,) each."""
+    values = {**values, **margin_values(study)(dict(values), draws)}
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
         batch = jax.jit(jax.vmap(lane_of_study(study, axis_name=None)), compiler_options=plain_options())

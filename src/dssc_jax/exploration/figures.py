@@ -5,7 +5,18 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, DataRange1d, FactorRange, Model, PlainText, Range, Range1d, Title
+from bokeh.models import (
+    ColumnDataSource,
+    CustomJSTickFormatter,
+    DataRange1d,
+    FactorRange,
+    LinearAxis,
+    Model,
+    PlainText,
+    Range,
+    Range1d,
+    Title,
+)
 from bokeh.plotting import figure
 
 from dssc_jax.exploration.live import LiveRun
@@ -16,6 +27,17 @@ from dssc_jax.study import Study
 WIDTH = 440  # px
 HEIGHT = 250
 LEVEL_NAMES = ("q5", "q25", "q50", "q75", "q95")
+TICK_TEXT = r"""
+const largest = Math.max(...ticks.map(Math.abs))
+const minus = text => text.replace("-", "\u2212")
+if (largest === 0 || (largest >= 2e-3 && largest < 1e6)) return minus(String(Number(tick.toPrecision(10))))
+if (tick === 0) return "0"
+const power = Math.floor(Math.log10(largest) + 1e-9)
+const raised = {"-": "\u207b", 1: "\u00b9", 2: "\u00b2", 3: "\u00b3"}
+const digits = [...String(power)].map(c => raised[c] ?? String.fromCharCode(0x2070 + Number(c)))
+return minus(String(Number((tick / 10 ** power).toPrecision(6)))) + "\u00b710" + digits.join("")
+"""
+"""Text of a tick: plain decimals; of an axis with small or large numbers, 5·10⁻⁶ with one power of ten for all."""
 BANDS = (("q5", "q95", 0.18), ("q25", "q75", 0.35))
 
 
@@ -24,6 +46,9 @@ def page_figure(tools: str, height: int = HEIGHT, **options: Any) -> figure:
     plot = figure(width=WIDTH, height=height, tools=tools, sizing_mode="stretch_width", **options)
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
+    for axis in plot.axis:
+        if isinstance(axis, LinearAxis):
+            axis.update(formatter=CustomJSTickFormatter(code=TICK_TEXT))
     return plot
 
 

@@ -4,7 +4,7 @@ import shlex
 
 from bokeh.embed import components
 from bokeh.layouts import column
-from bokeh.models import Div
+from bokeh.models import Div, LayoutDOM
 from bokeh.resources import Resources
 from markupsafe import escape
 
@@ -60,8 +60,11 @@ def interactive_html(result: Result | Analysis) -> str:
         "Orange fails, blue passes; a cross or a circle is a draw.</p>",
         disable_math=True,
     )
-    page = column(head, Brushing(DrawTable(result), folder).layout)
+    return standalone(f"{study.name}: draws", column(head, Brushing(DrawTable(result), folder).layout))
+
+
+def standalone(title: str, page: LayoutDOM) -> str:
+    """A page of Bokeh as one file that needs no network."""
     script, place = components(page)
     library = "\n".join(Resources(mode="inline", components=["bokeh", "bokeh-widgets"]).js_raw)
-    title = escape(f"{study.name}: draws")
-    return PAGE.format(policy=CONTENT_POLICY, title=title, library=library, place=place, script=script)
+    return PAGE.format(policy=CONTENT_POLICY, title=escape(title), library=library, place=place, script=script)

@@ -31,6 +31,9 @@ from dssc_jax.statistics import CONFIDENCE, describe_probability
 from dssc_jax.study import Study
 from dssc_jax.study.tables import to_toml
 
+PLACE = ("x", "y", "z")
+ATTITUDE = ("phi", "theta", "psi")
+"""Channels and signals of a vehicle that can be shown in three dimensions."""
 FAN_LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)  # of the fans
 DRAWS = 1000
 VEHICLE_DRAWS = 64
@@ -239,7 +242,13 @@ def error_names(study: Study) -> list[str]:
     return [f"{channel}_e" if channel else "e" for channel in study.loop.channels]
 
 
+def flies(study: Study) -> bool:
+    """Whether a study's plant is a vehicle with place and attitude."""
+    return set(PLACE) <= set(study.loop.channels) and set(ATTITUDE) <= set(study.loop.quantities)
+
+
 def recorded_signals(study: Study) -> list[str]:
-    """Signals to record: output, desired output, error and total command of every channel."""
+    """Signals to record: output, desired output, error and total command of every channel; a vehicle's attitude."""
     names = ("y", "y_ref", "e", "u_total")
-    return [f"{channel}_{name}" if channel else name for channel in study.loop.channels for name in names]
+    signals = [f"{channel}_{name}" if channel else name for channel in study.loop.channels for name in names]
+    return [*signals, *ATTITUDE] if flies(study) else signals

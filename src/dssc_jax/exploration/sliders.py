@@ -14,6 +14,7 @@ from dssc_jax.study.laws import LAWS, Law, RangedLaw
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import Expression
 
+GAINS = 2  # of a vehicle's controller
 MOST_SLIDERS = 14  # of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
 NARROWER = (3.0, 1.5)  # reaches to try where the rules of a model do not admit the widest
@@ -61,13 +62,18 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
 
     Args:
         study: The study; the ends of its sweep's axes are the ends of their sliders.
-        names: Dotted names of the numbers to move; None: the swept ones, then gains, unmodelled dynamics and laws.
+        names: Dotted names of the numbers to move; None: the swept ones, then gains, unmodelled dynamics and laws; of
+            a vehicle see :func:`leading_names`.
 
     Raises:
         ConfigError: There is no such number, or it cannot be moved.
     """
     if names is not None:
         return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
+    leading = leading_names(study)
+    if leading:
+        found = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *leading, CLOCK_SLIDER])]
+        return [slider for group in found for slider in group][:MOST_SLIDERS]
     movable = [number for number in study.numbers.values() if is_movable(number)]
     ordered = [number.name for number in sorted(movable, key=precedence)]
     sliders = []
@@ -76,6 +82,25 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     if len(sliders) > MOST_SLIDERS:  # the last is the clock's
         sliders = [*sliders[: MOST_SLIDERS - 1], sliders[-1]]
     return sliders
+
+
+def leading_names(study: Study) -> list[str]:
+    """The numbers with which the exploration of a vehicle begins; none of another plant.
+
+    They are those whose quantity is ``leading`` (mass, rotor lag, wind, noise), and two usual gains of its controller.
+    A number of a single channel is not among them.
+    """
+    channels = study.loop.channels
+    if len(channels) == 1:
+        return []
+    names = []
+    for number in study.numbers.values():
+        inner = number.name.split(".")[1:-1]
+        if number.quantity.leading and is_movable(number) and not set(inner) & set(channels):
+            names.append(number.name)
+    tunable = study.loop.controller[0].tunable_gains(study.template.controller[0])
+    gains = [f"controller.{name}" for name in tunable if f"controller.{name}" in study.numbers]
+    return [*names, *gains[:GAINS]] if names else []
 
 
 def required_sliders(study: Study, name: str) -> list[Slider]:

@@ -28,7 +28,8 @@ from dssc_jax.exploration.figures import (
     seen_paths,
     shown_signals,
 )
-from dssc_jax.exploration.live import LiveRun, LiveStudy
+from dssc_jax.exploration.flight_view import FlightView
+from dssc_jax.exploration.live import LiveRun, LiveStudy, flies
 from dssc_jax.exploration.logged_flights import LoggedFlights
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.sliders import MEDIAN, Slider, grid, position_text
@@ -114,6 +115,7 @@ class StudyPage(Page):
             self.fans.append(FanFigure(study, name, x_range))
         self.draws = DrawsFigure(self.choose_draw)
         self.paths = [PathFigure(*pair) for pair in seen_paths(study)]
+        self.flight = FlightView() if flies(study) else None
 
     @property
     def view(self) -> pn.Row:
@@ -136,6 +138,7 @@ class StudyPage(Page):
             *([self.flights.view] if self.flights else []),
             html_pane(markup(h.p[COLOUR_KEY])),
             pn.GridBox(*figures, ncols=2, sizing_mode="stretch_width"),
+            *([pn.pane.Bokeh(self.flight.layout)] if self.flight else []),
             self.status,
             sizing_mode="stretch_width",
         )
@@ -253,6 +256,8 @@ class StudyPage(Page):
         self.draws.show(run, self.draw_axis.value, draw)
         for path in self.paths:
             path.show_draw(run, self.draw)
+        if self.flight is not None:
+            self.flight.show(run, self.draw)
         self._say_draw(run)
 
     def _say_draw(self, run: LiveRun) -> None:

@@ -12,6 +12,10 @@ from dssc_jax.flight_code.fmu import ControllerFmu, controller_fmu
 from dssc_jax.flight_code.header import header_text, readme_text
 from dssc_jax.flight_code.monitor_recording import monitor_recording, recorded_flights
 from dssc_jax.flight_code.monitor_text import monitor_texts, readme_lines
+from dssc_jax.flight_code.onboard import traced_software
+from dssc_jax.flight_code.onboard_recording import recorded_ticks, software_recording
+from dssc_jax.flight_code.onboard_text import readme_lines as software_lines
+from dssc_jax.flight_code.onboard_text import software_files, software_texts
 from dssc_jax.flight_code.premises import Premises
 from dssc_jax.flight_code.recording import recorded_draws, recording
 from dssc_jax.flight_code.source import source_text
@@ -51,23 +55,35 @@ class FlightFolder:
         study.require_single_laws()
         self.code = FlightCode(study, sampled_controllers(study), certificate_sentence(study))
         self.monitor = None if premises is None else traced_monitor(self.code, premises)
+        software = traced_software(study, self.code.name)
+        self.software = None if software is None else software_files(software)
 
     def texts(self) -> dict[str, str]:
         """Content of the text files by name."""
         name = self.code.name
         monitor = {} if self.monitor is None else monitor_texts(self.monitor, self.code.study.name)
         section = [] if self.monitor is None else readme_lines(self.monitor)
-        return monitor | {
-            f"{name}_controller.h": header_text(self.code),
-            f"{name}_controller.c": source_text(self.code),
-            "bench.c": template_text("bench.c"),
-            "bench_channels.h": channels_text(self.code),
-            "Makefile": fill("Makefile", name=name, monitor="" if self.monitor is None else "include monitor.mk"),
-            "README.md": readme_text(self.code, section),
-        }
+        software = {} if self.software is None else software_texts(self.software, self.code.study.name)
+        if self.software is not None:
+            section = software_lines(self.software) + section
+        makefiles = [name for name in ("inner_loop.mk", "monitor.mk") if name in software | monitor]
+        return (
+            software
+            | monitor
+            | {
+                f"{name}_controller.h": header_text(self.code),
+                f"{name}_controller.c": source_text(self.code),
+                "bench.c": template_text("bench.c"),
+                "bench_channels.h": channels_text(self.code),
+                "Makefile": fill(
+                    "Makefile", name=name, monitor="\n".join(f"include {makefile}" for makefile in makefiles)
+                ),
+                "README.md": readme_text(self.code, section),
+            }
+        )
 
     def fmu(self) -> ControllerFmu:
-        """The same controllers as an FMU."""
+        """The controllers as an FMU."""
         return controller_fmu(self.code)
 
     def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
@@ -91,6 +107,13 @@ class FlightFolder:
         flights = recorded_flights(self.code.study, self.monitor, draws, count)
         return self._guarded(monitor_recording(flights, self.code.precision))
 
+    def software_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
+        """The bytes of the recording of software on board; arguments and errors as for :meth:`recording`."""
+        assert self.software is not None
+        draws, count = self._counts(draws, samples)
+        flights = recorded_ticks(self.code.study, self.software.software, draws, count)
+        return self._guarded(software_recording(flights, self.code.precision))
+
     def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
         for name, count in (("draws", draws), ("samples", samples or 1)):
             if count < 1:
@@ -113,6 +136,7 @@ class FlightFolder:
             "certificate": self.code.certificate,
             "channels": [channel_summary(controller) for controller in self.code.controllers],
             **({} if self.monitor is None else {"monitor": monitor_summary(self.monitor)}),
+            **({} if self.software is None else {"inner_loop": {"prefix": self.software.software.prefix}}),
         }
 
 

@@ -39,8 +39,10 @@ def file_comment(code: FlightCode) -> list[str]:
 
 def not_generated(study: Study) -> list[str]:
     """What a flight needs beside the generated controllers."""
+    software = study.loop.plant.software
+    generated = software is not None and software.period(study.template.plant) is not None
     return [
-        *study.loop.plant.onboard,
+        *(() if generated else study.loop.plant.onboard),
         "sensors with their filters and the estimator of the measurement",
         "the reference",
         "actuators, and limits of the command that the controller does not have",

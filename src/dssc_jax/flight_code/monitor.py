@@ -23,15 +23,15 @@ LAST_SAMPLE = 2**31 - 1
 
 
 class ChannelSample(NamedTuple):
-    """What the monitor sees of a channel at a sample; () is not looked at.
+    """The signals of a channel that the monitor reads at one sample. The last two are () if no bound uses them.
 
     Args:
-        y: The output, as the controller gets it.
-        y_dot: Its rate.
+        y: The output, as the controller receives it.
+        y_dot: Rate of the output.
         y_ref: The reference.
-        y_ref_dot: Its rate.
-        u_p: The whole command that the controller gives.
-        sliding_margin: What the controller reports of rho - abs(u_eq).
+        y_ref_dot: Rate of the reference.
+        u_p: The whole command of the controller.
+        sliding_margin: rho - abs(u_eq), as the controller reports it.
     """
 
     y: Scalar
@@ -43,7 +43,10 @@ class ChannelSample(NamedTuple):
 
 
 class MonitorSample(NamedTuple):
-    """What the monitor sees at a sample; the tilt [rad] and the rotors' commands [N] are () without a bound."""
+    """The monitor's inputs at one sample: its channels, the tilt [rad] and the rotors' commanded thrusts [N].
+
+    The tilt and the thrusts are () if the certificate does not bound them.
+    """
 
     channels: tuple[ChannelSample, ...]
     tilt: State

@@ -62,7 +62,7 @@ class SeenDisturbance(NamedTuple):
 
 
 class SeenFlags(NamedTuple):
-    """Whether the disturbance is beyond its bound, and beyond that of its slope, for every plant."""
+    """Bounds that the disturbance exceeds, whatever the plant within its intervals: of its size, and of its slope."""
 
     level: jax.Array
     slope: jax.Array
@@ -79,7 +79,7 @@ def averaging_time(premises: DisturbancePremises, dt: float) -> float:
 
 
 def initial_seen(premises: DisturbancePremises) -> SeenDisturbance:
-    """At rest, with commands that were 0."""
+    """The state before the first sample: nothing measured, and all earlier commands 0."""
     zero = Enclosed(0.0, 0.0)
     delayed = (zero,) * (len(premises.delay_weights) - 1)
     return SeenDisturbance(0.0, 0.0, 0.0, delayed, (zero,) * premises.lag_order, zero, zero, 0.0)
@@ -94,16 +94,22 @@ def see(
     command: Scalar,
     dt: float,
 ) -> tuple[SeenDisturbance, SeenFlags]:
-    """One sample.
+    """Enclose the disturbance of the last sample, and compare it with the bounds of the premises.
+
+    The disturbance is enclosed if this sample and the last were both measured. Its slope is judged if there is also an
+    average of earlier samples.
 
     Args:
         premises: The plant's intervals, and the bounds of the disturbance.
-        state: The state before it.
+        state: The state before this sample.
         y: Output; any number if it was not measured.
-        y_dot: Its rate.
+        y_dot: Rate of the output.
         measured: Whether both were measured.
         command: The command that acts from now on.
         dt: T_s [s].
+
+    Returns:
+        The state after this sample, and the flags.
     """
     resumed = measured & jnp.greater(state.fresh, 0.0)
     seen = mean_disturbance(premises, state, y, y_dot, dt)
@@ -136,7 +142,10 @@ def see(
 def mean_disturbance(
     premises: DisturbancePremises, state: SeenDisturbance, y: Scalar, y_dot: Scalar, dt: float
 ) -> Enclosed:
-    """The mean of d since the last sample, for all k_p and a_p: an extreme of (A + a_p B)/k_p is at ends of both."""
+    """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
+
+    (A + a_p B)/k_p takes its extremes where both k_p and a_p are at an end of their intervals.
+    """
     change = (y_dot - state.y_dot) / dt
     speed = (y - state.y) / dt
     first = change + premises.a_p[0] * speed

@@ -29,7 +29,7 @@ class FieldValues(NamedTuple):
     Args:
         name: The column's name, as a table of columns takes it.
         derived: Whether it is in the model's axes, and not a field of the log itself.
-        count: Number of its finite values.
+        finite: Number of its finite values.
         lowest: Their minimum; NaN if there are none.
         median: Their median.
         highest: Their maximum.
@@ -37,7 +37,7 @@ class FieldValues(NamedTuple):
 
     name: str
     derived: bool
-    count: int
+    finite: int
     lowest: float
     median: float
     highest: float

@@ -79,7 +79,11 @@ def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> E
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
-    """How well each channel with readings is described at coordinates; the study's noise counts where it is needed."""
+    """How well the model describes each channel that has readings, at coordinates x of the fit.
+
+    If the readings' noise alone leaves too much unexplained in any channel, the study's noise is simulated. Each
+    channel then counts the larger of the two.
+    """
     results = []
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         results.append(explain_channel(readings, noise, columns[:, 0]))

@@ -14,7 +14,7 @@ from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
@@ -142,7 +142,7 @@ def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[Dra
     draws = study.config.draws
     values = drawn(study, slice(0, draws))
     with arithmetic(study.config.loop.precision):
-        compiled = forms.compiled_single(program, list(study.laws))
+        compiled = kernels.compiled_single(program, list(study.laws))
     for index in range(draws):
         with arithmetic(study.config.loop.precision):
             yield compiled({name: float(column[index]) for name, column in values.items()}, index)

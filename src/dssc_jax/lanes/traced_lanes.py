@@ -77,7 +77,7 @@ def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: b
 
 
 def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
-    """What a caller of the program's code must know; ``code`` is the name of the code."""
+    """The signature of the program's code, for its callers; ``code`` is the name of the code."""
     outputs = []
     for output in program.outputs:
         outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))

@@ -20,6 +20,7 @@ from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
+from dssc_jax.plotting.strata import strata
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write, write_png_and_svg
 from dssc_jax.plotting.sweeps import probability, standing, sweep, typical
 from dssc_jax.plotting.theory import theory
@@ -54,6 +55,7 @@ __all__ = [
     "sensitivity",
     "signals",
     "standing",
+    "strata",
     "sweep",
     "theory",
     "trajectory",

@@ -1,4 +1,4 @@
-"""Figures of a run: the distribution of the headline metric, and failures against uncertain numbers."""
+"""Figures of a run: the distribution of a metric, and failures against uncertain numbers."""
 
 import math
 
@@ -23,7 +23,7 @@ from dssc_jax.plotting.style import (
 )
 from dssc_jax.plotting.thinning import picked
 from dssc_jax.results.influence import by_influence, groups_of
-from dssc_jax.results.result import Result, measure_named
+from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
 
 MOST_FACTORS = 5
@@ -32,7 +32,10 @@ MOST_MARKED_STEPS = 20
 
 @styled
 def failures(result: Result) -> Figure:
-    """Plot a run without sweep: the distribution of the headline metric, and failures against each uncertain number."""
+    """Plot a run without sweep: the metric that fails most often, and failures against each uncertain number.
+
+    That is the metric of the requirement which most draws violate, unless ``[plot]`` names another.
+    """
     laws = by_influence(result, shown_laws(result))[:MOST_FACTORS]
     panels = 1 + len(laws)
     columns = min(3, panels)
@@ -42,7 +45,7 @@ def failures(result: Result) -> Figure:
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for empty in axes[panels:]:
         empty.set_axis_off()
-    distribution(result, axes[0])
+    distribution(result, axes[0], most_violated(result).name)
     factors = axes[1:panels]
     for ax, name in zip(factors, laws, strict=True):
         factor(result, name, ax)

@@ -11,13 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 from mpl_toolkits.mplot3d import Axes3D
 
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, label, panel, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, label, panel, styled, title
 from dssc_jax.plotting.thinning import picked, thinned
 
 ROUNDING_NOISE = 1e-9
 """Signals below this share of the size of their channel are rounding noise."""
 SIGNAL_COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 ROTOR_COLOURS = (BLUE, ORANGE, GREEN, GREY)  # red is the limit
+TIME_CONSTANTS = {"tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
 PATH_HEIGHT = 4.2  # inches
 ROW_HEIGHT = 2.3
 WIND = ("wind_x", "wind_y", "wind_z")
@@ -25,7 +26,7 @@ WIND = ("wind_x", "wind_y", "wind_z")
 
 @styled
 def trajectory(run: xr.Dataset) -> Figure:
-    """Plot one draw over time: output, error, command, and the state-dependent functions if there are any.
+    """Plot one draw over time: output, error, sigma, command, and the state-dependent functions if there are any.
 
     For a plant of several channels, commands are on the left and errors on the right, with one row for each channel.
 
@@ -34,50 +35,81 @@ def trajectory(run: xr.Dataset) -> Figure:
     """
     if "y" not in run:
         return flight(run)
-    figure = Figure(figsize=(11.5, 8.0), layout="constrained")
-    (output, error), (command, functions) = figure.subplots(2, 2, sharex=True)
-    line(output, run, "y_ref", GREY, "desired $y_m$", linestyle="--")
-    line(output, run, "y", BLUE, "output $y$")
-    output.set_ylabel(signal_label(run, "y"))
-    error_unit = bracketed_unit(run, "e")
-    sigma_unit = bracketed_unit(run, "sigma")
-    line(error, run, "e", BLUE, f"error $e$ {error_unit}")
-    line(error, run, "sigma", ORANGE, rf"$\sigma = \dot e + l_0 e$ {sigma_unit}")
-    error.set_ylabel(rf"error $e$ {error_unit}, $\sigma$ {sigma_unit}")
-    line(command, run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
-    line(command, run, "u", RED, "robust $u$")
-    command.set_ylabel(signal_label(run, "u_total"))
-    state_dependent(functions, run)
-    for ax in (output, error, command, functions):
-        if ax.has_data():
-            ax.legend(loc="best", frameon=False)
-    for ax in (command, functions):
+    panels: list[Callable[[Axes, xr.Dataset], None]] = [output, error, sliding_variable, command]
+    panels += [gain] if "k_o" in run else []
+    panels += [time_constants] if any(name in run for name in TIME_CONSTANTS) else []
+    rows = math.ceil(len(panels) / 2)
+    figure = Figure(figsize=(11.5, 4.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, 2, sharex=True).ravel()
+    for ax, draw in zip(axes, panels, strict=False):
+        draw(ax, run)
+        ax.legend(loc="best", frameon=False)
+    for empty in axes[len(panels) :]:
+        empty.set_axis_off()
+    for ax in axes[max(0, len(panels) - 2) : len(panels)]:
         ax.set_xlabel("time [s]")
+        ax.tick_params(labelbottom=True)
     title(figure, how_it_ended(run))
     return figure
 
 
+def output(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the output and its desired value."""
+    line(ax, run, "y_ref", GREY, "desired $y_m$", linestyle="--")
+    line(ax, run, "y", BLUE, "output $y$")
+    ax.set_ylabel(signal_label(run, "y"))
+
+
+def error(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the output error."""
+    line(ax, run, "e", BLUE, "error $e$")
+    ax.set_ylabel(rf"error $e$ {bracketed_unit(run, 'e')}")
+
+
+def sliding_variable(ax: Axes, run: xr.Dataset) -> None:
+    """Draw sigma."""
+    line(ax, run, "sigma", ORANGE, r"$\sigma = \dot e + l_0 e$")
+    ax.set_ylabel(rf"$\sigma$ {bracketed_unit(run, 'sigma')}")
+
+
+def command(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the robust command and the total one."""
+    line(ax, run, "u_total", GREY, "total $u + u_n$", linewidth=1.0)
+    line(ax, run, "u", RED, "robust $u$")
+    ax.set_ylabel(signal_label(run, "u_total"))
+
+
 @styled
 def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Figure:
-    """Plot signals of one draw over time, each labelled with its meaning and unit.
+    """Plot signals of one draw over time, each labelled with its meaning; signals of one unit share a panel.
 
     Args:
         run: The return value of ``simulate`` or ``replay``.
         names: Variables of the trajectory, at most five.
-        ax: Axes to draw into; None: a new figure.
+        ax: Axes to draw into, for signals of one unit; None: a new figure.
 
     Raises:
         KeyError: the trajectory has no such signal.
-        ValueError: there are more signals than distinguishable colours.
+        ValueError: there are more signals than distinguishable colours, or several units for the given axes.
     """
     if len(names) > len(SIGNAL_COLOURS):
         raise ValueError(f"shows at most {len(SIGNAL_COLOURS)} signals, got {len(names)}")
-    figure, ax = panel(ax)
+    units = list(dict.fromkeys(bracketed_unit(run, name) for name in names))
+    if ax is not None and len(units) > 1:
+        raise ValueError(f"axes have one unit, got signals in {', '.join(units)}; leave `ax` out for a panel each")
+    if len(units) < 2:
+        figure, first = panel(ax)
+        axes = [first]
+    else:
+        figure = Figure(figsize=(SLIDE[0], 3.0 * len(units)), layout="constrained")
+        axes = list(figure.subplots(len(units), 1, sharex=True))
     for name, colour in zip(names, SIGNAL_COLOURS[: len(names)], strict=True):
-        line(ax, run, name, colour, label(run[name].attrs) or name)
-    units = dict.fromkeys(bracketed_unit(run, name) for name in names)
-    ax.set(xlabel="time [s]", ylabel=", ".join(units))
-    ax.legend(loc="best", frameon=False)
+        shown = axes[units.index(bracketed_unit(run, name))]
+        line(shown, run, name, colour, label(run[name].attrs) or name)
+    for shown, unit in zip(axes, units, strict=True):
+        shown.set_ylabel(unit)
+        shown.legend(loc="best", frameon=False)
+    axes[-1].set_xlabel("time [s]")
     return figure
 
 
@@ -137,10 +169,27 @@ def flight(run: xr.Dataset) -> Figure:
         if channel == active[-1]:
             left.set_xlabel("time [s]")
             right.set_xlabel("time [s]")
+    for ax in figure.axes:
+        place = ax.get_subplotspec()
+        if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
+            mark_events(ax, run, named=place.is_last_row())
     hidden = [channel for channel in channels if channel not in active]
     note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
     title(figure, how_it_ended(run) + note)
     return figure
+
+
+def mark_events(ax: Axes, run: xr.Dataset, named: bool) -> None:
+    """Mark the times of a draw's events by lines, with their kinds where they are named."""
+    kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
+    times = np.atleast_1d(run.attrs.get("event_times", []))
+    for kind, time in zip(kinds, times, strict=True):
+        ax.axvline(float(time), color=RED, linestyle=":", linewidth=1.2)
+        if named:
+            name = str(kind).replace("_", " ")
+            ax.annotate(
+                name, (float(time), 1.0), xycoords=("data", "axes fraction"), fontsize=8, color=RED, va="bottom"
+            )
 
 
 def channel_panels(left: Axes, right: Axes, run: xr.Dataset, channel: str) -> None:
@@ -258,18 +307,20 @@ def thrust(ax: Axes, run: xr.Dataset) -> None:
     ax.set_ylabel("wanted thrust [N]")
 
 
-def state_dependent(ax: Axes, run: xr.Dataset) -> None:
-    """Draw k_o and the time constants on a logarithmic axis; the sliding margin is not shown."""
-    shown = {"k_o": ("$k_o$", BLUE), "tau_m": (r"$\tau_m$", GREEN), "tau_av": (r"$\tau_{av}$", ORANGE)}
-    for name, (text, colour) in shown.items():
+def gain(ax: Axes, run: xr.Dataset) -> None:
+    """Draw k_o on a logarithmic axis."""
+    line(ax, run, "k_o", BLUE, "$k_o$")
+    ax.set_yscale("log")
+    ax.set_ylabel(f"gain $k_o$ {bracketed_unit(run, 'k_o')}")
+
+
+def time_constants(ax: Axes, run: xr.Dataset) -> None:
+    """Draw the state-dependent time constants on a logarithmic axis."""
+    for name, (text, colour) in TIME_CONSTANTS.items():
         if name in run:
-            line(ax, run, name, colour, f"{text} {bracketed_unit(run, name)}")
-    if ax.has_data():
-        ax.set_yscale("log")
-        gain = f"gain {bracketed_unit(run, 'k_o')}, " if "k_o" in run else ""
-        ax.set_ylabel(f"functions: {gain}time constants [s]")
-    else:
-        ax.set_axis_off()
+            line(ax, run, name, colour, text)
+    ax.set_yscale("log")
+    ax.set_ylabel("time constants [s]")
 
 
 def how_it_ended(run: xr.Dataset) -> str:

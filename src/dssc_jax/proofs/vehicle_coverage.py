@@ -1,4 +1,4 @@
-"""What of a vehicle's study a proof covers: from its loop to the plain numbers of a problem."""
+"""The parts of a vehicle's study that a proof covers, and the plain numbers of the problem that follow from them."""
 
 import math
 from collections.abc import Sequence
@@ -109,10 +109,15 @@ def require_laws(study: Study) -> None:
 def require_loop(study: Study) -> None:
     """Refuse references but hover and mission, a rotor lag with the latter, and what measures or disturbs channels."""
     loop = study.loop
+    if study.config.event:
+        raise NotCovered("[[event]] changes the loop at a time")
     if loop.reference not in (HOVER, WHOLE_MISSION):
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
         raise NotCovered("the rotors have a lag, and the reference moves")
+    estimation = loop.plant.estimation
+    if estimation is not None and estimation.chosen(study.template.plant):
+        raise NotCovered("the controllers see an estimate; a proof of the vehicle takes plant.estimator.kind = 'none'")
     if any(sensor is not IDEAL for sensor in loop.sensor):
         raise NotCovered("a sensor is not ideal")
     if any(differentiator is not NO_DIFFERENTIATOR for differentiator in loop.differentiator):
@@ -147,6 +152,8 @@ def require_geometry(plant: Ends) -> None:
             "[[plant.vehicle.rotor]] places the rotors anywhere; a proof takes equal rotors on a circle, by arm, "
             "rotor_angles and spins"
         )
+    if plant.low.ground is not None:
+        raise NotCovered("[plant.ground] pushes the vehicle up")
     if plant.low.desaturation is not Desaturation.CLIP:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors

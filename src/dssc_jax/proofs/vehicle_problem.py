@@ -1,4 +1,4 @@
-"""What is to be proved of a whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
+"""The problem of a proof of the whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -20,11 +20,11 @@ class ChannelProblem:
     Args:
         l0: Error pole [1/s].
         functions: Kind and constants of the state-dependent functions.
-        rho: Bound of the switched control [m/s], [rad/s].
-        nominal: a_n, k_n and whether u_n has its term 1/tau_m; None: no nominal control.
+        rho: Bound of the switched control [m/s], of psi [rad/s].
+        nominal: a_n, k_n, and whether the nominal control has the term 1/tau_m; None: no nominal control.
         start: Where the predictor starts: ``zero``, ``matched`` or ``midpoint``.
-        initial: Bounds of |e| and |e'| at t = 0, in the plane those of the vectors' norms; of psi those of |e| and
-            |psi'|.
+        initial: Bounds of |e| and |e'| at t = 0. Those of x and y bound the norms of the plane's vectors; those of psi
+            bound |e| and |psi'|.
     """
 
     l0: float

@@ -74,7 +74,14 @@ def html_of_analysis(analysis: Analysis) -> str:
 
 
 def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section | None]) -> str:
-    """A report of any kind; empty sections are omitted."""
+    """A report as one HTML page.
+
+    Args:
+        study: The study that it is on.
+        kind: Kind of the report, which stands above the study's name.
+        verdict: What it finds, below the name.
+        sections: Its sections in order; those that are None are omitted.
+    """
     made = [section for section in sections if section is not None]
     head = [
         h.p(".kind")[kind],
@@ -82,10 +89,13 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
         study.config.description and h.p(".lead")[study.config.description],
         verdict,
     ]
-    body = [
-        h.section(aria_labelledby=section.key)[h.h2(id=section.key)[section.heading], section.body] for section in made
-    ]
-    return page(f"{study.name}: {kind.lower()}", head, body, [(section.key, section.heading) for section in made])
+    body = []
+    contents = []
+    for section in made:
+        heading = h.h2(id=section.key)[section.heading]
+        body.append(h.section(aria_labelledby=section.key)[heading, section.body])
+        contents.append((section.key, section.heading))
+    return page(f"{study.name}: {kind.lower()}", head, body, contents)
 
 
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:
@@ -142,7 +152,7 @@ def write_page(text: str, path: Path, result: Result | Analysis | None = None) -
 
 
 def mark_of(content: bytes, result: Result | Analysis) -> bytes:
-    """The last line of a page, which tells a whole page of this result from a part of one and from another's."""
+    """The last line of a page: the digest of the page, which a truncated page lacks, and that of its result."""
     digest = hashlib.sha256(content).hexdigest()
     return f"\n<!-- dssc_jax: page {digest} of result {identity_of(result)} -->\n".encode()
 
@@ -155,7 +165,7 @@ def identity_of(result: Result | Analysis) -> str:
 
 
 def is_current(path: Path, result: Result | Analysis) -> bool:
-    """Whether a file is a whole report of this result."""
+    """Whether a file is the complete report of this result, as :func:`write_page` wrote it; its last line tells."""
     try:
         content = files.read_bytes(path)
     except OSError:

@@ -100,6 +100,16 @@ class SweepProofs:
             arrays[bound.label] = self._by_axes(values)
         return arrays
 
+    def require_complete(self) -> None:
+        """Require one point for each combination of the axes' values, each with its fields.
+
+        Raises:
+            ValueError: There are more or fewer points.
+            TypeError, KeyError: A point lacks a field.
+        """
+        _ = self.error
+        _ = self.bounds
+
     def _by_axes(self, values: list[float]) -> np.ndarray:
         return np.array(values).reshape([len(axis) for axis in self.axes.values()])
 
@@ -113,7 +123,7 @@ class SweepProofs:
 def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
     """The proofs in a results folder; None if there are none, or if they are another study's.
 
-    They are what the folder claims. ``dssc-jax prove FOLDER/proofs.json`` verifies every certificate.
+    The file is believed: no certificate is verified here. ``dssc-jax prove FOLDER/proofs.json`` verifies all of them.
 
     Raises:
         ConfigError: the file is damaged.
@@ -125,8 +135,7 @@ def read_proofs(folder: Path, study: Study) -> SweepProofs | None:
         content = json.loads(files.read_text(path))
         axes = {name: tuple(values) for name, values in content["axes"].items()}
         proofs = SweepProofs(**{**content, "axes": axes})
-        proofs.error  # noqa: B018  (as many points as the axes have, each with its fields)
-        proofs.bounds  # noqa: B018  (likewise)
+        proofs.require_complete()
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read: {error.strerror}") from None
     except (ValueError, TypeError, KeyError, AttributeError) as error:

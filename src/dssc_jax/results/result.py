@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.metrics import Measure
+from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
@@ -294,6 +295,18 @@ def headline_measure(study: Study) -> Measure:
     if study.requirements:
         return study.requirements[0].measure
     return next((by_name[name] for name in ERRORS if name in by_name), study.measures[0])
+
+
+def most_violated(result: Result) -> Measure:
+    """The measure that the study's figures name, else that of the requirement which most draws violate.
+
+    Without a violation it is the headline metric.
+    """
+    requirements = result.study.requirements
+    if result.study.config.plot.metric or not requirements:
+        return headline(result)
+    counts = [int(np.count_nonzero(violated(result.dataset[rule.name].values))) for rule in requirements]
+    return requirements[int(np.argmax(counts))].measure
 
 
 def measure_named(result: Result, metric: str | None) -> Measure:

@@ -15,6 +15,7 @@ ENDINGS = {
     Outcome.OK: "meets all that is required",
     Outcome.NON_FINITE: "does not stay finite",
     Outcome.SINGULAR_ATTITUDE: "reaches a singular attitude",
+    Outcome.INTO_GROUND: "flies into the ground",
 }
 """Outcomes other than a violated requirement."""
 OUTCOME = "how the draw ended; of violated requirements the first in the study's order"
@@ -28,6 +29,8 @@ def outcome_codes(study: Study) -> dict[int, str]:
     """
     requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
     broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
+    if getattr(study.template.plant, "ground", None) is not None:
+        broken[int(Outcome.INTO_GROUND)] = "into_ground"
     return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | broken | requirements
 
 
@@ -102,7 +105,10 @@ def dataset_attributes(study: Study) -> dict[str, str]:
 
 
 def in_memory(study: Study) -> xr.Dataset:
-    """A dataset of the study's shape, not computed yet."""
+    """A dataset with every variable of the study's results, in full shape; no value is computed yet.
+
+    Numbers are NaN, and integers :data:`NOT_COMPUTED`.
+    """
     coords = coordinate_values(study)
     sizes = {name: len(values) for name, values in coords.items()}
     blank = {}

@@ -143,10 +143,13 @@ class Store:
             put(self.values, block, results, drawn)
 
     def complete(self, entries: Manifest) -> None:
-        """Record that every block is complete, with further manifest entries of the finished run.
+        """Record in the manifest that the run is complete.
+
+        Args:
+            entries: Further entries of the manifest of a finished run.
 
         Raises:
-            ConfigError: A block that is read back is not the one that was written; the run is not recorded as complete.
+            ConfigError: A block reads back differently from how it was written; then nothing is recorded.
         """
         self._require_sealed(self.manifest, self.layout)  # recomputed blocks equal the original ones
         self.require_kept()

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from dssc_jax.closed_loop.draw import simulate_recorded
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.engine.batching import Engine, Lane, evaluate, results_of
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.runs.trajectory import trajectory_columns
@@ -99,9 +100,9 @@ class RecordedDraws:
 
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[Any, Any]:
             key = draw_key(study.config.seed, index)
-            run, recorded = simulate_recorded(
-                study.loop, study.params(values), key, study.measures, study.requirements, self.every
-            )
+            margins = {name: values[name] for name in margins_of(study.measures)}
+            judged = study.measures, study.requirements
+            run, recorded = simulate_recorded(study.loop, study.params(values), key, *judged, self.every, margins)
             columns = trajectory_columns(study, recorded)
             signals = {SignalKey(name): columns[name] for name in self.signals}
             # JAX would sort the keys of a plain dict, which are not comparable

@@ -90,6 +90,8 @@ def run_until(
         if verdict:
             break
     draws = seen[-1].draws
+    if progress:
+        progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}

@@ -9,13 +9,15 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.closed_loop.draw import Run, simulate_recorded
+from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.quantities import Quantity, nominal, quantities_of
 from dssc_jax.core.signals import Info
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.results.schema import outcome_codes, variables, verdict
@@ -101,14 +103,20 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
         key = draw_key(study.config.seed, index)
-        return simulate_recorded(study.loop, study.params(values), key, study.measures, study.requirements, every)
+        margins = {name: values[name] for name in margins_of(study.measures)}
+        judged = study.measures, study.requirements
+        return simulate_recorded(study.loop, study.params(values), key, *judged, every, margins)
 
-    program = cache(lambda: forms.compiled_single(lane, [*study.axes, *study.laws], plain))
+    names = [*study.axes, *study.laws, *margins_of(study.measures)]
+    program = cache(lambda: kernels.compiled_single(lane, names, plain))
+    margins_at = margin_values(study)
 
     def record(draw: int, point: Mapping[str, float]) -> xr.Dataset:
         values = lane_values(study, draw, point)
+        columns = {name: np.array([value]) for name, value in values.items()}
+        margins = {name: column[0] for name, column in margins_at(columns, np.array([draw])).items()}
         with arithmetic(study.config.loop.precision):
-            ended, recorded = program()(values, draw)
+            ended, recorded = program()(values | margins, draw)
         return as_trajectory(study, draw, values, ended, recorded)
 
     return record
@@ -130,6 +138,7 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             "study": study.name,
             "draw": draw,
             **values,
+            **events_in(study, values),
             "outcome": code,
             "outcome_meaning": outcome_codes(study)[code],
             "verdict": verdict(study, code, ended.slacks),
@@ -138,6 +147,17 @@ def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: R
             **{name: float(value) for name, value in {**ended.metrics, **ended.slacks, **ended.violated_at}.items()},
         },
     )
+
+
+def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] | list[float]]:
+    """Kinds and times [s] of the study's events in a draw, for figures; nothing where there are none."""
+    if not study.config.event:
+        return {}
+    kinds = [str(table.get("kind", "rotor")) for table in study.config.event]
+    names = [f"event.{index}.at" for index in range(len(kinds))]
+    known = {**study.derived(values), **values}
+    times = [float(known.get(name, nominal(study.leaves()[name]))) for name in names]
+    return {"event_kinds": kinds, "event_times": times}
 
 
 def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray]:

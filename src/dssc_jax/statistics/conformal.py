@@ -1,4 +1,4 @@
-"""What a few exchangeable flights say of the next one, and of the study that describes them, without any law.
+"""Sets for the next of several exchangeable flights, and a test of the study that describes them, without any law.
 
 Each flight has a number that is computed in a way fixed before the flights. If n + 1 flights are exchangeable, the rank
 of the last number among all is uniform, so that it is not above the k-th smallest of the others with a probability of
@@ -20,6 +20,8 @@ from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
 BEYOND = 0.05
 """Share of the draws beyond the line that flights are compared with."""
+ROUNDING = 1e-9
+"""Subtracted before rounding up, so that 0.9 * 10 counts as 9."""
 MOST_FLIGHTS = 600
 FEWEST_DRAWS = math.ceil(1.0 / BEYOND) - 1
 
@@ -35,18 +37,23 @@ def conformal_rank(flights: int, probability: float) -> int | None:
         >>> conformal_rank(19, 0.95), conformal_rank(18, 0.95)
         (19, None)
     """
-    rank = math.ceil(probability * (flights + 1) - 1e-9)
+    rank = math.ceil(probability * (flights + 1) - ROUNDING)
     return rank if rank <= flights else None
 
 
 def least_flights(probability: float) -> int:
-    """The fewest flights that have a limit for the next one with this probability.
+    """The fewest flights n of which the largest number bounds the next one's with this probability.
+
+    The largest does so with a probability of n/(n + 1), so n is at least p/(1 - p).
+
+    Args:
+        probability: p, in (0, 1).
 
     Example:
         >>> least_flights(0.9)
         9
     """
-    return math.ceil(probability / (1.0 - probability) - 1e-9)
+    return math.ceil(probability / (1.0 - probability) - ROUNDING)
 
 
 def line_rank(draws: int) -> int:

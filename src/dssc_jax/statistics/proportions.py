@@ -189,7 +189,7 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
 
 
 class DesignEffect(NamedTuple):
-    """What a replicated design saved in comparison with independent draws.
+    """The gain of a replicated design over independent draws.
 
     Args:
         variance_ratio: Variance of the share from the design, relative to that from as many independent draws.
@@ -200,6 +200,17 @@ class DesignEffect(NamedTuple):
     variance_ratio: float
     ratio_interval: tuple[float, float]
     plain_draws: int
+
+
+def draws_as_narrow(share: float, width: float, confidence: float = CONFIDENCE) -> int:
+    """Number of independent draws, of which a share fails, whose exact interval has a width in (0, 1)."""
+
+    def excess(logarithm: float) -> float:
+        count = math.exp(logarithm)
+        low, high = clopper_pearson(share * count, count, confidence)
+        return float(high - low) - width
+
+    return math.ceil(math.exp(optimize.root_scalar(excess, bracket=(0.0, math.log(1e15))).root))
 
 
 def design_effect(happened: np.ndarray, replicates: int, confidence: float = CONFIDENCE) -> DesignEffect | None:
@@ -220,15 +231,7 @@ def design_effect(happened: np.ndarray, replicates: int, confidence: float = CON
     tail = 0.5 * (1.0 - confidence)
     low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])
     ends = Replicated(replicates, "").interval(happened, confidence)
-    wanted = float(ends[1] - ends[0])
-
-    def excess(logarithm: float) -> float:
-        count = math.exp(logarithm)
-        exact = clopper_pearson(share * count, count, confidence)
-        return float(exact[1] - exact[0]) - wanted
-
-    plain = math.exp(optimize.root_scalar(excess, bracket=(0.0, math.log(1e12))).root)
-    return DesignEffect(ratio, (float(low), float(high)), math.ceil(plain))
+    return DesignEffect(ratio, (float(low), float(high)), draws_as_narrow(share, float(ends[1] - ends[0])))
 
 
 def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tuple[float, float]:

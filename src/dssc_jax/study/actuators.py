@@ -10,9 +10,10 @@ from dssc_jax.core.chains import Element, chain
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.actuators import UNMODELLED
-from dssc_jax.study.components import Component, explain, parse_component
+from dssc_jax.study.components import Component, parse_component
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.schema import STRICT, StudyTable
+from dssc_jax.study.table_errors import explain
 
 ACTUATOR = "actuator"
 SLOT = "unmodelled"

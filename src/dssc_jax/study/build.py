@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.closed_loop.signal_metrics import sampled_signals
+from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.integrators import Integrator
@@ -23,7 +23,8 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.trace_memory.memory import remembered
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
-from dssc_jax.study.components import Component, as_table, explain
+from dssc_jax.study.components import Component, as_table
+from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted, medians
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import kinds_of, measured
@@ -55,6 +56,7 @@ from dssc_jax.study.slots import (
     with_units,
 )
 from dssc_jax.study.sweeps import check_axes, check_swept_parts
+from dssc_jax.study.table_errors import explain
 from dssc_jax.study.tables import PARAMETERS
 
 FIXED_TABLES: dict[str, type[BaseModel]] = {
@@ -151,6 +153,8 @@ def parsed_parts(table: TomlTable) -> Parts:
         for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
     ]
     columns["signal_sensor"] = parse_signal_sensors(sensors, known)
+    events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
+    columns["unmodelled"] = with_command_events(columns["unmodelled"], events, channels)
     columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
     for part in columns["controller"]:
         require_signals(part.model, part.params, measures)
@@ -163,6 +167,8 @@ def parsed_parts(table: TomlTable) -> Parts:
         with_bounded_jitter(part, dotted("sensor", name), config.loop.sample_time)
         for name, part in zip(channels, columns["sensor"], strict=True)
     ]
+    columns["sensor"] = with_sensor_events(columns["sensor"], events, channels)
+    columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     loop = Loop(
         **{slot: part.model for slot, part in wholes.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
@@ -170,6 +176,7 @@ def parsed_parts(table: TomlTable) -> Parts:
         measures=measures,
         input_names=tuple(signal.name for signal in inputs),
         outputs=plant.model.reported(plant.params),
+        rotors=plant.params.vehicle.rotors if columns["events"] else 0,
         **clock(config),
     )
     template = LoopParams(
@@ -179,8 +186,7 @@ def parsed_parts(table: TomlTable) -> Parts:
     metrics = kinds_of(config)
     fields, seen = info_fields(loop, template)
     names = available_metrics(fields, seen, metrics)
-    reports = [quantities_of(model.info) for model in loop.controller]
-    signals = sampled_signals(fields, seen, units, reports, loop.quantities, measures)
+    signals = signals_of(loop, template, units)
     computed, requirements = measured(config, names, metrics, channels, units, signals, parameters.constant)
     numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
@@ -188,6 +194,13 @@ def parsed_parts(table: TomlTable) -> Parts:
     check_swept_parts(table, config, loop, known, numbers)
     check_settled(loop, computed)
     return Parts(config, loop, template, units, numbers, computed, requirements)
+
+
+def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
+    """Every signal of a loop, by the name of its column in a trajectory."""
+    fields, seen = info_fields(loop, template)
+    reports = [quantities_of(model.info) for model in loop.controller]
+    return sampled_signals(fields, seen, units, reports, loop.quantities, loop.measures)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:

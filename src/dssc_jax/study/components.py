@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
 from dssc_jax.core.contracts import Plant, Preset, as_given
-from dssc_jax.core.errors import ConfigError, close_names, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
@@ -26,6 +26,7 @@ from dssc_jax.study.importing import imported
 from dssc_jax.study.laws import is_law, is_number
 from dssc_jax.study.numbers import Number, flattened, leaves_of, parse_number, parse_numbers
 from dssc_jax.study.parameters import Expression
+from dssc_jax.study.table_errors import explain
 from dssc_jax.study.tables import merged
 
 
@@ -138,40 +139,19 @@ def table_model(params: type) -> type[BaseModel]:
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
 
 
-UNKNOWN_NAME = "unknown name"
 SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 
 
-def explain(error: ValidationError, names: typing.Iterable[str]) -> ConfigError:
-    """The first validation error as one line: path, rule, value, nearest name.
-
-    A name that is missing only because it is misspelt counts as misspelt.
-    """
-    errors = error.errors()
-    missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
-    unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
-    first = misspelt[0] if misspelt else errors[0]
-    path = ".".join(str(part) for part in first["loc"])
-    value = first.get("input")
-    match first["type"]:
-        case "extra_forbidden":
-            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")
-        case "missing":
-            return ConfigError(path, "is required and missing")
-        case "value_error":
-            return ConfigError(path, str(first.get("ctx", {}).get("error")))
-        case "list_type" if isinstance(value, dict):
-            return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
-        case "literal_error":
-            expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
-            return ConfigError(path, f"'{value}' is none of {expected}")
-        case _:
-            return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
-
-
 def lookup(kind: object, registry: Registry) -> Entry:
-    """The registry row of a kind, or a user's own model by its name ``package.module:object``."""
+    """The registry row of a kind, or a row made for a user's model, which is named ``package.module:object``.
+
+    Args:
+        kind: The ``kind`` of a table.
+        registry: The rows of the package's kinds.
+
+    Raises:
+        ConfigError: The kind is unknown, the user's object cannot be imported, or it is no model for this slot.
+    """
     if not isinstance(kind, str):
         raise ConfigError("kind", f"must be a name, got {kind!r}")
     if kind in registry:
@@ -179,17 +159,37 @@ def lookup(kind: object, registry: Registry) -> Entry:
     if ":" not in kind:
         raise ConfigError("kind", f"unknown kind '{kind}'; {nearest(kind, registry)}")
     model = imported(kind, "kind")
-    if hasattr(model, "_fields") and not isinstance(model, type) and not hasattr(model, "params"):
+    if is_record(model) and not isinstance(model, type) and not hasattr(model, "params"):
         model = Preset(type(model), model)
     if isinstance(model, Entry):
         return model
-    contract = type(next(iter(next(iter(registry.values())).members.values())))
-    if not isinstance(model, contract) or (contract is type and not hasattr(model, "_fields")):
-        expected = "a NamedTuple type" if contract is type else f"a {contract.__name__}"
-        raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
+    require_contract(kind, model, contract_of(registry))
     if isinstance(model, Plant):
         require_measure(kind, model)
     return single(model, "a user's own")
+
+
+def is_record(model: object) -> bool:
+    """Whether an object is a NamedTuple, or a type of NamedTuples."""
+    return hasattr(model, "_fields")
+
+
+def contract_of(registry: Registry) -> type:
+    """The type that all models of a registry have; ``type`` if they are types of NamedTuples."""
+    first_row = next(iter(registry.values()))
+    first_model = next(iter(first_row.members.values()))
+    return type(first_model)
+
+
+def require_contract(kind: str, model: object, contract: type) -> None:
+    """Require that a user's model has the type that its slot expects."""
+    expected = f"a {contract.__name__}"
+    fits = isinstance(model, contract)
+    if contract is type:
+        expected = "a NamedTuple type"
+        fits = fits and is_record(model)
+    if not fits:
+        raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
 
 
 def require_measure(kind: str, plant: Plant) -> None:

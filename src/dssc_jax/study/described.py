@@ -13,13 +13,13 @@ from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
-from dssc_jax.closed_loop.signal_metrics import sampled_signals
+from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
-from dssc_jax.study.build import clock, info_fields, validate_fixed, with_constants
+from dssc_jax.study.build import clock, info_fields, signals_of, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
@@ -44,6 +44,14 @@ class DescribedNumber(BaseModel):
     meaning: str
 
 
+class DescribedSignal(BaseModel):
+    """A signal of the loop: its unit and meaning."""
+
+    model_config = NO_EXTRA_FIELDS
+    unit: str
+    meaning: str
+
+
 class OwnMetric(BaseModel):
     """A metric from the study's own code: its meaning and scope."""
 
@@ -58,8 +66,8 @@ class Description(BaseModel):
     """Information about a study that only the models provide and readers need.
 
     ``units`` are units and meanings of output and command in each channel. ``fields`` are the names in each
-    channel's info, ``seen`` those in the plant's info. ``certified`` and ``silence`` are the results of Theorem 1
-    at every point of the sweep.
+    channel's info, ``seen`` those in the plant's info, ``signals`` all that requirements can name. ``certified`` and
+    ``silence`` are the results of Theorem 1 at every point of the sweep.
     """
 
     model_config = NO_EXTRA_FIELDS
@@ -69,6 +77,7 @@ class Description(BaseModel):
     numbers: dict[str, DescribedNumber]
     fields: dict[str, tuple[str, ...]]
     seen: tuple[str, ...]
+    signals: dict[str, DescribedSignal]
     metrics: dict[str, OwnMetric]
     certified: Any
     silence: str
@@ -142,7 +151,9 @@ class Described(Study):
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
             names = available_metrics(description.fields, description.seen, known)
-            signals = sampled_signals(description.fields, description.seen, units, [{}] * len(units), {})
+            signals = {
+                name: SampledSignal(told.unit, told.meaning, absent) for name, told in description.signals.items()
+            }
             measures, requirements = measured(
                 config, names, known, channels or ("",), units, signals, parameters.constant
             )
@@ -222,6 +233,10 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         "numbers": numbers,
         "fields": {name: list(names) for name, names in fields.items()},
         "seen": list(seen),
+        "signals": {
+            name: {"unit": signal.unit, "meaning": signal.meaning}
+            for name, signal in signals_of(study.loop, study.template, study.units).items()
+        },
         "metrics": {
             name: {"unit": m.unit, "meaning": m.meaning, "needs": list(m.needs), "scope": m.scope.value}
             for name, m in metrics_of_user.items()

@@ -1,7 +1,7 @@
 """Parsing of a study's metrics and requirements."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from dssc_jax.closed_loop.metrics import BRIEF, METRICS, Measure, Metric, Scope, suffixed
@@ -15,6 +15,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.formula_requirements import Constants, formula_requirement, formula_signals
 from dssc_jax.study.importing import imported
+from dssc_jax.study.margin_requirements import margin_requirement
 from dssc_jax.study.schema import RequirementTable, StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
@@ -115,11 +116,18 @@ def measured(
             measures[requirement.measure.name] = requirement.measure
             requirements.append(requirement)
             continue
+        if table.margin is not None:
+            requirement = margin_requirement(table, place, channels)
+            require_new(requirement, requirements, place)
+            measures[requirement.measure.name] = requirement.measure
+            requirements.append(requirement)
+            continue
         metric = required_metric(table)
         if metric not in names:
             if metric.endswith("_margin"):
-                rule = f"'{metric}' belongs to the linearised loop, and a requirement is judged on simulated flights"
-                raise ConfigError(f"{place}.metric", f"{rule}; `dssc-jax loop` computes it for every draw")
+                kind = metric.removesuffix("_margin")
+                rule = f"'{metric}' belongs to the linearised loop"
+                raise ConfigError(f"{place}.metric", f'{rule}; write margin = "{kind}" in place of the metric')
             if metric in known and not has_several_channels:
                 needs = ", ".join(known[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
@@ -128,9 +136,8 @@ def measured(
         require_samples(config, window, f"{place}.after")
         name = metric + window.suffix(base)
         measures.setdefault(name, measure(name, metric, window))
-        requirement = Requirement(measures[name], table.max, table.min)
-        if any(requirement.name == bounded.name for bounded in requirements):
-            raise ConfigError(place, f"'{metric}' is bounded on this side already; keep the stricter one")
+        requirement = Requirement(measures[name], *table.bounds)
+        require_new(requirement, requirements, place)
         requirements.append(requirement)
     for requirement in enveloped(config, channels, units):
         measures[requirement.measure.name] = requirement.measure
@@ -142,6 +149,17 @@ def measured(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
+    """Require that nothing else is bounded on the same side.
+
+    Raises:
+        ConfigError: the same measure is.
+    """
+    if any(requirement.name == bounded.name for bounded in requirements):
+        rule = f"'{requirement.measure.label}' is bounded on this side already; keep the stricter one"
+        raise ConfigError(place, rule)
 
 
 def required_metric(table: RequirementTable) -> str:
@@ -164,7 +182,7 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
         if table.signal is not None and metric not in SIGNAL_METRICS:
             rule = f"'{metric}' is no metric of a signal; {nearest(metric, SIGNAL_METRICS)}"
             raise ConfigError(f"requirement.{index}.metric", rule)
-    required = [required_metric(table) for table in config.requirement if table.formula is None]
+    required = [required_metric(table) for table in config.requirement if table.metric is not None]
     return metrics_of_signals([*required, *(config.metrics.names or ())], signals)
 
 

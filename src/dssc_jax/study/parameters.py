@@ -352,15 +352,17 @@ def in_order(raw: Mapping[str, object]) -> list[str]:
         path: list[str] = [first]
         while path:
             name = path[-1]
-            waiting = [parent for parent in dependencies(name, raw[name]) if parent in raw and parent not in order]
-            if name in order or not waiting:
-                order += [name] if name not in order else []
+            missing = [parent for parent in dependencies(name, raw[name]) if parent in raw and parent not in order]
+            if name in order or not missing:
                 path.pop()
-            elif waiting[0] in path:
-                circle = [*path[path.index(waiting[0]) :], waiting[0]]
-                raise ConfigError(f"{PARAMETERS}.{waiting[0]}", f"depends on itself: {' -> '.join(circle)}")
-            else:
-                path.append(waiting[0])
+                if name not in order:
+                    order.append(name)
+                continue
+            parent = missing[0]
+            if parent in path:
+                circle = [*path[path.index(parent) :], parent]
+                raise ConfigError(f"{PARAMETERS}.{parent}", f"depends on itself: {' -> '.join(circle)}")
+            path.append(parent)
     return order
 
 

@@ -89,6 +89,16 @@ def window_fields(absent: bool) -> dict[str, Any]:
     return described
 
 
+def bound(value: object) -> float | str:
+    """A finite number, or a number with a unit as text."""
+    if isinstance(value, str):
+        return value
+    return finite_number(value)
+
+
+Bound = Annotated[float | str, BeforeValidator(bound)]
+
+
 class BoundedMetric(BaseModel):
     """What a requirement is about."""
 
@@ -97,6 +107,10 @@ class BoundedMetric(BaseModel):
     signal: str | None = Field(
         default=None,
         description="the signal of `rms` and its like, as a trajectory names it; absent: the metric has its own",
+    )
+    margin: str | None = Field(default=None, description="the bounded margin of the linearised loop, such as `phase`")
+    at: str | None = Field(
+        default=None, description="where the loop is broken for a margin; absent: at the command of the only channel"
     )
     formula: str | None = Field(default=None, description="a formula of signal temporal logic that must be true")
     name: str | None = Field(
@@ -126,25 +140,46 @@ class MetricsTable(UsualWindow):
         return Window.of(self.model_dump())
 
 
-class RequirementTable(RequiredWindow):
-    """``[[requirement]]``: a bound on a metric, or a formula. Field names are those of the file."""
+SUBJECTS = {
+    "metric": ({"metric", "signal", "max", "min", *(entry.key for entry in window_entries().values())}, ""),
+    "formula": ({"formula", "name", "smoothing"}, "a formula holds its own times and bounds"),
+    "margin": ({"margin", "at", "max", "min"}, "a margin is that of the linearised loop, before the flight"),
+}
+"""What a requirement may be about: the entries that belong to it, and why others do not."""
 
-    max: Finite | None = Field(default=None, description="upper bound")
-    min: Finite | None = Field(default=None, description="lower bound")
+
+class RequirementTable(RequiredWindow):
+    """``[[requirement]]``: a bound on a metric or a margin, or a formula. Field names are those of the file."""
+
+    max: Bound | None = Field(default=None, description='upper bound; of a margin also with a unit, as `"6 dB"`')
+    min: Bound | None = Field(default=None, description="lower bound; of a margin also with a unit")
 
     @model_validator(mode="after")
     def _one_bound(self) -> "RequirementTable":
-        if (self.metric is None) == (self.formula is None):
-            raise ValueError("needs a metric or a formula, and not both")
-        of_formula = {"formula", "name", "smoothing"}
-        has_formula = self.formula is not None
-        foreign = self.model_fields_set - of_formula if has_formula else self.model_fields_set & of_formula
+        subjects = [name for name in SUBJECTS if getattr(self, name) is not None]
+        if len(subjects) != 1:
+            raise ValueError("needs a metric, a margin or a formula, and only one of them")
+        (subject,) = subjects
+        entries, reason = SUBJECTS[subject]
+        foreign = self.model_fields_set - entries
         if foreign:
-            told = "a formula holds its own times and bounds" if has_formula else "only a formula has these entries"
+            first = min(foreign)
+            owner = next(name for name, (owned, _) in SUBJECTS.items() if first in owned)
+            told = reason or f"only a {owner} has these entries"
             raise ValueError(f"{told}; take out {', '.join(sorted(foreign))}")
-        if self.metric is not None and (self.max is None) == (self.min is None):
+        if subject != "formula" and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
+        for name in ("max", "min"):
+            value = getattr(self, name)
+            if subject == "metric" and isinstance(value, str):
+                raise ValueError(f"{name} must be a finite number, got {value!r}; only a margin takes a unit")
         return self
+
+    @property
+    def bounds(self) -> tuple[float | None, float | None]:
+        """Upper and lower bound of a metric."""
+        upper, lower = ((None if value is None else float(value)) for value in (self.max, self.min))
+        return upper, lower
 
     def window(self, usual: Window) -> Window:
         """The requirement's window; ``usual`` is that of ``[metrics]``."""
@@ -318,6 +353,7 @@ class StudyTable(BaseModel):
     wind: TomlTable | list[TomlTable] = Field(
         default={"kind": "none"}, description="wind, for a vehicle; several tables `[[wind]]` add up"
     )
+    event: list[TomlTable] = Field(default=[], description="what happens to a vehicle at a time")
     compare: dict[str, TomlTable] = Field(default={}, description="gains of other controllers, for `compare`")
     metrics: MetricsTable = Field(default=MetricsTable(), description="metrics and their window")
     requirement: list[RequirementTable] = Field(default=[], description="bounds that a draw must keep")

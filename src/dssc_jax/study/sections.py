@@ -7,7 +7,8 @@ from pydantic import BaseModel
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.registry import Entry, Registry, Slot
-from dssc_jax.study.components import UNKNOWN_NAME, field_specs
+from dssc_jax.study.components import field_specs
+from dssc_jax.study.table_errors import UNKNOWN_NAME
 
 TOP = "at the top of the file, above the first [section]"
 MOST_SECTIONS = 3

@@ -13,6 +13,7 @@ from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.differentiators import DIFFERENTIATORS
 from dssc_jax.models.disturbances import DISTURBANCES
+from dssc_jax.models.events import EVENTS
 from dssc_jax.models.plants import PLANTS
 from dssc_jax.models.references import REFERENCES, TRAJECTORIES
 from dssc_jax.models.sensors import SENSORS
@@ -20,6 +21,7 @@ from dssc_jax.models.uav import UAV
 from dssc_jax.models.wind import WINDS
 from dssc_jax.study.actuators import ACTUATOR, parse_chain
 from dssc_jax.study.components import Component, as_table, parse_component
+from dssc_jax.study.events import EVENT
 from dssc_jax.study.numbers import dotted
 from dssc_jax.study.tables import has_dotted, merged
 
@@ -33,10 +35,11 @@ REGISTRIES = {
     "unmodelled": UNMODELLED,
     "disturbance": DISTURBANCES,
     "wind": WINDS,
+    "event": EVENTS,
 }
 PER_CHANNEL = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
 SLOTS = ("plant", "reference", "wind", *PER_CHANNEL)
-TABLES = (*SLOTS, ACTUATOR)
+TABLES = (*SLOTS, ACTUATOR, EVENT)
 """Sections of the study file that hold parts of the loop."""
 
 

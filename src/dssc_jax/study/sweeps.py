@@ -10,6 +10,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.units import UNNAMED_UNITS
 from dssc_jax.study.actuators import ACTUATOR
 from dssc_jax.study.components import field_specs
+from dssc_jax.study.events import EVENT, parse_events
 from dssc_jax.study.measures import parse_signal_sensors, sensor_tables
 from dssc_jax.study.numbers import Number, parse_number
 from dssc_jax.study.parameters import ParameterTable
@@ -102,6 +103,8 @@ def check_swept_parts(
                 parse_channels(part, slot, channels)
             elif slot == "reference":
                 parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))
+            elif slot == EVENT:
+                parse_events(part, channels)
             elif slot == "wind":
                 parse_winds(part)
             else:

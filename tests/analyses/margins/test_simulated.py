@@ -9,7 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.analyses.margins import Censoring, Margins, Walk
 from dssc_jax.analyses.margins.search import Critical
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.results import result as results
 from dssc_jax.results.manifest import write_json, write_sealed
@@ -53,8 +53,8 @@ def test_the_draw_passes_at_its_critical_value_and_fails_just_beyond(study, over
 
 def test_one_compile(study, monkeypatch):
     compiled = []
-    original = forms.compiled
-    monkeypatch.setattr(forms, "compiled", lambda *a: compiled.append(1) or original(*a))
+    original = kernels.compiled
+    monkeypatch.setattr(kernels, "compiled", lambda *a: compiled.append(1) or original(*a))
     dj.margin(study, over="plant.k_p", bounds=(1.0, 0.01), points=5, bisections=6)
     assert len(compiled) == 1
 

@@ -50,7 +50,7 @@ def test_saturation_between_two_limits():
     part = parsed(kind="saturation", low=0.0, limit=0.95)
     for u in COMMANDS:
         assert float(part.model.output(part.params, (), u)) == min(max(u, 0.0), 0.95)
-    with pytest.raises(ConfigError, match="low: must be below limit = 0.5, got up to 0.7"):
+    with pytest.raises(ConfigError, match=r"low: must be below limit = 0\.5, got up to 0\.7"):
         parsed(kind="saturation", low={"uniform": [0.0, 0.7]}, limit={"uniform": [0.5, 0.9]})
 
 

@@ -39,7 +39,7 @@ def with_properties(text=QUAD, **changed):
 
 def vehicle_of(text):
     """The vehicle with the values of a script."""
-    own = {name: value for name, value in read_airframe(text).vehicle.items() if name != "kind"}
+    own = {name: value for name, value in read_airframe(text, mass=2.0, arm=1.0).vehicle.items() if name != "kind"}
     return QUADROTOR._replace(**{name: tuple(v) if isinstance(v, list) else v for name, v in own.items()})
 
 
@@ -64,7 +64,9 @@ def test_torques_are_those_of_px4s_simulator(text, arm, torque):
 
 
 def test_mass_properties_are_those_of_the_whole_vehicle():
-    vehicle = vehicle_of(with_properties(SIH_T_TAU=0.03, SIH_Q_MAX=0.114))
+    text = with_properties(SIH_T_TAU=0.03, SIH_Q_MAX=0.114)
+    own = {name: value for name, value in read_airframe(text).vehicle.items() if name != "kind"}
+    vehicle = QUADROTOR._replace(**{name: tuple(v) if isinstance(v, list) else v for name, v in own.items()})
     assert vehicle.mass == 0.72
     assert tuple(vehicle.inertia) == (0.0016, 0.0017, 0.0028)
     assert (vehicle.max_thrust, vehicle.motor_lag) == (9.5, 0.03)
@@ -80,15 +82,17 @@ def test_a_ground_stations_file_gives_the_same():
 
 
 def test_the_last_setting_counts_and_comments_do_not():
-    assert vehicle_of(with_properties() + "\nparam set SIH_MASS 0.8\n# param set SIH_MASS 0.9").mass == 0.8
+    assert (
+        read_airframe(with_properties() + "\nparam set SIH_MASS 0.8\n# param set SIH_MASS 0.9").vehicle["mass"] == 0.8
+    )
 
 
 def test_what_the_file_lacks_is_named():
-    notes = " ".join(read_airframe(HEX).notes)
-    for name in ("mass", "body_inertia", "max_thrust", "motor_lag", "thrust_coefficient", "drag", "ratio"):
+    notes = " ".join(read_airframe(HEX, mass=2.0, arm=0.4).notes)
+    for name in ("body_inertia", "max_thrust", "motor_lag", "thrust_coefficient", "drag", "ratio"):
         assert name in notes
     own = " ".join(read_airframe(with_properties(SIH_IXY=1e-4)).notes)
-    assert "mass is" not in own
+    assert "SIH_MASS" not in own
     assert "ratio" not in own
     assert "principal axes" in own
 
@@ -106,11 +110,14 @@ def test_what_the_file_lacks_is_named():
         (QUAD + "\nparam set CA_ROTOR1_PX 1e308", "CA_ROTOR1_PX", "must be a finite number of at most"),
         (QUAD + "\nparam set SIH_MASS nan", "SIH_MASS", "must be a finite number"),
         (QUAD + "\nparam set CA_AIRFRAME 2", "CA_AIRFRAME", "got 2"),
-        (QUAD + "\nparam set CA_ROTOR2_AX 0.2", "CA_ROTOR2_AX", "tilted"),
-        (QUAD + "\nparam set CA_ROTOR1_PX -0.15", "CA_ROTORi_PX", "on a circle; got"),
-        (QUAD + "\nparam set CA_ROTOR1_KM 0.03", "CA_ROTORi_KM", "same for all rotors"),
+        (QUAD, "SIH_MASS", "does not set SIH_MASS, the mass; give it with --mass"),
+        (HEX, "SIH_MASS", "--mass KG; positions are ratios"),
+        (HEX + "\nparam set SIH_MASS 2", "CA_ROTORi_PX, _PY", "ratios of a generic airframe, not metres"),
+        (QUAD + "\nparam set CA_R_REV 255", "CA_R_REV", "reversible"),
+        (QUAD + "\nparam set CA_SV_TL_COUNT 2", "CA_SV_TL_COUNT", "servos that tilt"),
+        (with_properties(MC_AIRMODE=3), "MC_AIRMODE", "must be 0, 1 or 2"),
         (QUAD + "\nparam set CA_ROTOR0_CT 8", "CA_ROTORi_CT", "same for all rotors"),
-        (QUAD.replace("KM -0.02", "KM 0.02"), "CA_ROTORi_KM", "both signs"),
+        (with_properties(QUAD.replace("KM -0.02", "KM 0.02")), "CA_ROTORi_KM", "both signs"),
         ("param set CA_ROTOR_COUNT 4", "CA_ROTORi_PX", "at the centre"),
         (with_properties(SIH_MASS="${MASS}").replace("COUNT 4", "COUNT ${N}"), "CA_ROTOR_COUNT", "got 0"),
     ],

@@ -29,11 +29,12 @@ SOFTWARE = {"px4": Px4, "crazyflie": Crazyflie}
 
 
 def study_of(kind, target, frequency=400.0, substeps=8, **more):
+    inner_loop = {"kind": kind} | ({} if kind == "article" else {"frequency": frequency})
     table = {
         "name": "step",
         "draws": 1,
         "loop": {"duration": 2.0, "sample_time": 0.01, "substeps": substeps},
-        "plant": {"kind": "uav", "vehicle": VEHICLE, "inner_loop": {"kind": kind, "frequency": frequency}},
+        "plant": {"kind": "uav", "vehicle": VEHICLE, "inner_loop": inner_loop},
         "reference": {"kind": "hover", "position": list(target[:3]), "yaw": target[3]},
         "controller": {"kind": "pid", "k_p": 0.95, "psi": {"k_p": 2.8}},
     }

@@ -117,7 +117,7 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
 
 
 def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
-    """The values of those numbers that follow from parameters, each with its median; tuning takes them for themselves."""
+    """The median of each of those numbers that follows from parameters; tuning moves it by itself."""
     numbers = {name: study.numbers[name] for name in names if name in study.numbers}
     return {name: nominal(number.value) for name, number in numbers.items() if number.expression is not None}
 

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.analyses.loop_margins.multiloop import multiloop_margins
 from dssc_jax.analyses.loop_margins.operation import operation
-from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset
+from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
 from dssc_jax.closed_loop.break_points import break_points
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
@@ -32,7 +33,8 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     The loop is linearised as it is sampled and simulated: one step of the simulation is differentiated. It is broken at
     the command of each channel (``input``), and at each measurement alone (``output``, ``rate``), while all other loops
     stay closed. DSSC is linearised in sliding, with the values of its functions at the operating point; at an
-    equilibrium these are the values at sigma = 0.
+    equilibrium these are the values at sigma = 0. Several channels also have the disk margin of all commands
+    perturbed at once.
 
     Args:
         study: The study, or its file; its own sweep is ignored. Draws have to be independent.
@@ -62,7 +64,8 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     if not any(parts.values()):
         raise ConfigError(
             study.source,
-            "no break point has an effect: the loop is open at its operating points; see `times`, or the limits",
+            "no break point has an effect: the loop is open at its operating points, as where a command is at its "
+            "limit; `times` takes others, along the flight",
         )
     poles = []
     for by_loop in parts.values():
@@ -79,6 +82,8 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
         if progress:
             progress(count * study.config.draws, len(parts) * study.config.draws)
     dataset = margins_dataset(study, broken_loops, common / sample_time)
+    multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in operating_points.items()}
+    dataset = dataset.merge(multiloop_columns(multiloop))
     return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
 
 

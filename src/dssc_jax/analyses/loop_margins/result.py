@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.fans import FANS, LEVELS_OF_FAN, fan_of
+from dssc_jax.analyses.loop_margins.multiloop import MultiloopMargins
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
@@ -98,6 +99,17 @@ class LoopStatistics:
 
 
 @dataclass(frozen=True)
+class MultiloopStatistics:
+    """The disk margin of all loops at once, at one operating point."""
+
+    margin: Annotated[MarginStatistics, Quantity("1", "alpha that is guaranteed: an upper bound of mu by D-scales")]
+    found: Annotated[float, Quantity("1", "worst alpha of a perturbation that makes a loop singular; None: unstable")]
+    frequency: Annotated[float, Quantity("rad/s", "critical frequency of that draw")]
+    factors: Annotated[dict[str, float], Quantity("1", "gain of that perturbation in each channel")]
+    phases: Annotated[dict[str, float], Quantity("rad", "its phase in each channel")]
+
+
+@dataclass(frozen=True)
 class LoopMarginsAnswer:
     """Classical margins over all draws, at every operating point and break point."""
 
@@ -111,6 +123,10 @@ class LoopMarginsAnswer:
     operating_points: Annotated[
         dict[str, dict[str, LoopStatistics]], Quantity("", "by operating point and break point")
     ]
+    multiloop: Annotated[
+        dict[str, MultiloopStatistics],
+        Quantity("", "by operating point, all commands perturbed at once; empty for a single command"),
+    ]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
 
@@ -121,7 +137,9 @@ class LoopMargins(Analysis):
     The dataset has along ``operating_point``, ``loop`` (the break point) and ``draw`` each of gain_upper, gain_lower,
     phase, delay, disk, sensitivity_peak, complementary_peak, crossover and bandwidth, and ``status``. Along
     ``frequency`` it has quantiles over the draws of the loop gain, its phase and both sensitivities (along ``level``),
-    and the loop transfer function of some draws (along ``line``).
+    and the loop transfer function of some draws (along ``line``). Where several commands have an effect,
+    ``multiloop_disk`` is the disk margin of all of them at once, ``multiloop_found`` that of a perturbation found, with
+    ``multiloop_frequency`` and, along ``channel``, ``multiloop_gain`` and ``multiloop_phase``.
 
     Args:
         times: Times of the operating points [s]; empty: the equilibrium.
@@ -157,6 +175,21 @@ class LoopMargins(Analysis):
             stable_interval=(low, high),
             no_operating_point=int(np.count_nonzero(status == Status.NO_OPERATING_POINT)),
             margins=margins,
+        )
+
+    def multiloop(self, point: str) -> MultiloopStatistics:
+        """Statistics of the disk margin of all loops at once."""
+        data = self.dataset.sel(operating_point=point)
+        margins = np.where(np.isnan(data["multiloop_disk"].values), -np.inf, data["multiloop_disk"].values)
+        found = np.where(np.isnan(data["multiloop_found"].values), np.inf, data["multiloop_found"].values)
+        worst = data.isel(draw=int(np.argmin(found)))
+        channels = list(map(str, data["channel"].values))
+        return MultiloopStatistics(
+            margin=margin_statistics(margins, MARGIN_KINDS["disk"]),
+            found=float(found.min()),
+            frequency=float(worst["multiloop_frequency"]),
+            factors=dict(zip(channels, worst["multiloop_gain"].values.tolist(), strict=True)),
+            phases=dict(zip(channels, worst["multiloop_phase"].values.tolist(), strict=True)),
         )
 
     @property
@@ -205,6 +238,7 @@ class LoopMargins(Analysis):
             taken="; ".join(self.taken) or "none; every part has a derivative",
             loops=operating_points[self.points[0]],
             operating_points=operating_points,
+            multiloop={point: self.multiloop(point) for point in self.points if "multiloop_disk" in self.dataset},
             seconds=self.seconds,
         )
 
@@ -221,6 +255,27 @@ def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
         tolerance_limit=lower if large_is_good else upper,
         side=kind.side,
     )
+
+
+def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
+    """The disk margins of all loops at once as variables of a dataset; empty where one operating point has none."""
+    found = [margins for margins in multiloop.values() if margins is not None]
+    if len(found) < len(multiloop) or len({margins.channels for margins in found}) > 1:
+        return xr.Dataset()
+    dims = ("operating_point", "draw")
+    factors = np.stack([margins.factors for margins in found])
+    columns = {
+        "multiloop_disk": ([margins.guaranteed for margins in found], "1", "disk margin alpha of all loops at once"),
+        "multiloop_found": ([margins.found for margins in found], "1", "alpha of a perturbation that was found"),
+        "multiloop_frequency": ([margins.frequency for margins in found], "rad/s", "critical frequency"),
+    }
+    variables = {}
+    for name, (values, unit, meaning) in columns.items():
+        variables[name] = (dims, np.stack(values), {"units": unit, "long_name": meaning})
+    for name, values, unit in (("gain", np.abs(factors), "1"), ("phase", np.angle(factors), "rad")):
+        attributes = {"units": unit, "long_name": f"{name} of the perturbation that was found"}
+        variables[f"multiloop_{name}"] = ((*dims, "channel"), values, attributes)
+    return xr.Dataset(variables, coords={"channel": list(found[0].channels)})
 
 
 def margins_dataset(

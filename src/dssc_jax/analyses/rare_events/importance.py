@@ -204,7 +204,11 @@ class Search:
         return mixture_of(means, [np.eye(self.dimension)] * len(found), shares, self.wide)
 
     def sample(self, components: list[Component], count: int) -> Sample:
-        """Draw about ``count`` points of a mixture, a fixed number of each component."""
+        """Draw about ``count`` points of a mixture and simulate them.
+
+        Each component gives a fixed number of points, at least 2. The weight of a failing point is the density of the
+        standard normal law over that of the mixture; points that do not fail have weight 0.
+        """
         numbers = [max(2, round(component.share * count)) for component in components]
         parts = []
         for component, number in zip(components, numbers, strict=True):
@@ -216,7 +220,9 @@ class Search:
         noise = self.counter.fresh(len(points))
         failing = self.counter(points, noise) < 0.0
         ratios = np.exp(-0.5 * np.sum(points**2, axis=1) - mixture)
-        return Sample(points, noise, np.where(failing, ratios, 0.0), np.repeat(np.arange(len(numbers)), numbers))
+        weights = np.where(failing, ratios, 0.0)
+        component_of_point = np.repeat(np.arange(len(numbers)), numbers)
+        return Sample(points, noise, weights, component_of_point)
 
 
 def unrepresented(sample: Sample, found: list[DesignPoint]) -> np.ndarray:

@@ -26,7 +26,7 @@ from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.smooth_parts import (
     declared_places,
-    require_smooth_there,
+    require_smooth_at,
     stated,
     substituted,
     with_inner_sides,
@@ -115,7 +115,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
-        for text in require_smooth_there(study, places, findings):
+        for text in require_smooth_at(study, places, findings):
             if text not in taken:
                 taken.append(text)
         return np.linalg.eigvals(linear.matrix)

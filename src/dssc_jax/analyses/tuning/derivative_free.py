@@ -37,15 +37,17 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     search.record(problem, 0, *first)
 
     def cost(columns: np.ndarray) -> np.ndarray:
+        """Costs of one member, shape (size,), or of a generation, shape (size, members)."""
         z = np.atleast_2d(columns.T)
         results = problem.results(z, problem.train, evaluator)
-        values = np.empty(len(z))
+        costs = np.full(len(z), UNFIT)
         for i in range(len(z)):
-            part = {name: array[i * lanes : (i + 1) * lanes] for name, array in results.items()}
+            lanes_of_member = slice(i * lanes, (i + 1) * lanes)
+            part = {name: array[lanes_of_member] for name, array in results.items()}
             merit = goal.merit(part, (), len(problem.extra))
-            fit = not merit.ended and problem.allowed(z[i])
-            values[i] = merit.objective / scale + PENALTY * merit.violation if fit else UNFIT
-        return values
+            if not merit.ended and problem.allowed(z[i]):
+                costs[i] = merit.objective / scale + PENALTY * merit.violation
+        return costs
 
     def record(z: np.ndarray) -> None:
         search.record(problem, done, problem.evaluate(z, problem.train), problem.evaluate(z))

@@ -64,10 +64,10 @@ def weights(costs: np.ndarray, aggregate: str, level: float) -> np.ndarray:
     if aggregate == "worst":
         spread = max(SHARPNESS * float(np.std(costs)), np.finfo(float).eps * float(np.max(np.abs(costs))))
         return softmax(costs / (spread if spread > np.finfo(float).tiny else 1.0))
-    room = (1.0 - level) * count
-    ranks = np.empty(count)
-    ranks[np.argsort(-costs, kind="stable")] = np.arange(count)
-    return np.clip(room - ranks, 0.0, 1.0) / room
+    worst_count = (1.0 - level) * count  # a fraction of a draw counts
+    rank = np.empty(count)  # 0 is the worst draw
+    rank[np.argsort(-costs, kind="stable")] = np.arange(count)
+    return np.clip(worst_count - rank, 0.0, 1.0) / worst_count
 
 
 @dataclass(frozen=True)

@@ -190,14 +190,23 @@ class Plan:
         return {name: float(value[0]) for name, value in self.mirror.numbers(z[None]).items()}
 
     def trial(self) -> Study:
-        """The study used for training: with other draws, and only the metrics needed."""
-        bare = {measure.name for measure in self.study.measures}
-        required = {requirement.measure.name for requirement in self.study.requirements}
-        kinds = {self._written(measure) for name, measure in self.measures.items() if name in bare - required}
-        kept = self.study.config.metrics.window.entries()
-        draws = self.table.draws + self.table.validation
-        metrics = kept | {"names": sorted(kinds)}
-        return self.study.override({"seed": self.seed, "draws": draws, "plot": {}, "metrics": metrics})
+        """The study used for training: other draws, no plot, and only the metrics that the search reads.
+
+        A metric of a requirement is computed in any case, so ``[metrics]`` need not name it.
+        """
+        in_study = {measure.name for measure in self.study.measures}
+        of_requirements = {requirement.measure.name for requirement in self.study.requirements}
+        to_name = in_study - of_requirements
+        names = {self._written(measure) for name, measure in self.measures.items() if name in to_name}
+        window = self.study.config.metrics.window.entries()
+        return self.study.override(
+            {
+                "seed": self.seed,
+                "draws": self.table.draws + self.table.validation,
+                "plot": {},
+                "metrics": window | {"names": sorted(names)},
+            }
+        )
 
     def smoothed(self) -> Study:
         """The study used for derivatives: with the first width of the sign, if it is to be smoothed."""

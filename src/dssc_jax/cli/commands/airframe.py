@@ -1,4 +1,4 @@
-"""dssc-jax airframe: a PX4 airframe as the table [plant.vehicle] of a study."""
+"""dssc-jax airframe: a PX4 airframe as the table [plant] of a study."""
 
 import json
 
@@ -6,6 +6,7 @@ from dssc_jax.cli.declarations.flight import Airframe
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.core import files
 from dssc_jax.core.errors import errors_under
+from dssc_jax.flight_logs.parameters import logged_parameters
 from dssc_jax.models.uav.airframe import read_airframe
 from dssc_jax.study.tables import to_toml
 
@@ -13,9 +14,12 @@ from dssc_jax.study.tables import to_toml
 def run(options: Airframe) -> int:
     """Read the airframe and print its table."""
     with errors_under(str(options.file)):
-        vehicle, notes = read_airframe(files.read_text(options.file, errors="replace"))
+        is_log = options.file.suffix == ".ulg"
+        content = logged_parameters(options.file) if is_log else files.read_text(options.file, errors="replace")
+        vehicle, notes, plant = read_airframe(content, options.mass, options.arm)
     if options.as_json:
-        print(json.dumps({"vehicle": vehicle, "notes": notes}))
+        print(json.dumps({"vehicle": vehicle, "notes": notes, "plant": plant}))
     else:
-        print(to_toml({"plant": {"vehicle": vehicle}}) + "".join(f"# {note}\n" for note in notes), end="")
+        table = to_toml({"plant": plant | {"vehicle": vehicle}})
+        print(table + "".join(f"# {note}\n" for note in notes), end="")
     return DONE

@@ -36,6 +36,11 @@ def run(options: Code) -> int:
     parts = folder.recording(options.draws, options.samples)
     attempt(path, lambda: files.write_parts(path, parts))
     written = [*texts, path.name]
+    if folder.software is not None:
+        ticks = out / "inner_loop.bin"
+        recorded = folder.software_recording(options.draws, options.samples)
+        attempt(ticks, lambda: files.write_parts(ticks, recorded))
+        written.append(ticks.name)
     if folder.monitor is not None:
         monitored = out / "monitored.bin"
         flights = folder.monitor_recording(options.draws, options.samples)

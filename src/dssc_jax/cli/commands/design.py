@@ -45,7 +45,7 @@ def print_first_gains(options: Design) -> int:
     """Find the first gains for a study, write the study with them, and print them."""
     if options.as_latex:
         raise ConfigError("--latex", "prints a certificate, which first gains do not have")
-    study = load_study(str(options.bounds), {}, local=False).without_sweep()
+    study = load_study(str(options.bounds), {}, local=options.allow_local).without_sweep()
     found = first_gains(study, options.controller or FirstController.PID, options.bandwidth, options.limit)
     if options.out is not None:
         out = options.out

@@ -54,6 +54,7 @@ class Design:
     limit: Annotated[
         float | None, typer.Option("--limit", metavar="U", help="Of a study: largest command, in its unit.")
     ] = None
+    allow_local: Local = False
     as_json: Json = False
     as_latex: Latex = False
 

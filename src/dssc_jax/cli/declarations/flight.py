@@ -11,15 +11,22 @@ from dssc_jax.cli.declarations.types import DrawsOptions, Json, LogOptions, Outp
 
 @dataclass(frozen=True, kw_only=True)
 class Airframe:
-    """Show a PX4 airframe as the table [plant.vehicle] of a study.
+    """Show a PX4 airframe as the table [plant] of a study.
 
-    Takes the rotors' places and spins from CA_ROTOR.., and mass, inertia, thrust and lag from SIH_... Comments name
-    what the file does not give.
+    Takes the rotors' places, axes and spins from CA_ROTOR.., mass, inertia, thrust, lag and drag from SIH_.., and gains
+    from MC_.. and MPC_... A mass that the file does not set is refused. Comments name what is estimated or left out.
     """
 
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A PX4 airframe script, or a parameter file of a ground station.")
+        Path,
+        typer.Argument(metavar="FILE", help="A PX4 airframe script, a ground station's file, or a .ulg."),
     ]
+    mass: Annotated[
+        float | None, typer.Option("--mass", metavar="KG", min=1e-3, help="Mass, if the file has no SIH_MASS [kg].")
+    ] = None
+    arm: Annotated[
+        float | None, typer.Option("--arm", metavar="M", min=1e-3, help="Length that relative positions refer to [m].")
+    ] = None
     as_json: Json = False
 
 

@@ -5,7 +5,18 @@ from typing import Annotated
 
 import typer
 
-from dssc_jax.analyses.defaults import FEWER_PLAIN, LEAST_REPEATS, LIMIT, MOVES, PARTICLES, PLAIN, REPEATS, VARIATION
+from dssc_jax.analyses.defaults import (
+    FEWER_PLAIN,
+    LEAST_REPEATS,
+    LIMIT,
+    MOST_STRATIFIED,
+    MOVES,
+    PARTICLES,
+    PLAIN,
+    REPEATS,
+    VARIATION,
+    WIDTH,
+)
 from dssc_jax.cli.declarations.types import (
     DrawsOptions,
     Json,
@@ -21,8 +32,8 @@ from dssc_jax.cli.declarations.types import (
 class Plan:
     """How many draws does my question need?
 
-    Answers for a failure probability (Chernoff; Clopper-Pearson, at the expected count and assured), for the worst case
-    and for no failure at all, and for tolerance limits (Wilks).
+    Prints the numbers of draws for a failure probability (by Chernoff's bound; by the exact interval, at the expected
+    count and in nearly all runs), for the worst case, for no failure at all, and for tolerance limits (Wilks).
     """
 
     error: Annotated[
@@ -74,12 +85,28 @@ class Laws(OutputOptions, StatedOptions, DrawsOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Probability(OutputOptions, SeededOptions):
+    """A failure probability to a width, by as few simulations as a prediction allows.
+
+    A pilot of plain draws predicts where draws fail. The numbers are divided into strata along the predicted border of
+    failure, and draws are spent where the prediction is in doubt. The interval holds however bad the prediction is. The
+    output tells how many plain draws an interval as narrow would take. The study's [sweep], draws and sampling are
+    ignored. For probabilities below some 1e-3, ask rare.
+    """
+
+    width: Annotated[float, typer.Option("--width", metavar="W", help="Width of the interval to aim at.")] = WIDTH
+    most: Annotated[int, typer.Option("--most", metavar="N", help="Largest number of draws in the strata.")] = (
+        MOST_STRATIFIED
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rare(OutputOptions, SeededOptions):
     """A failure probability too small for plain draws.
 
     Importance sampling around the design points, the failures nearest to the median draw, takes some thousand
     simulations. Where it has no answer, adaptive multilevel splitting approaches failures level by level, which takes
-    some hundred thousand. Plain draws show where an answer cannot be right. The study's [sweep] and its number of draws
+    some hundred thousand. Plain draws check the answer. The study's [sweep] and its number of draws
     are ignored.
     """
 
@@ -101,6 +128,6 @@ class Rare(OutputOptions, SeededOptions):
     plain: Annotated[
         int | None,
         typer.Option(
-            "--plain", metavar="N", help=f"Plain draws, which may contradict [{FEWER_PLAIN}; splitting: {PLAIN}]."
+            "--plain", metavar="N", help=f"Plain draws that check the answer [{FEWER_PLAIN}; splitting: {PLAIN}]."
         ),
     ] = None

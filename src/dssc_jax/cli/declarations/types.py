@@ -162,6 +162,13 @@ class TrajectoryOptions:
     """The files of a trajectory."""
 
     csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the trajectory as CSV.")] = None
+    parquet: Annotated[
+        Path | None, typer.Option("--parquet", metavar="FILE", help="Write the trajectory as Parquet, with units.")
+    ] = None
+    mcap: Annotated[
+        Path | None,
+        typer.Option("--mcap", metavar="FILE", help="Write the trajectory as MCAP, for Foxglove and Rerun."),
+    ] = None
     figure: Annotated[Path | None, typer.Option("--figure", metavar="FILE", help="Write a figure (PNG, SVG, PDF).")] = (
         None
     )

@@ -191,17 +191,25 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
 
 
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
-    """The rows of a table of numbers.
+    """The numbers in a table of a controller's description: its parameters, or its telemetry.
+
+    In the table an infinite bound means none, and a bound just above zero means that zero is excluded.
+
+    Args:
+        controller: Name of the controller, for messages.
+        rows: The first row.
+        count: Number of rows.
 
     Raises:
-        ConfigError: A name is not valid, taken, or used twice; or there are too many.
+        ConfigError: There are too many rows; or a name is not an identifier, is reserved, or occurs twice.
     """
     if count > MOST_NUMBERS:
         raise ConfigError("", f"has more than {MOST_NUMBERS} numbers in a table of its controller {controller}")
     numbers: dict[str, NativeNumber] = {}
     for row in rows[:count] if count else ():
         name = text_of(row.name)
-        if not (name.isidentifier() and name.isascii()) or name in numbers or name in RESERVED or name.startswith("_"):
+        public = name.isidentifier() and name.isascii() and not name.startswith("_")
+        if not public or name in RESERVED or name in numbers:
             raise ConfigError("", f"has a number {name!r} in its controller {controller}; choose another name")
         low = None if row.low == -math.inf else row.low
         high = None if row.high == math.inf else row.high

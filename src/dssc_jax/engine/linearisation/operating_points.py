@@ -1,6 +1,7 @@
 """Linearise every draw's sampled loop at its operating points: its equilibrium, or places along its flight."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
     Finding,
     LoopPart,
-    require_smooth_there,
+    require_smooth_at,
     substituted,
     with_inner_sides,
 )
@@ -88,7 +89,7 @@ def at_origin(study: Study) -> Study:
     initial = study.table["plant"].get("initial")
     if len(study.loop.channels) > 1 or not isinstance(initial, list):
         return study
-    return study.override({"plant.initial": [0.0] * len(initial)})
+    return replace(study.override({"plant.initial": [0.0] * len(initial)}), loop=study.loop)
 
 
 def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> Linearisation:
@@ -150,7 +151,7 @@ def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarra
     Raises:
         ConfigError: a part has no derivative at one of them.
     """
-    notes = require_smooth_there(study, places, findings)
+    notes = require_smooth_at(study, places, findings)
     return tuple(f"{text} ({point}: {count} of {len(findings)} draws)" for text, count in notes.items())
 
 
@@ -161,7 +162,7 @@ class Resting(NamedTuple):
         states: Shape (n, states).
         matrices: Of the loop without substitutes for corners.
         settled: Which states are at rest, shape (n,).
-        felt: States on which the loop's signals depend, shape (states,); others need not be at rest.
+        felt: States on which the loop's signals depend, shape (n, states); others need not be at rest.
     """
 
     states: np.ndarray
@@ -207,30 +208,32 @@ class RestingLoop:
             matrices = self.linearise(values, indices, states, 1, smooth)
             move = matrices.after - states
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-            felt = closure(np.any(matrices.c[finite], axis=(0, 1)), np.any(matrices.a[finite], axis=0))
-            settled = np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE
+            felt = closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+            settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
             moving = finite & ~settled
             if not moving.any() or trial == NEWTON_STEPS:
                 return Resting(states, matrices, settled, felt)
             trial += 1
-            felt_moves = move[np.ix_(moving, felt)]
-            slopes = np.eye(int(np.count_nonzero(felt))) - matrices.a[np.ix_(moving, felt, felt)]
-            steps = [np.linalg.lstsq(slope, residual)[0] for slope, residual in zip(slopes, felt_moves, strict=True)]
             states = states.copy()
-            states[np.ix_(moving, felt)] += np.stack(steps)
+            for draw in np.flatnonzero(moving):
+                kept = felt[draw]
+                slope = np.eye(int(np.count_nonzero(kept))) - matrices.a[draw][np.ix_(kept, kept)]
+                states[draw, kept] += np.linalg.lstsq(slope, move[draw, kept])[0]
 
 
 def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
     """The states in ``begin`` and those that influence them, directly or not.
 
     Args:
-        begin: Mask of states, shape (states,).
-        influences: Whether the state of each row depends on that of each column, shape (states, states).
+        begin: Masks of states, shape (..., states).
+        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
     """
     reached = begin
-    for _ in range(len(begin)):
-        reached = reached | reached @ influences
-    return reached
+    while True:
+        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
+        if np.array_equal(wider, reached):
+            return reached
+        reached = wider
 
 
 def require_derivative(
@@ -249,7 +252,7 @@ def require_derivative(
         states: The equilibria, shape (n, states).
         matrices: Their derivatives.
         plain: Which draws have an equilibrium and no part at a corner, shape (n,).
-        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (states,).
+        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (n, states).
 
     Raises:
         ConfigError: it has not: the loop switches, or its gain is infinite there.

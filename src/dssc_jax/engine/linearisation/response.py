@@ -57,6 +57,11 @@ class ClassicalMargins(NamedTuple):
     crossover: np.ndarray
     bandwidth: np.ndarray
 
+    @property
+    def modulus(self) -> np.ndarray:
+        """Modulus margin: smallest distance of L from -1, which is 1/M_s; shape (n,)."""
+        return 1.0 / self.sensitivity_peak
+
 
 def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     """G(z) = c (z - A)^-1 b of n loops.
@@ -90,15 +95,30 @@ def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
     return np.geomspace(max(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
 
 
+def own_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
+    """The :func:`common_grid` of each loop alone, shape (n, count).
+
+    Args:
+        poles: Closed-loop eigenvalues, shape (n, states).
+        count: Number of angles.
+    """
+    return np.stack([common_grid(row, count) for row in poles])
+
+
 def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """The common angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
+    """The angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
 
     A pole above the real axis adds its damped frequency, any other one its natural frequency.
+
+    Args:
+        common: Angles of all loops, shape (count,), or of each, shape (n, count).
+        poles: Shape (n, poles).
     """
-    ends = np.concatenate([[0.0], common, [np.pi]])
     natural = np.abs(np.log(np.where(poles == 0.0, -1.0, poles).astype(complex)))
     pole_angles = np.where(np.imag(poles) > 0.0, np.angle(poles), np.minimum(natural, np.pi))
-    return np.sort(np.concatenate([np.broadcast_to(ends, (len(poles), ends.size)), pole_angles], axis=1))
+    shared = np.broadcast_to(common, (len(poles), common.shape[-1]))
+    ends = np.broadcast_to([0.0, np.pi], (len(poles), 2))
+    return np.sort(np.concatenate([ends, shared, pole_angles], axis=1))
 
 
 def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -110,8 +110,11 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
         moving: Whether it is linearised along its flight, where disturbances matter.
 
     Raises:
-        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute.
+        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; or something happens
+            to the vehicle at a time.
     """
+    if study.config.event:
+        raise ConfigError(f"{study.source}: event", "changes the loop at a time, which a linearisation does not cover")
     loop = study.loop
     template = study.template
     slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS
@@ -244,19 +247,20 @@ def choice(part: Part, substitute: Part) -> Part:
     return part._replace(**{name: choosing(name) for name in names})
 
 
-def require_smooth_there(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
-    """Require that no part has a defect at any operating point.
+def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
+    """Require that every part of the loop has a derivative at every operating point.
 
     Args:
-        study: The study.
+        study: The study, for messages.
         places: The parts.
-        findings: A :class:`Finding` for each of them, shape (n, places).
+        findings: A :class:`Finding` for each operating point and part, shape (n, places).
 
     Returns:
-        Notes on the parts that lie at a corner or beyond it, each with the number of operating points.
+        A sentence for each part that lies at a corner or beyond it, with the number of operating points.
 
     Raises:
-        ConfigError: a part has no derivative there; either it lies on one of its boundaries, or it declares falsely.
+        ConfigError: A part has no derivative at an operating point: it lies on one of its boundaries, or it is not
+            smooth where it declares that it is.
     """
     notes = {}
     draws = len(findings)

@@ -280,22 +280,36 @@ class Instructions:
         return self.emit(f"select {mask} {missing}, {kind} {first}, {kind} {chosen}")
 
     def convert(self, operation: str, source: np.dtype, dtype: np.dtype, wide: bool, name: str) -> str:
-        """A number in another type, or the same bits."""
-        old, new = self.kind(source, wide), self.kind(dtype, wide)
-        if operation == "bitcast" or (source.kind in "iu" and dtype.kind in "iu" and source.itemsize == dtype.itemsize):
+        """A register with the number in another type or, for ``bitcast``, with the same bits.
+
+        Args:
+            operation: ``bitcast``, or any conversion of numbers.
+            source: Type of the number.
+            dtype: Type of the result.
+            wide: Whether both are vectors of lanes.
+            name: Register or literal of the number.
+        """
+        old = self.kind(source, wide)
+        new = self.kind(dtype, wide)
+        same_size = source.itemsize == dtype.itemsize
+        both_integers = source.kind in "iu" and dtype.kind in "iu"
+        if operation == "bitcast" or (both_integers and same_size):
             return name if old == new else self.emit(f"bitcast {old} {name} to {new}")
-        if source.kind == "f" and dtype.kind == "f":
-            return self.emit(f"{'fpext' if dtype.itemsize > source.itemsize else 'fptrunc'} {old} {name} to {new}")
-        if source.kind == "f":
-            signed = "fptosi" if dtype.kind == "i" else "fptoui"
-            function = f"llvm.{signed}.sat.{self.suffix(dtype, wide)}.{self.suffix(source, wide)}"
+        integer = dtype if source.kind == "f" else source
+        signed = integer.kind == "i"
+        if source.kind == "f" and dtype.kind != "f":
+            conversion = "fptosi" if signed else "fptoui"
+            function = f"llvm.{conversion}.sat.{self.suffix(dtype, wide)}.{self.suffix(source, wide)}"
             return self.call(function, new, (old, name))
-        signed = source.kind == "i"
-        if dtype.kind == "f":
-            return self.emit(f"{'sitofp' if signed else 'uitofp'} {old} {name} to {new}")
-        if dtype.itemsize < source.itemsize and source != BOOL:
-            return self.emit(f"trunc {old} {name} to {new}")
-        return self.emit(f"{'sext' if signed else 'zext'} {old} {name} to {new}")
+        if source.kind == "f":
+            instruction = "fpext" if dtype.itemsize > source.itemsize else "fptrunc"
+        elif dtype.kind == "f":
+            instruction = "sitofp" if signed else "uitofp"
+        elif dtype.itemsize < source.itemsize and source != BOOL:
+            instruction = "trunc"
+        else:
+            instruction = "sext" if signed else "zext"
+        return self.emit(f"{instruction} {old} {name} to {new}")
 
     def lookup(self, value: Value, wide: bool) -> str:
         """An element of a constant table."""

@@ -1,4 +1,4 @@
-"""What a model's source calls the values of a trace: the variable, field or argument that an operation is assigned to.
+"""Names of a trace's values in a model's source: the variable, field or argument to which an operation is assigned.
 
 JAX's trace tells the place in the source of each operation, to the column. The syntax tree of the file tells the rest:
 
@@ -54,7 +54,7 @@ class Source(NamedTuple):
 
 
 class OriginTranslator(Translator):
-    """A translator that notes the origin of each value that it computes.
+    """A translator that records the origin of each value that it computes, by the value's ``id``.
 
     Args:
         build: The builder.
@@ -65,19 +65,18 @@ class OriginTranslator(Translator):
     def __init__(self, build: Builder) -> None:
         super().__init__(build)
         self.origins: dict[int, Origin] = {}
-        self._outer: Any = None
+        self._outermost_call: JaxprEqn | None = None
 
     def equation(self, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
-        """The results of one equation; those within a library's function have the origin of its call."""
-        inside = self._outer is not None
-        calls = equation.primitive.name in INLINED
-        if calls and not inside:
-            self._outer = equation
+        """Translate one equation. Values computed within a called function have the origin of the outermost call."""
+        is_outermost = self._outermost_call is None and equation.primitive.name in INLINED
+        if is_outermost:
+            self._outermost_call = equation
         results = super().equation(equation, operands)
-        if calls and not inside:
-            self._outer = None
-        origin = origin_of(self._outer or equation)
-        if self._outer is not None:
+        if is_outermost:
+            self._outermost_call = None
+        origin = origin_of(self._outermost_call or equation)
+        if self._outermost_call is not None:
             origin = origin._replace(name="")
         for result in results:
             if isinstance(result, Value) and result.operation != "constant":
@@ -152,7 +151,7 @@ def function_at(place: Place) -> tuple[str, str]:
 
 
 def assigned_name(places: Sequence[Place]) -> str:
-    """What the value computed at the first place is assigned to, there or where the calls around it return it."""
+    """The name to which the value at the first place is assigned, there or where the calls around it return it."""
     elements: list[int] = []  # positions in the tuples that the value is returned in, innermost last
     for place in places:
         nodes, parents = source(place.code.co_filename)

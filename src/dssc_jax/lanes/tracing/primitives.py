@@ -95,12 +95,14 @@ def shift(operation: str, taken_as: str = "") -> ElementRule:
 
 
 def sign_of(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The sign; NaN and zeros are their own."""
+    """-1, 1, or the operand itself if it is a zero or NaN."""
     (x,) = operands
     zero = build.constant(0, dtype)
-    reached = x if dtype.kind == "u" else build.add(
-        "select", build.add("lt", x, zero), build.constant(-1, dtype), x)  # fmt: skip
-    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), reached)
+    not_positive = x
+    if dtype.kind != "u":
+        negative = build.add("lt", x, zero)
+        not_positive = build.add("select", negative, build.constant(-1, dtype), x)
+    return build.add("select", build.add("gt", x, zero), build.constant(1, dtype), not_positive)
 
 
 def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
@@ -110,14 +112,18 @@ def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: 
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The case that the first operand counts."""
+    """One of the operands after the first: the first is the index of the chosen one, or a boolean for two of them.
+
+    An index below 0 chooses the first case, one beyond the end the last.
+    """
     index, *cases = operands
     if index.dtype == BOOL:
-        return build.add("select", index, cases[-1], cases[0])
+        if_false, if_true = cases[0], cases[-1]
+        return build.add("select", index, if_true, if_false)
     chosen = cases[-1]
-    for number, case in reversed(list(enumerate(cases[:-1]))):
-        reached = build.add("le", index, build.constant(number, index.dtype))
-        chosen = build.add("select", reached, case, chosen)
+    for number in reversed(range(len(cases) - 1)):
+        at_most = build.add("le", index, build.constant(number, index.dtype))
+        chosen = build.add("select", at_most, cases[number], chosen)
     return chosen
 
 

@@ -334,10 +334,16 @@ class Vgsta(NamedTuple):
         return self.phi_a / rd + self.phi_b, self.phi_a * (rd + self.delta) / (2.0 * rd * rd) + self.phi_b
 
     def at(self, sigma: Scalar, e: Scalar, l0: Scalar) -> StateFunctions:
-        """(28) and (29) with (26); Table 1 prints phi_b for phi_a in the first factor of tau_m's denominator.
+        """The factors of the law from the functions (28) and (29) of the article, with phi_1 of (26).
 
-        phi_1 = ratio sigma with ratio = phi_a/(r + delta) + phi_b. kappa_1 has kinks at sigma = 0 and e = 0,
-        so tau_m jumps at e = 0; sgn 0 = 0 there.
+        The code writes phi_1 = ratio sigma, with ratio = phi_a/(r + delta) + phi_b. kappa_1 has kinks at sigma = 0 and
+        e = 0; there sgn 0 = 0, so tau_m jumps at e = 0. Table 1 of the article misprints the first factor of tau_m's
+        denominator: phi_b stands where phi_a must.
+
+        Args:
+            sigma: Sliding variable [y/s].
+            e: Control error [y].
+            l0: Error pole l_0 [1/s].
         """
         ratio, slope = self.ratio(sigma)
         gains = self.gains(sigma, e)

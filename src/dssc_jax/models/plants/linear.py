@@ -37,10 +37,18 @@ MatrixRows = tuple[tuple[Scalar, ...], ...]
 
 
 class StateSpaceParams(NamedTuple):
-    """x' = A x + b u + e d, y = c x; the relative degrees of command and disturbance are found before tracing.
+    """The linear plant x' = A x + b u + e d, y = c x.
 
-    ``disturbance`` is e; absent, the disturbance is matched: e = b. ``outputs`` are signals beside y, and ``inputs``
-    places of disturbances beside e, both by their names in the study.
+    Args:
+        a: Rows of A.
+        b: Input column of the command.
+        c: Output row.
+        disturbance: Input column e of the disturbance; None: that of the command, so that the disturbance is matched.
+        x0: First entries of the initial state; all further ones are zero.
+        outputs: Signals beside y, by their names in the study.
+        inputs: Input columns of disturbances beside d, by their names in the study.
+        degree: Relative degree from the command to y; found before tracing.
+        disturbance_degree: Relative degree from the disturbance to y; likewise.
     """
 
     a: Annotated[MatrixRows, ENTRY]

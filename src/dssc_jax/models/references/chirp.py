@@ -77,7 +77,7 @@ def chirp(spacing: Spacing) -> Reference:
         cosine = on * jnp.cos(angle)
         return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
 
-    return Reference(ChirpParams, at)
+    return Reference(ChirpParams, at, level=lambda params: params.offset)
 
 
 CHIRP = Entry(

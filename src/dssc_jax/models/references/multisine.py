@@ -54,4 +54,4 @@ def prepare_multisine(params: MultisineParams) -> MultisineParams:
     return params._replace(phases=phases)
 
 
-MULTISINE = Reference(MultisineParams, multisine_at, prepare_multisine)
+MULTISINE = Reference(MultisineParams, multisine_at, prepare_multisine, level=lambda params: params.offset)

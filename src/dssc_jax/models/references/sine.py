@@ -53,5 +53,5 @@ def mission(axis: Axis) -> Reference:
     return Reference(NoParams, lambda params, t: sine_at(MISSION[axis], t))
 
 
-SINE = Reference(SineParams, sine_at)
+SINE = Reference(SineParams, sine_at, level=lambda params: params.offset)
 MISSION_ENTRY = Entry({axis: mission(axis) for axis in Axis}, "one axis of the article's mission", "axis", Axis.X)

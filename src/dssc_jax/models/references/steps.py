@@ -82,6 +82,21 @@ def prepare_pulse(params: PulseParams) -> PulseParams:
     return params
 
 
-STEP_REFERENCE = Reference(StepReferenceParams, step_at)
-RAMP_REFERENCE = Reference(RampParams, ramp_at)
-PULSES = Reference(PulseParams, pulse_at, prepare_pulse)
+def step_level(params: StepReferenceParams) -> Scalar:
+    """The value after the step."""
+    return params.offset + params.size
+
+
+def ramp_level(params: RampParams) -> Scalar:
+    """The value after the ramp; that before it, if it does not end."""
+    return params.offset + (0.0 if params.rise is None else params.slope * params.rise)
+
+
+def pulse_level(params: PulseParams) -> Scalar:
+    """The value between the pulses."""
+    return params.offset
+
+
+STEP_REFERENCE = Reference(StepReferenceParams, step_at, level=step_level)
+RAMP_REFERENCE = Reference(RampParams, ramp_at, level=ramp_level)
+PULSES = Reference(PulseParams, pulse_at, prepare_pulse, level=pulse_level)

@@ -14,7 +14,7 @@ from dssc_jax.core.smoothness import MEAN_GAIN, SMOOTH, Smoothness, not_smooth
 
 EXTRA = 2  # index of the random numbers of losses and jitter; those of noise have 0 and 1
 MOST_DELAY = 200  # samples: the state holds two scalars for each, and every scalar is copied at every sample
-POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0)
+POSITION_STD = Quantity("y", "standard deviation of the noise on y", at_least=0.0, leading=True)
 VELOCITY_STD = Quantity("y/s", "standard deviation of the noise on y'", at_least=0.0)
 POSITION_BIAS = Quantity("y", "constant error of y")
 VELOCITY_BIAS = Quantity("y/s", "constant error of y'")

@@ -1,10 +1,11 @@
-"""Vehicles from PX4: the geometry (CA_) and mass properties (SIH_) of a parameter file as the table [plant.vehicle].
+"""Vehicles from PX4: geometry (CA_), mass properties (SIH_), gains (MC_, MPC_) of a parameter file as table [plant].
 
 PX4's body axes point forward, right and down; here they point forward, left and up. A rotor at (CA_ROTORi_PX,
 CA_ROTORi_PY) therefore sits at the angle atan2(-PY, PX). A positive CA_ROTORi_KM means a rotor that turns
 counter-clockwise as seen from above, whose drag torque about the upward axis is negative: s_i = -sgn(KM).
 
-Sources: PX4's parameter reference (control allocation; simulation in hardware) and its module simulator_sih.
+Sources: PX4's parameter reference (control allocation; simulation in hardware; multicopter attitude and position
+control), its module simulator_sih and its class ActuatorEffectivenessRotors.
 """
 
 import math
@@ -14,7 +15,8 @@ from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.models.uav.vehicle import ROUNDED_TO_ZERO
+from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.vehicle import GRAVITY, ROUNDED_TO_ZERO
 
 LINE = re.compile(
     r"^\s*(?:param\s+(?:set|set-default)\s+(?P<set>\w+)\s+(?P<to>\S+)"  # an airframe's start-up script
@@ -22,9 +24,11 @@ LINE = re.compile(
     re.MULTILINE,
 )
 SIMILAR = 0.01  # relative difference of rotors that count as equal
+RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
+"""Positions of generic airframes, which are ratios."""
 MULTIROTOR = 0  # of CA_AIRFRAME
 MOST_ROTORS = 12  # that PX4's control allocation takes
-READ = ("CA_", "SIH_")
+READ = ("CA_", "SIH_", "MC_", "MPC_")
 LARGEST_PARAMETER = 1e6
 """Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
 MOMENT_COEFFICIENT = 0.05
@@ -33,13 +37,31 @@ AXIS = (0.0, 0.0, -1.0)
 """PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
 
 PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
-GIVEN_BY = {
-    "mass": "SIH_MASS",
-    "body_inertia": "SIH_IXX, SIH_IYY and SIH_IZZ",
-    "max_thrust": "SIH_T_MAX",
-    "motor_lag": "SIH_T_TAU",
+INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
+SIMULATED: dict[str, float] = {
+    "SIH_MASS": 1.0,
+    "SIH_IXX": 0.025,
+    "SIH_IYY": 0.025,
+    "SIH_IZZ": 0.030,
+    "SIH_T_MAX": 5.0,
+    "SIH_Q_MAX": 0.1,
+    "SIH_T_TAU": 0.05,
+    "SIH_L_ROLL": 0.2,
+    "SIH_L_PITCH": 0.2,
+    "SIH_KDV": 1.0,
 }
-"""Fields of the vehicle that a file may lack, and the parameters that give them."""
+"""PX4's defaults, which hold in a file that is made for the simulation in hardware (it sets SIH_VEHICLE_TYPE)."""
+GYRATION = (0.45, 0.45, 0.6)
+"""Radii of gyration over the rotors' distance: means of the package's sourced vehicles, which differ by a third."""
+HOVER_SPEED = 500.0
+"""Rotor speed in hover [rad/s], a scale alone: PX4 knows no rotor speed, and nothing else follows from it here."""
+AIRMODES = (Desaturation.AIRMODE_DISABLED, Desaturation.AIRMODE_ROLL_PITCH, Desaturation.AIRMODE_ROLL_PITCH_YAW)
+"""The modes of MC_AIRMODE, from 0."""
+REFUSED = {
+    "CA_R_REV": "has reversible rotors, and a rotor of the model pushes one way",
+    "CA_SV_TL_COUNT": "has servos that tilt rotors, and a rotor of the model is fixed",
+}
+"""Parameters that the model has no part for, if they are not 0."""
 
 
 class Airframe(NamedTuple):
@@ -48,17 +70,27 @@ class Airframe(NamedTuple):
     Args:
         vehicle: The table ``[plant.vehicle]``.
         notes: What the file does not give, or gives in another form than the model has.
+        plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
     """
 
     vehicle: TomlTable
     notes: tuple[str, ...]
+    plant: TomlTable
+
+
+class PlacedRotor(NamedTuple):
+    """A rotor in the model's axes: place [m or ratio], axis, and KM."""
+
+    place: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    moment: float
 
 
 def parameters_in(text: str) -> dict[str, float]:
     """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts.
 
     Raises:
-        ConfigError: one of geometry or mass properties is not finite, or too large.
+        ConfigError: one that is read is not finite, or too large.
     """
     values: dict[str, float] = {}
     for line in LINE.finditer(text):
@@ -67,102 +99,213 @@ def parameters_in(text: str) -> dict[str, float]:
             values[name] = float(value)
         except ValueError:  # a variable of the shell
             values.pop(name, None)
-    for name, value in values.items():
-        if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
-            raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
     return values
 
 
-def common(values: list[float], subject: str) -> float:
-    """The mean of a number that all rotors have in common; raises ConfigError."""
+def require_finite(values: Mapping[str, float]) -> None:
+    """Require that every parameter that is read is finite, and no larger than any length, mass or gain; ConfigError."""
+    for name, value in values.items():
+        if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
+            raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
+
+
+def are_similar(values: list[float]) -> bool:
+    """Whether values count as equal."""
     mean = sum(values) / len(values)
-    if any(abs(value - mean) > SIMILAR * abs(mean) for value in values):
+    return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
+
+
+def require_common(values: list[float], subject: str) -> None:
+    """Require that a number is the same for all rotors; raises ConfigError."""
+    if not are_similar(values):
         listed = ", ".join(f"{value:g}" for value in values)
-        raise ConfigError(
-            subject, f"must be the same for all rotors, as the model has equal rotors on a circle; got {listed}"
-        )
-    return mean
+        raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {listed}")
 
 
-def rotors_of(parameters: Mapping[str, float]) -> TomlTable:
-    """Angles, spins, arm and torque over thrust from CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
+def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
+    """The rotors of CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
     if count not in range(4, MOST_ROTORS + 1):
         raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
-    places = []
-    coefficients = []
-    thrusts = []
+    for name, reason in REFUSED.items():
+        if parameters.get(name, 0.0):
+            raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
+    rotors = []
     for i in range(int(count)):
-        axis = tuple(parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
-        if axis[:2] != (0.0, 0.0) or axis[2] >= 0.0:
-            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", f"must point up, 0, 0, -1; got {axis}: a tilted rotor")
-        places.append(tuple(parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XY"))
-        coefficients.append(parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT))
-        thrusts.append(parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT))
-    arm = common([math.hypot(x, y) for x, y in places], "CA_ROTORi_PX, CA_ROTORi_PY (distance from the centre)")
-    if arm < ROUNDED_TO_ZERO:
+        ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
+        px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
+        if not (ax or ay or az):
+            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", "must not all be 0")
+        moment = parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT)
+        rotors.append(PlacedRotor((px, -py + 0.0, -pz + 0.0), (ax, -ay + 0.0, -az + 0.0), moment))
+    require_common([parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT) for i in range(int(count))], "CA_ROTORi_CT")
+    if all(math.hypot(*rotor.place) < ROUNDED_TO_ZERO for rotor in rotors):
         raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
-    torque = common([abs(coefficient) for coefficient in coefficients], "CA_ROTORi_KM")
-    common(thrusts, "CA_ROTORi_CT")
-    if all(coefficient > 0.0 for coefficient in coefficients) or all(coefficient < 0.0 for coefficient in coefficients):
+    return rotors
+
+
+def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
+    """The entries of the vehicle that place its rotors: those of a circle where they are on one, else a list.
+
+    Raises:
+        ConfigError: upright rotors all turn the same way.
+    """
+    moments = [rotor.moment for rotor in rotors]
+    upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
+    if upright and (all(m > 0.0 for m in moments) or all(m < 0.0 for m in moments)):
         raise ConfigError("CA_ROTORi_KM", "must have both signs: rotors that all turn the same way cannot hold the yaw")
-    return {
-        "arm": arm,
-        "torque_coefficient": torque,
-        "rotor_angles": [math.atan2(-y, x) for x, y in places],
-        "spins": [-math.copysign(1.0, coefficient) for coefficient in coefficients],
-    }
+    distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
+    arm = sum(distances) / len(distances)
+    size = sum(map(abs, moments)) / len(moments)
+    equal = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
+        abs(abs(m) - size) <= SIMILAR * size for m in moments
+    )
+    level = all(rotor.place[2] == 0.0 for rotor in rotors)
+    signs = [-math.copysign(1.0, moment) for moment in moments]
+    if upright and equal and level:
+        return {
+            "arm": arm,
+            "torque_coefficient": size,
+            "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
+            "spins": signs,
+        }
+    listed = []
+    for rotor, sign in zip(rotors, signs, strict=True):
+        entry: TomlTable = {"position": list(rotor.place), "direction": sign, "torque_coefficient": abs(rotor.moment)}
+        listed.append(entry if upright else entry | {"axis": list(rotor.axis)})
+    return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
-def properties_of(parameters: Mapping[str, float]) -> TomlTable:
-    """Mass, inertia, largest thrust and lag from SIH_, as far as they are given.
+def are_ratios(rotors: list[PlacedRotor]) -> bool:
+    """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
+    values = [value for rotor in rotors for value in rotor.place[:2]]
+    return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
+
+
+def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None:
+    """Require a mass, and lengths for positions that are ratios.
+
+    Raises:
+        ConfigError: one is not known; the message names all that are missing.
+    """
+    missing = []
+    if "SIH_MASS" not in known:
+        missing.append("the file does not set SIH_MASS, the mass; give it with --mass KG")
+    if are_ratios(rotors) and not ("SIH_L_ROLL" in known and "SIH_L_PITCH" in known):
+        missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
+    if missing:
+        raise ConfigError("SIH_MASS" if "SIH_MASS" not in known else "CA_ROTORi_PX, _PY", "; ".join(missing))
+
+
+def scaled(rotors: list[PlacedRotor], known: Mapping[str, float], notes: list[str]) -> list[PlacedRotor]:
+    """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
+    if not are_ratios(rotors):
+        return rotors
+    notes.append("positions are ratios, and became metres by SIH_L_PITCH and SIH_L_ROLL")
+    forward, left = known["SIH_L_PITCH"], known["SIH_L_ROLL"]
+    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * left, 0.0)) for rotor in rotors]
+
+
+def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
+    """Mass, inertia, largest thrust, lag and drag; what is estimated gets a note.
 
     The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
-    thrust is linear in speed, the speed has the same.
+    thrust is linear in speed, the speed has the same. SIH_KDV v is the propellers' drag at their speed in hover.
     """
-    properties: TomlTable = {}
-    if "SIH_MASS" in parameters:
-        properties["mass"] = parameters["SIH_MASS"]
-    inertia = [parameters[name] for name in ("SIH_IXX", "SIH_IYY", "SIH_IZZ") if name in parameters]
-    if len(inertia) == 3:
-        properties |= {"body_inertia": inertia, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
-    if "SIH_T_MAX" in parameters:
-        properties["max_thrust"] = parameters["SIH_T_MAX"]
-        if "SIH_Q_MAX" in parameters:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
-            properties["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
-    if "SIH_T_TAU" in parameters:
-        properties["motor_lag"] = parameters["SIH_T_TAU"]
+    mass = known["SIH_MASS"]
+    count = len(geometry.get("rotor") or geometry["spins"])
+    lift = mass * GRAVITY / count
+    properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
+    if all(name in known for name in INERTIA):
+        properties["body_inertia"] = [known[name] for name in INERTIA]
+    else:
+        properties["body_inertia"] = [mass * (share * geometry["arm"]) ** 2 for share in GYRATION]
+        notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
+    properties["thrust_coefficient"] = lift / HOVER_SPEED**2
+    notes.append(
+        f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
+    )
+    properties["structure_drag"] = [0.0, 0.0, 0.0]
+    properties["propeller_drag"] = known.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
+    notes.append(
+        "drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out"
+        if "SIH_KDV" in known
+        else "drag is 0: the file does not set SIH_KDV"
+    )
+    if "SIH_T_MAX" in known:
+        properties["max_thrust"] = known["SIH_T_MAX"]
+        if "SIH_Q_MAX" in known:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
+            properties["torque_coefficient"] = known["SIH_Q_MAX"] / known["SIH_T_MAX"]
+    elif known.get("MPC_THR_HOVER"):
+        properties["max_thrust"] = lift / known["MPC_THR_HOVER"]
+        notes.append("max_thrust follows from MPC_THR_HOVER, the share of it that hovers: the file sets no SIH_T_MAX")
+    else:
+        notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
+    if "SIH_T_TAU" in known:
+        properties["motor_lag"] = known["SIH_T_TAU"]
+    else:
+        notes.append("motor_lag is left out: the file does not set SIH_T_TAU")
+    if any(known.get(name, 0.0) for name in PRODUCTS):
+        notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
     return properties
 
 
-def read_airframe(text: str, base: str = "m600_quadrotor") -> Airframe:
-    """The vehicle of a PX4 airframe script, or of a parameter file saved by a ground station.
+def control_of(known: Mapping[str, float], notes: list[str]) -> TomlTable:
+    """Desaturation from MC_AIRMODE, and gains of the inner loops from MC_ and MPC_, as far as the file sets them.
 
-    Args:
-        text: The file's text.
-        base: The vehicle whose numbers hold where the file gives none.
+    MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
+    fast rate loop; the model's second-order loop with p = k_p/k_d and a double pole has k_d = 4 p and k_p = 4 p^2.
 
     Raises:
-        ConfigError: the file does not describe a multirotor with equal, upright rotors on a circle.
+        ConfigError: MC_AIRMODE is none of PX4's.
     """
-    parameters = parameters_in(text)
+    control: TomlTable = {}
+    if "MC_AIRMODE" in known:
+        mode = known["MC_AIRMODE"]
+        if mode not in range(len(AIRMODES)):
+            raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
+        control["desaturation"] = AIRMODES[int(mode)].value
+    gains: TomlTable = {}
+    if "MPC_XY_VEL_P_ACC" in known:
+        gains["kd_velocity"] = known["MPC_XY_VEL_P_ACC"]
+        gains["kp_velocity"] = known.get("MPC_XY_VEL_I_ACC", 0.4)
+        notes.append("kd_velocity and kp_velocity are those of x and y; the model has the same for z (MPC_Z_VEL_..)")
+    if "MC_ROLL_P" in known:
+        gains |= {"kp_attitude": 4.0 * known["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * known["MC_ROLL_P"]}
+        notes.append("kp_attitude and kd_attitude follow from MC_ROLL_P; MC_.._RATE gains have no counterpart")
+    return control | ({"inner_loop": gains} if gains else {})
+
+
+def read_airframe(file: str | Mapping[str, float], mass: float | None = None, arm: float | None = None) -> Airframe:
+    """The vehicle of a PX4 airframe script, of a parameter file saved by a ground station, or of a log's parameters.
+
+    Args:
+        file: The file's text, or parameters by name.
+        mass: Mass of the vehicle [kg]; None: that of the file.
+        arm: What positions that are ratios are ratios of [m]; None: SIH_L_PITCH and SIH_L_ROLL of the file.
+
+    Raises:
+        ConfigError: the file gives no mass, or has something that the model has no part for.
+    """
+    parameters = parameters_in(file) if isinstance(file, str) else dict(file)
+    require_finite(parameters)
     if not any(name.startswith("CA_") for name in parameters):
         raise ConfigError("", "sets no parameter CA_..; a PX4 airframe or parameter file is needed")
-    vehicle: TomlTable = {"kind": base} | rotors_of(parameters)
-    relative = vehicle["arm"] >= 0.99 and all(
-        parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) in (-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0)
-        for i in range(len(vehicle["spins"]))
-        for c in "XY"
-    )
-    vehicle |= properties_of(parameters)
-    notes = [f"{field} is the base vehicle's: the file does not set {name}"
-             for field, name in GIVEN_BY.items() if field not in vehicle]  # fmt: skip
-    notes.append("thrust_coefficient is the base vehicle's: PX4 knows no rotor speed in rad/s")
-    notes.append("structure_drag and propeller_drag are the base vehicle's: PX4's drag is linear in speed")
-    if relative:
-        notes.append("arm may be a ratio: the rotors' positions look like those of a generic airframe, not metres")
-    if any(parameters.get(name, 0.0) for name in PRODUCTS):
-        notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
-    return Airframe(vehicle, tuple(notes))
+    notes: list[str] = []
+    if "SIH_VEHICLE_TYPE" in parameters:
+        absent = [name for name in SIMULATED if name not in parameters]
+        parameters = SIMULATED | parameters
+        if absent:
+            notes.append(f"{', '.join(absent)} are PX4's defaults of the simulation in hardware")
+    chosen = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
+    parameters |= {name: value for name, value in chosen.items() if value is not None}
+    rotors = placed_rotors(parameters)
+    require_sizes(rotors, parameters)
+    geometry = geometry_of(scaled(rotors, parameters, notes))
+    vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
+    if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
+        for entry in vehicle.get("rotor", []):
+            entry.pop("torque_coefficient")
+    return Airframe(vehicle, tuple(notes), control_of(parameters, notes))

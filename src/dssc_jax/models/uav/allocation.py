@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -41,7 +40,9 @@ def effects(vehicle: Vehicle) -> np.ndarray:
     coefficients = [nominal(value) for value in vehicle.torque_coefficients]
     columns = []
     for rotor, coefficient in zip(vehicle.rotor, coefficients, strict=True):
-        columns.append(effect_of(jax.tree.map(nominal, rotor), coefficient))
+        place = tuple(map(nominal, rotor.position))
+        axis = tuple(map(nominal, rotor.axis))
+        columns.append(effect_of(rotor._replace(position=place, axis=axis), coefficient))
     return np.array(columns, dtype=float).T
 
 

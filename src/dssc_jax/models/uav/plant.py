@@ -1,149 +1,50 @@
 """The complete UAV as a plant with four channels, from velocity commands to position and yaw (1), Section V-B."""
 
 import math
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Plant, Preset
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.estimation import Estimation
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.onboard import Onboard
-from dssc_jax.core.quantities import Quantity, nominal
-from dssc_jax.core.registry import Registry, Slot, single
+from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
 from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
-from dssc_jax.models.uav.allocation import Thrusts, allocate, geometry, pseudo_inverse
-from dssc_jax.models.uav.desaturation import Desaturation
-from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
+from dssc_jax.models.uav.allocation import Thrusts, allocate
+from dssc_jax.models.uav.condition import conditioned_motion, wind_at
+from dssc_jax.models.uav.estimators.sensors import rotation_vector
+from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
+from dssc_jax.models.uav.info import EstimatedUavInfo, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, allocated_moment
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.onboard import (
+    EstimationError,
+    UavState,
+    estimator_of,
+    readings_of,
+    renew_estimate,
+    sampled_loop,
+    seen_state,
+    software_period,
+    software_sample,
+    software_start,
+    software_tick,
+    start_estimate,
+    velocity_commands,
+)
+from dssc_jax.models.uav.parameters import UavParams, prepare
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
 from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
-from dssc_jax.models.uav.vehicle import GRAVITY, HEXACOPTER, QUADROTOR, Vehicle, check_vehicle
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
-
-VEHICLES: Registry = {
-    "m600_quadrotor": single(Preset(Vehicle, QUADROTOR), "the article's simulated quadrotor"),
-    "m600_hexacopter": single(Preset(Vehicle, HEXACOPTER), "the same with six rotors"),
-}
-
-
-class Believed(NamedTuple):
-    """Nominal values of the inner loop; absent numbers are the vehicle's own, or the medians of their laws."""
-
-    mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
-    inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
-    thrust_coefficient: Annotated[Scalar | None, Quantity("N s^2/rad^2", "believed k_T", above=0.0)] = None
-
-
-class InnerModel(NamedTuple):
-    """The inner loop's model of the vehicle: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
-
-    mass: Scalar
-    inertia: Vec3
-    thrust_coefficient: Scalar
-
-
-class UavParams(NamedTuple):
-    """Parameters of the UAV.
-
-    The fields after ``desaturation`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
-    (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
-    circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
-    """
-
-    vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
-    believed: Believed = Believed()
-    inner_loop: Annotated[InnerGains | SampledInnerLoop, Slot(INNER_LOOPS, default="article")] = InnerGains()
-    position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
-    velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
-    yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
-    desaturation: Desaturation = Desaturation.CLIP
-    allocation: tuple = ()
-    moments: tuple = ()
-    believed_rotors: tuple = ()
-    rotor_limit: float = 0.0
-
-    @property
-    def inner_model(self) -> InnerModel:
-        """The nominal values, complete after :func:`prepare`."""
-        mass, inertia, thrust_coefficient = self.believed
-        assert mass is not None
-        assert inertia is not None
-        assert thrust_coefficient is not None
-        return InnerModel(mass, Vec3(*inertia), thrust_coefficient)
-
-    @property
-    def believed_coefficients(self) -> tuple[Scalar, ...]:
-        """The nominal k_T of each rotor, complete after :func:`prepare` [N s^2/rad^2]."""
-        return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
-
-    @property
-    def hover_thrusts(self) -> tuple[Scalar, ...]:
-        """Thrusts of the rotors at which the believed vehicle hovers, complete after :func:`prepare` [N]."""
-        weight = self.inner_model.mass * GRAVITY
-        if not self.vehicle.rotor:
-            return (weight / self.vehicle.rotors,) * self.vehicle.rotors
-        return tuple(row[0] * weight for row in self.allocation)
-
-    @property
-    def craft(self) -> Craft:
-        """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
-        model = self.inner_model
-        return Craft(model.mass, model.inertia, self.allocation, self.moments, self.rotor_limit)
-
-
-class HeldLoop(NamedTuple):
-    """A sampled inner loop between its samples.
-
-    Args:
-        software: State of the inner loop.
-        thrust: Held wanted net thrust [N].
-        rotor: Held commanded thrusts f_i [N].
-        limited: Whether a rotor is at a limit.
-    """
-
-    software: State
-    thrust: Scalar
-    rotor: tuple[Scalar, ...]
-    limited: Scalar
-
-
-class UavState(NamedTuple):
-    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s]."""
-
-    position: Vec3
-    velocity: Vec3
-    attitude: Quaternion
-    rate: Vec3
-    inner: Integrals | HeldLoop
-    speeds: tuple[Scalar, ...]
-
-
-class UavInfo(NamedTuple):
-    """Values of the vehicle for metrics and trajectories: Euler angles [rad], tilt [rad], active limits.
-
-    ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s].
-    """
-
-    phi: Annotated[Scalar, Quantity("rad", "roll")]
-    theta: Annotated[Scalar, Quantity("rad", "pitch")]
-    psi: Annotated[Scalar, Quantity("rad", "yaw")]
-    tilt: Annotated[Scalar, Quantity("rad", "tilt of body z")]
-    thrust: Annotated[Scalar, Quantity("N", "wanted net thrust")]
-    rotor_limited: Annotated[Scalar, Quantity("1", "a rotor at its limit")]
-    lift_bounded: Annotated[Scalar, Quantity("1", "wanted lift at its lower bound")]
-    rotor: Annotated[tuple[Scalar, ...], Quantity("N", "commanded thrust of rotor")]
-    rotor_limit: Annotated[Scalar, Quantity("N", "limit of a rotor's thrust")]
-    wind: Annotated[Vec3, Quantity("m/s", "wind along")]
 
 
 def init(params: UavParams) -> UavState:
@@ -154,19 +55,11 @@ def init(params: UavParams) -> UavState:
     if vehicle.motor_lag is not None:
         hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
         speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
-    velocity = Vec3(*params.velocity)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
-    inner: Integrals | HeldLoop = Integrals(zero, 0.0)
-    if not isinstance(params.inner_loop, InnerGains):
-        software = params.inner_loop.init(params.craft, Readings(velocity, attitude, zero))
-        inner = HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
-    return UavState(Vec3(*params.position), velocity, attitude, zero, inner, speeds)
-
-
-def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
-    """Commands of velocity [m/s] and yaw rate [rad/s] with their disturbances."""
-    x, y, z, psi = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
-    return Vec3(x, y, z), psi
+    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
+    if estimator_of(params) is not None:
+        state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
+    return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
 
 
 class RotorCommands(NamedTuple):
@@ -183,76 +76,55 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
         held = state.inner
-        rotors = Thrusts(held.rotor, held.limited > 0.5)
+        limit = params.vehicle.thrust_limit
+        given = tuple(jnp.minimum(f, limit) for f in held.rotor)
+        rotors = Thrusts(given, held.limited > 0.5)
         return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
     model = params.inner_model
-    rotation = state.attitude.matrix()
+    seen = readings_of(state)
+    rotation = seen.attitude.matrix()
     command, yaw_command = velocity_commands(drive)
     demanded = demand(
-        gains, model.mass, model.inertia, state.velocity, rotation, state.rate, state.inner, command, yaw_command
+        gains, model.mass, model.inertia, seen.velocity, rotation, seen.rate, state.inner, command, yaw_command
     )
     limit = params.vehicle.thrust_limit
     rotors = allocate(params.allocation, demanded.thrust, demanded.moment, limit, params.desaturation)
     return RotorCommands(demanded.thrust, rotors, demanded.bounded, demanded.integrals)
 
 
-def software_period(params: UavParams) -> float | None:
-    """Time between two ticks of a sampled inner loop [s]."""
-    return None if isinstance(params.inner_loop, InnerGains) else params.inner_loop.period
-
-
-def readings_of(state: UavState) -> Readings:
-    """What the inner loop measures."""
-    return Readings(state.velocity, state.attitude, state.rate)
-
-
-def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: Scalar) -> UavState:
-    """Velocity control of a sampled inner loop."""
-    command, yaw_command = velocity_commands(drive)
-    software = params.inner_loop.sample(
-        params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
-    )
-    return state._replace(inner=state.inner._replace(software=software))
-
-
-def software_tick(params: UavParams, state: UavState, drive: PlantInput, index: Scalar, dt: Scalar) -> UavState:
-    """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
-    del drive
-    return state._replace(
-        inner=ticked(params, params.vehicle.thrust_limit, state.inner.software, readings_of(state), index, dt)
-    )
-
-
-def ticked(
-    params: UavParams, limit: Scalar, software: State, readings: Readings, index: Scalar, dt: Scalar
-) -> HeldLoop:
-    """One tick of a sampled inner loop with the allocation, whose rotors give at most ``limit`` [N] each."""
-    craft = params.craft
-    software, wanted = params.inner_loop.tick(craft, software, readings, index, dt)
-    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, limit, params.desaturation)
-    missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
-    unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
-    software = software._replace(unallocated=unallocated)
-    return HeldLoop(software, wanted.thrust, thrusts.commanded, jnp.where(thrusts.limited, 1.0, 0.0))
-
-
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    motion = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    motion = conditioned_motion(turning, drive.condition)
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    ground = params.ground
+    if ground is not None and ground.rotor_radius is not None:
+        factor = lift_factor(ground, state.position.z)
+        lift = tuple(factor * f for f in lift)
     thrust, moment, across = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
-    air = drag(vehicle, rotation, state.rate, state.velocity - drive.wind, speeds)
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    air = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
     force = air.force
     if across:
         force = force + rotation @ Vec3(across[0], across[1], 0.0)
     torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
+    if ground is not None:
+        standing = contact(ground, state.position, state.velocity, rotation, state.rate)
+        force = force + standing.force
+        torque = torque + standing.torque
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
-    slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    return UavState(*slope, commands.slope, motion.accelerations)
+    if drive.condition is not None and drive.condition.load is not None:
+        in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
+        load = drive.condition.load
+        slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
+    else:
+        slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
+    still = jax.tree.map(lambda leaf: 0.0, state.error)
+    return UavState(*slope, commands.slope, turning.accelerations, still)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -270,14 +142,28 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
     return (*linear, Measurement(psi, turning.psi))
 
 
-def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
+def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo | EstimatedUavInfo:
     """Attitude and limits at a sample."""
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    return UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, drive.wind)
+    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    wind = wind_at(drive.wind, state.position.z, drive.condition)
+    info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
+    if state.error == ():
+        return info
+    error: EstimationError = state.error
+    angle = rotation_vector(error.attitude).norm()
+    return EstimatedUavInfo(*info, error.position.norm(), error.velocity.norm(), angle, error.nees)
+
+
+def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
+    """What the vehicle reports, with the errors of an estimate where there is one."""
+    info = UavInfo if estimator_of(params) is None else EstimatedUavInfo
+    return tuple(NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(info).items())
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:
@@ -285,59 +171,27 @@ def broken(params: UavParams, state: UavState) -> Scalar:
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
 
 
+def into_ground(params: UavParams, state: UavState) -> Scalar | bool:
+    """Whether the vehicle has flown into the ground; False where there is none."""
+    return False if params.ground is None else has_crashed(params.ground, state.position.z, state.velocity.z)
+
+
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
     """k_p of each channel: the velocity loops' proportional gains [1/s]."""
-    if not isinstance(params.inner_loop, InnerGains):
-        return params.inner_loop.input_gain(params.craft)
-    linear = params.inner_loop.kd_velocity
-    return linear, linear, linear, params.inner_loop.kd_yaw
+    gains = params.inner_loop
+    if not isinstance(gains, InnerGains):
+        return gains.input_gain(params.craft)
+    linear = gains.kd_velocity
+    return linear, linear, linear, gains.kd_yaw
 
 
 def smoothness(params: UavParams) -> Smoothness:
-    """Where the vehicle has a derivative; a sampled inner loop is not linearised."""
+    """Where the vehicle has a derivative; a sampled inner loop and an estimator are not linearised."""
+    if estimator_of(params) is not None:
+        return not_smooth("has an estimator, which is not linearised; set plant.estimator.kind = 'none'")
     if isinstance(params.inner_loop, InnerGains):
         return piecewise("the limits of its rotors and its lift")
     return not_smooth("has a sampled inner loop, which is not linearised; set plant.inner_loop.kind = 'article'")
-
-
-def prepare(params: UavParams) -> UavParams:
-    """Check the vehicle, and derive allocation and nominal values from its numbers; raises ConfigError."""
-    vehicle = params.vehicle
-    try:
-        check_vehicle(vehicle)
-        allocation = pseudo_inverse(vehicle)
-    except ConfigError as error:
-        raise error.within_path("vehicle") from None
-    for name in ("position", "velocity"):
-        if len(getattr(params, name)) != 3:
-            raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
-    plain = vehicle._replace(
-        body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
-        rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
-        rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
-    )
-    vehicle_values = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
-    chosen = {name: value for name, value in params.believed._asdict().items() if value is not None}
-    believed = vehicle_values._replace(**chosen)
-    if len(chosen.get("inertia", (0, 0, 0))) != 3:
-        raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
-    limit = vehicle.max_thrust
-    return params._replace(
-        believed=believed,
-        allocation=allocation,
-        moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
-        believed_rotors=believed_rotors(params),
-        rotor_limit=2.0 * nominal(vehicle.mass) * GRAVITY / vehicle.rotors if limit is None else nominal(limit),
-    )
-
-
-def believed_rotors(params: UavParams) -> tuple[float, ...]:
-    """The nominal k_T of rotors anywhere: that of ``[plant.believed]`` for all, or each rotor's own."""
-    vehicle = params.vehicle
-    if not vehicle.rotor:
-        return ()
-    believed = params.believed.thrust_coefficient
-    return tuple(nominal(value if believed is None else believed) for value in vehicle.thrust_coefficients)
 
 
 UAV = Plant(
@@ -354,6 +208,7 @@ UAV = Plant(
     project=project,
     monitor=monitor,
     broken=broken,
+    grounded=into_ground,
     onboard=(
         "the velocity loops of x, y and z",
         "the attitude loops and the yaw-rate loop",
@@ -361,5 +216,20 @@ UAV = Plant(
     ),
     smooth=smoothness,
     info=UavInfo,
-    software=Onboard(software_period, software_sample, software_tick, frequency="inner_loop.frequency"),
+    outputs=outputs,
+    software=Onboard(
+        period=software_period,
+        start=software_start,
+        held=lambda state: state.inner,
+        holding=lambda state, held: state._replace(inner=held),
+        sample=software_sample,
+        tick=software_tick,
+        frequency="inner_loop.frequency",
+    ),
+    estimation=Estimation(
+        chosen=lambda params: estimator_of(params) is not None,
+        start=start_estimate,
+        step=renew_estimate,
+        seen=seen_state,
+    ),
 )

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from dssc_jax.core.events import Load
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Quaternion, Vec3
 from dssc_jax.models.uav.vehicle import GRAVITY
@@ -33,4 +34,44 @@ def body_derivative(
     force = Vec3(rotation.a.z, rotation.b.z, rotation.c.z) * thrust + drag
     acceleration = force / mass - Vec3(0.0, 0.0, GRAVITY)
     rate_dot = (torque - state.rate.cross(state.rate.scale(inertia))).over(inertia)
+    return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)
+
+
+def loaded_derivative(
+    state: BodyState, mass: Scalar, inertia: Vec3, load: Load, force: Vec3, torque: Vec3, rotation: Mat3
+) -> BodyState:
+    """Right-hand side of (1) for a vehicle with further masses, so that its centre of mass is not the state's point.
+
+    The state is that of the vehicle's own centre of mass O. With the total mass M, the centre of mass c = sum m r/M and
+    the inertia J_c about it, Newton and Euler give R F/M - g e3 = v' + R (Omega' x c + Omega x (Omega x c)) and
+    J_c Omega' = tau - c x F - Omega x J_c Omega.
+
+    Args:
+        state: The body's state.
+        mass: Mass of the vehicle without the load [kg].
+        inertia: Diagonal of its inertia about O [kg m^2].
+        load: The further masses.
+        force: All forces but the weight, body frame [N].
+        torque: All torques about O but that of the weight, body frame [N m].
+        rotation: R of the state's attitude.
+    """
+    total = mass + load.mass
+    c = load.first / total
+    xx, yy, zz = load.square
+    yz, zx, xy = load.product
+    diagonal = Vec3(
+        inertia.x + yy + zz - total * (c.y * c.y + c.z * c.z),
+        inertia.y + zz + xx - total * (c.z * c.z + c.x * c.x),
+        inertia.z + xx + yy - total * (c.x * c.x + c.y * c.y),
+    )
+    jxy = total * c.x * c.y - xy
+    jyz = total * c.y * c.z - yz
+    jzx = total * c.z * c.x - zx
+    tensor = Mat3(Vec3(diagonal.x, jxy, jzx), Vec3(jxy, diagonal.y, jyz), Vec3(jzx, jyz, diagonal.z))
+    about = torque - c.cross(force) - state.rate.cross(tensor @ state.rate)
+    columns = (tensor.b.cross(tensor.c), tensor.c.cross(tensor.a), tensor.a.cross(tensor.b))  # a symmetric matrix
+    determinant = tensor.a.dot(columns[0])
+    rate_dot = (columns[0] * about.x + columns[1] * about.y + columns[2] * about.z) / determinant
+    lever = rate_dot.cross(c) + state.rate.cross(state.rate.cross(c))
+    acceleration = rotation @ (force / total - lever) - Vec3(0.0, 0.0, GRAVITY)
     return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)

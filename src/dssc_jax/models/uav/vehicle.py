@@ -49,7 +49,7 @@ class Vehicle(NamedTuple):
     places and signs, and ``arm``, ``rotor_angles`` and ``spins`` have no effect.
     """
 
-    mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0)]
+    mass: Annotated[Scalar, Quantity("kg", "mass M", above=0.0, leading=True)]
     body_inertia: Annotated[tuple[Scalar, ...], Quantity("kg m^2", "structure's principal inertia I_b", above=0.0)]
     rotor_inertia_xy: Annotated[Scalar, Quantity("kg m^2", "hub's transverse inertia I_xy", at_least=0.0)]
     rotor_inertia_z: Annotated[Scalar, Quantity("kg m^2", "hub's axial inertia I_z", at_least=0.0)]
@@ -61,7 +61,9 @@ class Vehicle(NamedTuple):
     rotor_angles: Annotated[tuple[Scalar, ...], Quantity("rad", "rotor angle from body x", law=False)]
     spins: Annotated[tuple[Scalar, ...], Quantity("1", "spin sign s_i", at_least=-1.0, at_most=1.0, law=False)]
     max_thrust: Annotated[Scalar | None, Quantity("N", "largest thrust of a rotor f_max", above=0.0)] = None
-    motor_lag: Annotated[Scalar | None, Quantity("s", "time constant of the rotor speed", above=0.0)] = None
+    motor_lag: Annotated[Scalar | None, Quantity("s", "time constant of the rotor speed", above=0.0, leading=True)] = (
+        None
+    )
     rotor: tuple[Rotor, ...] = ()
 
     @property

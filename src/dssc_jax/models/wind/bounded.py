@@ -22,7 +22,7 @@ class BoundedWindParams(NamedTuple):
     a vertical component ``vertical`` up or down. It moves along straight lines at ``rate``, or jumps.
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", "bound of the horizontal wind's norm", at_least=0.0)]
+    speed: Annotated[Scalar, Quantity("m/s", "bound of the horizontal wind's norm", at_least=0.0, leading=True)]
     vertical: Annotated[
         Scalar | None, Quantity("m/s", "bound of the vertical wind |w_z|; absent: half of speed", at_least=0.0)
     ] = None

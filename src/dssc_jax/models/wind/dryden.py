@@ -34,7 +34,7 @@ class DrydenParams(NamedTuple):
     lengths to times: the vehicle passes through a frozen field at that speed (about the wind speed in hover).
     """
 
-    speed: Annotated[Scalar, Quantity("m/s", "mean wind speed at 20 ft (6.1 m), W20", at_least=0.0)]
+    speed: Annotated[Scalar, Quantity("m/s", "mean wind speed at 20 ft (6.1 m), W20", at_least=0.0, leading=True)]
     altitude: Annotated[Scalar, Quantity("m", "height above ground", at_least=3.0, at_most=305.0)]
     airspeed: Annotated[Scalar, Quantity("m/s", "speed of passing through the frozen field, V", above=0.0)]
     direction: Annotated[Scalar, Quantity("rad", "where the wind blows to, from x towards y")] = 0.0

@@ -8,6 +8,7 @@ Reference:
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, NamedTuple
 
@@ -30,8 +31,8 @@ START = Quantity("s", "time at which the wind begins", at_least=0.0)
 class ConstantWindParams(NamedTuple):
     """A constant wind from the time ``at`` on."""
 
-    x: Annotated[Scalar, X]
-    y: Annotated[Scalar, Y]
+    x: Annotated[Scalar, replace(X, leading=True)]
+    y: Annotated[Scalar, replace(Y, leading=True)]
     z: Annotated[Scalar, Z]
     at: Annotated[Scalar, START] = 0.0
 

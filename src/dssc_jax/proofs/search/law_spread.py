@@ -46,7 +46,7 @@ class StageRegion(NamedTuple):
 
 
 class Deviation(NamedTuple):
-    """A bound: ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant``."""
+    """The bound ``change`` |sigma - s| + ``sigma`` |sigma| + ``constant`` of what a term deviates by."""
 
     change: float
     sigma: float
@@ -54,15 +54,17 @@ class Deviation(NamedTuple):
 
 
 class LawSpread(NamedTuple):
-    """The gains of a middle loop, and what deviates from it.
+    """The control law in a region: the gains of a linear middle loop, and how far the law deviates from it.
 
     Args:
-        integrated: Whether the coordinate is q = v - phi_1 in place of v.
-        gains: By name: K_P, with q phi_1/sigma; K_I, K_N; K_P and T_s K_I times 1 + tau_av/T_s.
-        integral: Of the increment of v or q.
-        command: Of the command besides.
-        slide: Of the equivalent control; in the conservative form without what :func:`slide_hull` bounds.
-        slide_e: What e adds to the equivalent control, over the change of e in a sample.
+        integrated: Whether the coordinate is q = v - phi_1; otherwise it is v.
+        gains: Interval of each gain, by its name in :data:`GAIN_NAMES`. With the coordinate q, phi_1/sigma stands in
+            place of K_P.
+        integral: Deviation of the increment of the coordinate in a sample.
+        command: Deviation of the rest of the command.
+        slide: Deviation of the equivalent control; in the conservative form without the part that :func:`slide_hull`
+            bounds.
+        slide_e: Factor of the change of e in a sample, which e adds to the equivalent control.
     """
 
     integrated: bool

@@ -36,11 +36,11 @@ class SampledInnerLoop(Protocol[S]):
         """The state in hover."""
         ...
 
-    def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: Scalar) -> S:
+    def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:
         """Velocity control at a sample of the loop."""
         ...
 
-    def tick(self, craft: Craft, state: S, readings: Readings, index: Scalar, dt: float) -> tuple[S, Wrench]:
+    def tick(self, craft: Craft, state: S, readings: Readings, dt: float) -> tuple[S, Wrench]:
         """Attitude and rate control at a tick."""
         ...
 

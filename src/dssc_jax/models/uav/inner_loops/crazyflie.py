@@ -46,7 +46,7 @@ class CrazyflieGains(NamedTuple):
     Triples are those of roll, pitch and yaw; pairs are those of the horizontal and the vertical direction.
     """
 
-    frequency: Annotated[Scalar, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0
+    frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 500.0
     velocity_p: Annotated[Scalar, Quantity("rad s/m", "proportional gain of velocity, to tilt", above=0.0)] = (
         math.radians(25.0)
     )
@@ -108,7 +108,7 @@ class CrazyflieGains(NamedTuple):
     @property
     def period(self) -> float:
         """Time between two ticks [s]."""
-        return 1.0 / float(self.frequency)
+        return 1.0 / self.frequency
 
     def prepare(self) -> "CrazyflieGains":
         """Require triples; raises ConfigError."""
@@ -147,7 +147,7 @@ class CrazyflieGains(NamedTuple):
         return craft.mass * GRAVITY / craft.full_thrust if self.thrust_hover is None else self.thrust_hover
 
     def sample(
-        self, craft: Craft, state: "CrazyflieState", readings: Readings, command: Vec3, yaw_command: Scalar, dt: Scalar
+        self, craft: Craft, state: "CrazyflieState", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
     ) -> "CrazyflieState":
         """Velocity control: from commands to thrust, roll and pitch."""
         rotation = readings.attitude.matrix()
@@ -175,10 +175,9 @@ class CrazyflieGains(NamedTuple):
         )
 
     def tick(
-        self, craft: Craft, state: "CrazyflieState", readings: Readings, index: Scalar, dt: float
+        self, craft: Craft, state: "CrazyflieState", readings: Readings, dt: float
     ) -> tuple["CrazyflieState", Wrench]:
         """Attitude and rate control: from the held angles to thrust and moment."""
-        del index
         angles = angles_of(readings.attitude.matrix())
         wanted = state.wanted._replace(z=wrap_angle(state.wanted.z + state.yaw_rate * dt))
         error = wanted - angles

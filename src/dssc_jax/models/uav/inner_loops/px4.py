@@ -64,14 +64,14 @@ class Px4Gains(NamedTuple):
     Triples are those of roll, pitch and yaw.
     """
 
-    frequency: Annotated[Scalar, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
+    frequency: Annotated[float, Quantity("Hz", "rate of the attitude and rate loops", above=0.0, law=False)] = 400.0
     velocity_p_xy: Annotated[Scalar, Quantity("1/s", "MPC_XY_VEL_P_ACC", above=0.0)] = 1.8
     velocity_i_xy: Annotated[Scalar, Quantity("1/s^2", "MPC_XY_VEL_I_ACC", at_least=0.0)] = 0.4
     velocity_d_xy: Annotated[Scalar, Quantity("1", "MPC_XY_VEL_D_ACC", at_least=0.0)] = 0.2
     velocity_p_z: Annotated[Scalar, Quantity("1/s", "MPC_Z_VEL_P_ACC", above=0.0)] = 4.0
     velocity_i_z: Annotated[Scalar, Quantity("1/s^2", "MPC_Z_VEL_I_ACC", at_least=0.0)] = 2.0
     velocity_d_z: Annotated[Scalar, Quantity("1", "MPC_Z_VEL_D_ACC", at_least=0.0)] = 0.0
-    velocity_cutoff: Annotated[Scalar | None, Quantity("Hz", "cutoff of v'", above=0.0, law=False)] = 5.0
+    velocity_cutoff: Annotated[float | None, Quantity("Hz", "cutoff of v'", above=0.0, law=False)] = 5.0
     tilt_max: Annotated[Scalar, Quantity("rad", "MPC_TILTMAX_AIR", above=0.0, below=1.55)] = math.radians(45.0)
     thrust_min: Annotated[Scalar, Quantity("1", "MPC_THR_MIN, share of full thrust", above=0.0, below=1.0)] = 0.12
     thrust_max: Annotated[Scalar, Quantity("1", "MPC_THR_MAX", above=0.0, at_most=1.0)] = 1.0
@@ -93,13 +93,13 @@ class Px4Gains(NamedTuple):
     rate_d: Annotated[tuple[Scalar, ...], Quantity("s^2", "MC_ROLLRATE_D, ..", at_least=0.0)] = (0.003, 0.003, 0.0)
     rate_ff: Annotated[tuple[Scalar, ...], Quantity("s", "MC_ROLLRATE_FF, ..", at_least=0.0)] = (0.0, 0.0, 0.0)
     rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("1", "MC_RR_INT_LIM, ..", at_least=0.0)] = (0.3, 0.3, 0.3)
-    gyro_cutoff: Annotated[Scalar | None, Quantity("Hz", "IMU_GYRO_CUTOFF", above=0.0, law=False)] = 40.0
-    derivative_cutoff: Annotated[Scalar | None, Quantity("Hz", "IMU_DGYRO_CUTOFF", above=0.0, law=False)] = 30.0
+    gyro_cutoff: Annotated[float | None, Quantity("Hz", "IMU_GYRO_CUTOFF", above=0.0, law=False)] = 40.0
+    derivative_cutoff: Annotated[float | None, Quantity("Hz", "IMU_DGYRO_CUTOFF", above=0.0, law=False)] = 30.0
 
     @property
     def period(self) -> float:
         """Time between two ticks [s]."""
-        return 1.0 / float(self.frequency)
+        return 1.0 / self.frequency
 
     def prepare(self) -> "Px4Gains":
         """Check rules that span several fields; raises ConfigError."""
@@ -130,7 +130,7 @@ class Px4Gains(NamedTuple):
         return craft.mass * GRAVITY / craft.full_thrust if self.thrust_hover is None else self.thrust_hover
 
     def sample(
-        self, craft: Craft, state: "Px4State", readings: Readings, command: Vec3, yaw_command: Scalar, dt: Scalar
+        self, craft: Craft, state: "Px4State", readings: Readings, command: Vec3, yaw_command: Scalar, dt: float
     ) -> "Px4State":
         """Velocity control: from commands to thrust, attitude and rate of yaw."""
         slope = (readings.velocity - state.velocity) * (1.0 / dt)
@@ -187,15 +187,12 @@ class Px4Gains(NamedTuple):
             vertical_error,
         )
 
-    def tick(
-        self, craft: Craft, state: "Px4State", readings: Readings, index: Scalar, dt: float
-    ) -> tuple["Px4State", Wrench]:
+    def tick(self, craft: Craft, state: "Px4State", readings: Readings, dt: float) -> tuple["Px4State", Wrench]:
         """Attitude and rate control: from the held attitude to thrust and moment."""
-        del index
         rate = readings.rate
         gyro = state.gyro
-        if self.gyro_cutoff is not None:
-            gyro, rate = low_pass(state.gyro, readings.rate, self.gyro_cutoff, dt)
+        if isinstance(gyro, LowPass) and self.gyro_cutoff is not None:
+            gyro, rate = low_pass(gyro, readings.rate, self.gyro_cutoff, dt)
         slope = (rate - state.rate) * (1.0 / dt)
         turning = blend(state.turning, slope, smoothing(self.derivative_cutoff, dt))
         wanted = limited(self.rate_for(state, readings.attitude), Vec3(*self.rate_max))

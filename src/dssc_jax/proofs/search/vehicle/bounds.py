@@ -204,7 +204,7 @@ def vehicle_bounds(
             if response is None:
                 return "gain"
             responses[name] = response
-        found = grown(problem, responses, slopes, y, damping, nominal, chosen, room)
+        found = fixed_point_from(problem, responses, slopes, y, damping, nominal, chosen, room)
         if found is None:
             return "gain"
         reached, closed = found
@@ -233,7 +233,7 @@ def stable(problem: VehicleProblem, linear: dict[str, Linear], slopes: dict[str,
     return all(np.max(np.abs(np.linalg.eigvals(step.a))) < 1.0 for step in steps)
 
 
-def grown(
+def fixed_point_from(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
     slopes: dict[str, Slopes],
@@ -243,10 +243,21 @@ def grown(
     regions: dict[str, float],
     room: float,
 ) -> tuple[Signals, bool] | None:
-    """The bounds after F is applied from small ones on, and whether they have become a fixed point.
+    """Apply the map F of :func:`applied` to small bounds, again and again, until they no longer grow.
 
-    They are left where they outgrow the regions for which the slopes were chosen; None if they leave the range of the
-    theorem.
+    Args:
+        problem: The vehicle.
+        responses: Responses of each channel.
+        slopes: Slopes of each channel's functions.
+        start: Bounds to begin with, of every signal of every channel.
+        damping: Lowest and highest damping by drag.
+        nominal: The nominal flight of a moving vehicle, from which the bounds count; None: it hovers.
+        regions: The bound of sigma of each channel for which the slopes were chosen.
+        room: Factor of the room that is left for the verifier.
+
+    Returns:
+        The bounds, and whether they are a fixed point. They are none if they outgrew the regions; then the slopes must
+        be chosen again. None if the bounds leave the range of the theorem, or still grow after the last application.
     """
     y = start
     for _ in range(ITERATIONS):

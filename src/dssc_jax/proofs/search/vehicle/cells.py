@@ -60,10 +60,10 @@ class CellBounds:
     """Bounds in cells of time.
 
     Args:
-        last: The bounds of the last cell, all the time after the others, with slopes and damping.
-        settled: Those of the vehicle that starts at rest, with slopes and damping for upper limits.
-        samples: Number of samples of the other cells.
-        cells: Bounds of the signals in each of these.
+        final: The bounds of the last cell, which is all the time after the others, with slopes and damping.
+        settled: The bounds of the vehicle that starts at rest, with slopes and damping for the upper limits.
+        samples: Number of samples of a cell other than the last.
+        cells: Bounds of the signals in each cell other than the last.
     """
 
     final: VehicleBounds
@@ -74,16 +74,15 @@ class CellBounds:
 
 @dataclass(frozen=True)
 class Kernels:
-    """What inputs of size 1 from some cell on cause in a channel, by the number of cells since.
+    """Sums of the effects that inputs of size 1 have on a channel if they act from the beginning of a cell on.
 
     Args:
         response: The channel's response without cells.
-        most: Up to the last sample of the cell, (cells, rows, inputs).
-        least: Before its first sample, (cells, rows, inputs).
-        whole: In the end, (rows, inputs).
-        constant: The largest response to the constant in each cell, the last one included, (cells, rows).
-        starts: The largest responses in each cell to what is known of the start with e and e', and to q_(-1), (cells,
-            rows, 2).
+        upper: The sum up to the last sample of the cell that is so many cells later, (cells, rows, inputs).
+        lower: The sum before the first sample of that cell, (cells, rows, inputs).
+        total_sum: The sum over all later samples, (rows, inputs).
+        constant: Largest response to the constant in each cell and in the last, (cells, rows).
+        starts: Largest responses in each cell: to the start with e and e', and to q_(-1), (cells, rows, 2).
     """
 
     response: ChannelResponse
@@ -268,7 +267,7 @@ def closed_cell(
 
 
 def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
-    """What the inputs of earlier cells, and those of this one, cause in it, (rows,).
+    """Bounds of the effects in a cell of the inputs of earlier cells and of its own, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
     """
@@ -284,7 +283,7 @@ def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, fi
 
 
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
-    """What the start and the constant cause in a cell, (rows,)."""
+    """Bounds of the effects in a cell of the start and of the constant, (rows,)."""
     first = problem.first_sigma(name)
     deviation = table.at(first).of_start(problem.channels[name].start, first, problem.sample_time)
     result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]

@@ -17,12 +17,12 @@ Signal: TypeAlias = tuple[np.ndarray, float]
 
 @dataclass(frozen=True)
 class Linear:
-    """A linear channel chi' = F chi + G U + B r with signals C chi + d U.
+    """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
-        f: F, (m, m).
-        g: G, (m,).
-        b: Columns of the remainders by name, (m,) each.
+        f: A_c, (m, m).
+        g: B_c, (m,).
+        b: Columns b_j of the remainders by name, (m,) each.
         signals: Rows C and numbers d by name.
     """
 

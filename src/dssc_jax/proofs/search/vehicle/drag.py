@@ -11,13 +11,13 @@ DRAG_ROOM = 1.004
 
 
 def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
-    """The largest |-x r + c v| over |v| <= own, |v - r| <= wind in the plane.
+    """The largest |-x r + c v| over |v| <= speed_bound, |v - r| <= wind in the plane.
 
     Args:
-        own: Bound of |v| [m/s].
+        speed_bound: Bound of |v| [m/s].
         wind: Bound of the wind [m/s].
-        drag: Coefficient over mass [1/m]; a linear one [1/s] besides.
-        across: Bound of the other part of the relative speed [m/s].
+        drag: Coefficients of quadratic drag over mass [1/m] and of linear drag over mass [1/s].
+        across: Bound of the air's relative speed across v [m/s].
         c: Damping [1/s].
     """
     a = np.linspace(0.0, speed_bound, DRAG_POINTS)[:, None]
@@ -27,7 +27,7 @@ def drag_in_plane(speed_bound: float, wind: float, drag: tuple[float, float], ac
 
 
 def drag_along(speed_bound: float, wind: float, drag: tuple[float, float], across: float, c: float) -> float:
-    """The same along one axis."""
+    """The largest |-x r + c v| over |v| <= speed_bound, |v - r| <= wind along one axis; see :func:`drag_in_plane`."""
     v = np.linspace(-speed_bound, speed_bound, 4 * DRAG_POINTS)
     r = v - wind
     return largest_drag(np.abs(v), np.abs(r), v * r, drag, across, c)

@@ -1,4 +1,4 @@
-"""What the signals of a sampled linear channel are at most for inputs and starts of size 1, in floating point."""
+"""Largest values of a sampled linear channel's signals for inputs and starts of size 1, in floating point."""
 
 from dataclasses import dataclass
 
@@ -183,30 +183,46 @@ def channel_series(
     length: int,
     known: np.ndarray | None = None,
 ) -> ChannelSeries:
-    """The responses over a number of samples; only the channel of z has a constant force.
+    """The responses of a channel, sample by sample. Only the channel of z has a constant force.
 
-    ``known`` is what is known of the start, (n, axes).
+    All columns (inputs, the deviation from the equilibrium, starts, the known start) go through the sampled channel
+    together.
+
+    Args:
+        problem: The vehicle.
+        channel: The channel.
+        linear: Its linear plant.
+        slopes: The slopes of its functions.
+        length: Number of samples.
+        known: What is known of the start, (n, axes); None: nothing.
     """
     seen = seen_channel(problem, channel, linear, slopes)
     a = seen.step.a
     n = a.shape[0]
+    rows = seen.rows.shape[0]
     equilibrium = np.linalg.solve(np.eye(n) - a, seen.held)
-    added = np.zeros((n, 1)) if known is None else known
-    z = np.column_stack([seen.columns, -equilibrium, *start_columns(problem, channel, n, slopes), added])
-    inputs = seen.columns.shape[1]
-    answers = np.zeros((length, seen.rows.shape[0], z.shape[1]))
+    starts = start_columns(problem, channel, n, slopes)
+    known_start = np.zeros((n, 1)) if known is None else known
+
+    columns = np.column_stack([seen.columns, -equilibrium, *starts, known_start])
+    answers = np.zeros((length, rows, columns.shape[1]))
     for k in range(length):
-        answers[k] = seen.rows @ z
-        z = a @ z
-    effects = np.zeros((length, seen.rows.shape[0], 2 + len(linear.b)))
-    effects[0] = seen.direct.reshape(seen.rows.shape[0], -1)
-    effects[1:] = over_sample(np.abs(answers[:-1, :, :inputs]), seen.pieces, problem.sample_time)
-    constant = answers[..., inputs] + seen.rows @ equilibrium + seen.within
-    if channel is not problem.channels["z"]:
-        constant = np.zeros(constant.shape)
-    begun = np.abs(answers[..., inputs + 4 :]).reshape(length, len(POINTS), len(seen.names), -1)
-    by_known = of_axes(begun, seen.names).reshape(length, -1)
-    return ChannelSeries(effects, constant, answers[..., inputs + 1 : inputs + 4], by_known)
+        answers[k] = seen.rows @ columns
+        columns = a @ columns
+    inputs = seen.columns.shape[1]
+    of_inputs, of_constant, of_starts, of_known = np.split(
+        answers, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
+    )
+
+    effects = np.zeros((length, rows, 2 + len(linear.b)))
+    effects[0] = seen.direct.reshape(rows, -1)
+    effects[1:] = over_sample(np.abs(of_inputs[:-1]), seen.pieces, problem.sample_time)
+    constant = np.zeros((length, rows))
+    if channel is problem.channels["z"]:
+        constant = of_constant[..., 0] + seen.rows @ equilibrium + seen.within
+    along_axes = np.abs(of_known).reshape(length, len(POINTS), len(seen.names), -1)
+    by_known = of_axes(along_axes, seen.names).reshape(length, -1)
+    return ChannelSeries(effects, constant, of_starts, by_known)
 
 
 def trapezoid(values: list[np.ndarray]) -> np.ndarray:
@@ -215,7 +231,7 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
 
 
 def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
-    """What an input 1 through a column adds to chi within a time."""
+    """The change of chi that an input 1 through a column causes within a time."""
     return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
 
 

@@ -174,13 +174,14 @@ def flow(channel: Channel, time: arb) -> arb_mat:
 
 
 def forced(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
-    """The integral of e^(A_c r) b over a time, (n, 1)."""
+    """The integral of e^(A_c r) b for r from 0 to a time, (n, 1): the last column of exp([[A_c, b], [0, 0]] time)."""
     n = channel.order
-    f = channel.generator.tolist()
+    a = channel.generator.tolist()
     b = column.tolist()
-    generator = arb_mat([[*f[i][:n], b[i][0]] for i in range(n)] + [[arb(0)] * (n + 1)])
-    held = (generator * time).exp().tolist()
-    return arb_mat([[held[i][n]] for i in range(n)])
+    rows = [[*a[i][:n], b[i][0]] for i in range(n)]
+    rows.append([arb(0)] * (n + 1))
+    exponential = (arb_mat(rows) * time).exp().tolist()
+    return arb_mat([[exponential[i][n]] for i in range(n)])
 
 
 def sampled_channel(

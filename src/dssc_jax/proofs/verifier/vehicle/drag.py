@@ -1,6 +1,6 @@
 """Suprema of the drag less its damping, |-x r + c v| with r = v - w, under bounds of v and of the wind w.
 
-x is between k |r|/M_+ and X(|r|) = k (|r|^2 + Z^2)^(1/2)/M_- + x_0.
+x is between k |r|/M_+ and X(|r|) = k (|r|^2 + V^2)^(1/2)/M_- + x_0, where V is V_z in the plane and V_h along z.
 """
 
 from typing import NamedTuple
@@ -19,13 +19,13 @@ class DragRegion(NamedTuple):
     """Bounds of the motion, and the drag.
 
     Args:
-        speed: Bound V of |v| [m/s].
+        speed: Bound a_max of |v| [m/s].
         wind: Bound W of |w| [m/s].
         damping: c [1/s].
         drag: k [N s^2/m^2].
         mass_low: M_- [kg].
         mass_high: M_+ [kg].
-        across: Z, the bound of the air's speed in the other directions [m/s].
+        across: Bound of the air's speed across v: V_z in the plane, V_h along z [m/s].
         by_rotors: x_0, the propellers' share [1/s].
     """
 
@@ -50,8 +50,8 @@ def vertical_drag(region: DragRegion) -> arb:
     By symmetry v = a >= 0, so r is between a - W and a + W.
 
     * r < 0, b = -r: |-x r + c v| = x b + c a, largest at b = W - a and x = X(b). This is convex in a, as X(b) b is
-      convex in b; so its largest value over 0 <= a <= min(V, W) is at an end.
-    * r >= 0, x r - c a: largest at r = a + W and x = X(r), convex in a, so at a = 0, as above, or at a = V.
+      convex in b; so its largest value over 0 <= a <= min(a_max, W) is at an end.
+    * r >= 0, x r - c a: largest at r = a + W and x = X(r), convex in a, so at a = 0, as above, or at a = a_max.
     * r >= 0, c a - x r: largest at the smallest r and x. If a <= W, r = 0 and c a is less than in the first case. Else
       it is c a - k (a - W)^2/M_+, which rises until a - W = c M_+/(2 k), to c W + c^2 M_+/(4 k).
     """

@@ -1,7 +1,7 @@
 """The nominal flight of a moving reference: the periodic answer of the linear channels to sums of sines, in balls.
 
-For every frequency f = 1/T_f a sampled channel has the answer Z e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z = D,
-where D is what drives the channel within a sample; Z_f and D_f of the page. A signal at the time t_k + s is the real
+For every frequency f = 1/T_f a sampled channel has the answer Z_f e^(2 pi i f t_k) with (e^(2 pi i f T_s) - A) Z_f =
+D_f, where D_f is what drives the channel within a sample. A signal at the time t_k + s is the real
 part of X(s) e^(2 pi i f t_k).
 """
 
@@ -36,7 +36,7 @@ Phasors = dict[str, list[acb]]
 
 
 class Course(NamedTuple):
-    """What the nominal flight of an axis follows from.
+    """The inputs of an axis from which its nominal flight follows.
 
     Args:
         reference: y_m without its constant.
@@ -74,8 +74,8 @@ class Coupling(NamedTuple):
         wanted: G_a, of |a_h - alpha_0|.
         lift: G_z, of |a_z - z_m''|.
         yaw: G_psi, of |psi' - psi_m'|.
-        lift_known: Z_m, of |z_m''|.
-        yaw_known: P_m, of |psi_m'|.
+        lift_known: A_m, of |z_m''|.
+        yaw_known: Psi_m, of |psi_m'|.
     """
 
     alpha: arb
@@ -117,7 +117,7 @@ def body_bounds(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) 
 
 
 def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) -> Coupling | None:
-    """What couples the channels under bounds of what the signals differ by; None without a reference."""
+    """Bounds of the coupling of the channels, from bounds of the deviation; None without a reference."""
     if flight is None:
         return None
     return Coupling(
@@ -131,7 +131,7 @@ def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]
 
 
 def courses_of(problem: VehicleProblem, name: str, damping: arb) -> list[Course]:
-    """What the flight of each axis of a channel follows from; ``damping`` is c of x."""
+    """The inputs of each axis of a channel; ``damping`` is c of x."""
     sines = problem["reference"]
     assert sines is not None
     references = {axis: sine_wave(sines[axis]) for axis in sines}
@@ -200,7 +200,7 @@ class Answer(NamedTuple):
     """The answer to one frequency.
 
     Args:
-        state: The real part of Z, (m, 1).
+        state: The real part of Z_f, (m, 1).
         phasors: X at the phases, by signal.
         slopes: A ball of the derivative of X over the whole sample, by signal.
     """
@@ -267,7 +267,7 @@ def answer_of(
 
 
 def steady_state(a: arb_mat, turned: acb, drive: Sequence[acb], name: str) -> acb_mat:
-    """Z with (turned - A) Z = drive."""
+    """Z_f with (turned - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
     m = a.nrows()
     matrix = acb_mat([[(turned if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
     try:
@@ -322,7 +322,7 @@ def start_ratio(problem: VehicleProblem, name: str, proof: MiddleProof) -> arb:
 
 
 def unknown_turn(problem: VehicleProblem, name: str) -> arb:
-    """What the reference adds to |sigma_0|: |psi_m'| at t = 0."""
+    """The increase of |sigma_0| by the reference: |psi_m'| at t = 0."""
     sines = problem["reference"]
     if sines is None or name != "psi":
         return arb(0)

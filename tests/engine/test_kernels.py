@@ -7,7 +7,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
-from dssc_jax.engine import forms
+from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import Engine, computing, drawn
 from tests.conftest import UNCERTAIN
 from tests.lanes.test_exactness import REFUSED
@@ -37,13 +37,13 @@ def test_a_diverged_draw_ends_alike():
 
 
 def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
-    monkeypatch.delenv(forms.KERNEL_VARIABLE, raising=False)
-    assert forms.requested() == "lanes"
-    assert not any(forms.KERNEL_VARIABLE in flag for flag in computing()["compiler"])
-    monkeypatch.setenv(forms.KERNEL_VARIABLE, "strict")
+    monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
+    assert kernels.requested() == "lanes"
+    assert not any(kernels.KERNEL_VARIABLE in flag for flag in computing()["compiler"])
+    monkeypatch.setenv(kernels.KERNEL_VARIABLE, "strict")
     assert Engine(axis(), 8).kernel == "strict"
     assert Engine(axis(), 8, kernel="scan").kernel == "scan"
-    assert f"{forms.KERNEL_VARIABLE}=strict" in computing()["compiler"]
+    assert f"{kernels.KERNEL_VARIABLE}=strict" in computing()["compiler"]
     with pytest.raises(
         ConfigError, match=r"kernel: must be lanes, strict, scan, gpu or gpu-strict, got 'scam'; did you mean 'scan'\?"
     ):
@@ -51,17 +51,17 @@ def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
 
 
 def test_a_gpu_advances_sample_by_sample(monkeypatch):
-    monkeypatch.delenv(forms.KERNEL_VARIABLE, raising=False)
+    monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert forms.requested() == "scan"
+    assert kernels.requested() == "scan"
 
 
 @pytest.mark.parametrize("name", [name for name in REFUSED if name != "algorithm"])  # XLA refuses that here, too
 def test_what_is_not_exact_runs_as_plain_xla(name):
     lane, reason = REFUSED[name]
     x = np.linspace(-2.0, 2.0, 21)
-    with pytest.warns(forms.KernelWarning, match=f"no machine code for .*{reason}"):
-        start = forms.compiled("lanes", lane, ["a"], len(x), None, None)
+    with pytest.warns(kernels.KernelWarning, match=f"no machine code for .*{reason}"):
+        start = kernels.compiled("lanes", lane, ["a"], len(x), None, None)
     results = start({"a": x}, np.arange(len(x)))()[0]
     expected = jax.vmap(lambda a: lane({"a": a}, 0))(x)
     for key in expected:
@@ -70,6 +70,6 @@ def test_what_is_not_exact_runs_as_plain_xla(name):
 
 def test_what_has_no_translation_runs_as_plain_xla():
     x = np.linspace(-2.0, 2.0, LANES)
-    with pytest.warns(forms.KernelWarning, match="no machine code for 'sort' in sorts"):
-        start = forms.compiled("lanes", sorts, ["a"], LANES, None, None)
+    with pytest.warns(kernels.KernelWarning, match="no machine code for 'sort' in sorts"):
+        start = kernels.compiled("lanes", sorts, ["a"], LANES, None, None)
     np.testing.assert_array_equal(start({"a": x}, np.arange(LANES))()[0]["largest"], np.maximum(x, 1.0))

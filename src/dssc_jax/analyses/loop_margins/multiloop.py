@@ -1,0 +1,148 @@
+"""The disk margin of all loops at once: every channel's command is perturbed, each by a factor of its own.
+
+With G(z) from the signals added at all commands to the commands before the sums, and factors
+f_i = (1 + delta_i/2)/(1 - delta_i/2), the loop is singular where I - (G + I/2) Delta is. So the multiloop disk margin
+is the inverse of the largest structured singular value of G + I/2 over frequency.
+
+Reference:
+    P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, scaled_norms, upper_bounds
+from dssc_jax.closed_loop.break_points import BreakPoint, place_names
+from dssc_jax.engine.linearisation.operating_points import Operating, closure
+from dssc_jax.engine.linearisation.response import golden, grid_with_poles, own_grids
+
+MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened
+REFINED_PEAKS = 2  # of these, around which the largest bound is looked for
+
+
+class MultiloopMargins(NamedTuple):
+    """The disk margins of all loops at once, of all draws; NaN for a draw without a stable loop.
+
+    Args:
+        channels: The channels whose commands have an effect.
+        guaranteed: alpha that is guaranteed at all frequencies looked at, shape (draws,).
+        found: alpha of a perturbation that makes the loop singular, shape (draws,).
+        frequency: The critical frequency [rad/s], shape (draws,).
+        factors: The factors of that perturbation, shape (draws, channels).
+    """
+
+    channels: tuple[str, ...]
+    guaranteed: np.ndarray
+    found: np.ndarray
+    frequency: np.ndarray
+    factors: np.ndarray
+
+
+class JointLoops:
+    """Closed loops with inputs and outputs at several break points.
+
+    Args:
+        a: Shape (n, states, states).
+        b: Shape (n, states, channels).
+        c: Shape (n, channels, states).
+    """
+
+    def __init__(self, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+        self.a = a
+        self.b = b
+        self.c = c
+
+    def at(self, angles: np.ndarray) -> np.ndarray:
+        """G + I/2 at angles of shape (n, m), shape (n, m, channels, channels)."""
+        identity = np.eye(self.a.shape[-1])
+        responses = []
+        for theta in angles.T:
+            matrix = np.exp(1j * theta)[:, None, None] * identity - self.a
+            responses.append(self.c @ np.linalg.solve(matrix, self.b))
+        return np.stack(responses, axis=1) + 0.5 * np.eye(self.b.shape[-1])
+
+
+def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time: float) -> MultiloopMargins | None:
+    """The disk margins of all loops at once; None if fewer than two commands have an effect.
+
+    Args:
+        channels: Names of the channels.
+        operating: Matrices of all draws.
+        sample_time: T_s [s].
+    """
+    names = place_names(channels)
+    places = np.array([names.index(f"{channel} {BreakPoint.INPUT}".strip()) for channel in channels])
+    matrices = operating.matrices
+    reached = operating.reached
+    influences = np.any(matrices.a[reached] != 0.0, axis=0)
+    forward = [closure(np.any(matrices.b[reached][:, :, p] != 0.0, axis=0), influences.T) for p in places]
+    backward = [closure(np.any(matrices.c[reached][:, p] != 0.0, axis=0), influences) for p in places]
+    kept = [ahead & behind for ahead, behind in zip(forward, backward, strict=True)]
+    effective = [i for i, states in enumerate(kept) if states.any()]
+    if len(effective) < 2:
+        return None
+    states = np.flatnonzero(
+        np.any([forward[i] for i in effective], axis=0) & np.any([backward[i] for i in effective], axis=0)
+    )
+    points = places[effective]
+    stable = np.flatnonzero(reached)
+    poles = np.linalg.eigvals(matrices.a[np.ix_(stable, states, states)])
+    inside = np.max(np.abs(poles), axis=1) < 1.0
+    stable, poles = stable[inside], poles[inside]
+    draws = len(reached)
+    margins = MultiloopMargins(
+        tuple(channels[i] for i in effective),
+        *(np.full(draws, np.nan) for _ in range(3)),
+        np.full((draws, len(effective)), np.nan, complex),
+    )
+    if not stable.size:
+        return margins
+    loops = JointLoops(
+        matrices.a[np.ix_(stable, states, states)],
+        matrices.b[np.ix_(stable, states, points)],
+        matrices.c[np.ix_(stable, points, states)],
+    )
+    angles = grid_with_poles(own_grids(poles), poles)
+    place, largest = peak(loops, angles)
+    responses = loops.at(place[:, None])[:, 0]
+    lower, diagonals = lower_bounds(responses)
+    margins.guaranteed[stable] = 1.0 / largest
+    margins.found[stable] = 1.0 / lower
+    margins.frequency[stable] = place / sample_time
+    margins.factors[stable] = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)
+    return margins
+
+
+def peak(loops: JointLoops, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and value of the largest upper bound of mu, each of shape (n,).
+
+    Args:
+        loops: The loops.
+        angles: Ascending angles at which a peak is looked for, shape (n, m).
+    """
+    responses = loops.at(angles)
+    count, columns, channels, _ = responses.shape
+    flat = responses.reshape(-1, channels, channels)
+    rough = scaled_norms(flat, balanced(flat))[0].reshape(count, columns)
+    padded = np.pad(rough, ((0, 0), (1, 1)), constant_values=-np.inf)
+    is_top = (rough >= padded[:, :-2]) & (rough >= padded[:, 2:])
+    tops = np.argsort(-np.where(is_top, rough, 0.0), axis=1)[:, :MOST_PEAKS]
+    picked = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
+    sharp = upper_bounds(picked).reshape(count, -1)
+    order = np.argsort(-sharp, axis=1)[:, :REFINED_PEAKS]
+    candidates = np.take_along_axis(tops, order, 1)
+    places = [np.take_along_axis(angles, candidates, 1)]
+    values = [np.take_along_axis(sharp, order, 1)]
+    for column in candidates.T:
+        at = column[:, None]
+        low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)
+        high = np.take_along_axis(angles, np.minimum(at + 1, columns - 1), 1)
+        place, value = golden(lambda theta: upper_bounds(loops.at(theta)[:, 0])[:, None], low, high)
+        places.append(place)
+        values.append(value)
+    all_values = np.concatenate(values, axis=1)
+    best = np.argmax(all_values, axis=1)[:, None]
+    angle = np.take_along_axis(np.concatenate(places, axis=1), best, 1)[:, 0]
+    return angle, np.take_along_axis(all_values, best, 1)[:, 0]

@@ -1,0 +1,156 @@
+"""``probability``: a failure probability to a width, by as few simulations as a prediction of failures allows."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Self
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.defaults import MOST_STRATIFIED, WIDTH
+from dssc_jax.analyses.probability.strata import StratifiedEstimate, stratified_probability
+from dssc_jax.closed_loop.requirements import worst_slack
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.engine.batching import Engine, evaluate
+from dssc_jax.engine.sampling import values_at
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.statistics import CONFIDENCE, draws_as_narrow
+from dssc_jax.study import Study, takes_file
+
+LANES = 2048  # of a batch
+
+
+@dataclass(frozen=True)
+class ProbabilityAnswer:
+    """A failure probability, its interval and its cost."""
+
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    probability: Annotated[float, Quantity("1", "failure probability")]
+    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    confidence: Annotated[float, Quantity("1", "confidence of the interval")]
+    width: Annotated[float, Quantity("1", "width of the interval that was asked for")]
+    reached: Annotated[bool, Quantity("", "whether the interval is no wider")]
+    simulations: Annotated[int, Quantity("1", "number of simulations, with those of the prediction")]
+    plain_draws: Annotated[int, Quantity("1", "plain draws that an interval as narrow takes")]
+    edges: Annotated[np.ndarray, Quantity("1", "predicted slacks between the strata, scaled")]
+    weights: Annotated[np.ndarray, Quantity("1", "probability of each stratum")]
+    draws: Annotated[np.ndarray, Quantity("1", "draws of each stratum")]
+    failures: Annotated[np.ndarray, Quantity("1", "draws of each stratum that failed")]
+
+
+@dataclass(eq=False)
+class FailureProbability(Analysis):
+    """The failure probability of a study, from strata along a predicted border of failure.
+
+    Along ``stratum``, the dataset has ``draws``, ``failures`` and the ``upper`` edge of each stratum; along ``net`` and
+    ``stratum``, the stratum's probability, ``weight``.
+
+    Args:
+        width: Width of the interval that was asked for.
+        simulations: Number of simulations, with those of the prediction.
+    """
+
+    kind = "probability"
+    title = "Failure probability"
+    table = ("stratum",)
+
+    width: float
+    simulations: int
+
+    @classmethod
+    def of(cls, study: Study, width: float, estimate: StratifiedEstimate) -> Self:
+        """Create the analysis from an estimate."""
+        upper = np.append(estimate.edges, np.inf)
+        columns = {
+            "upper": ("stratum", upper, {"units": "1", "long_name": "upper edge of the predicted slack, scaled"}),
+            "draws": ("stratum", estimate.draws, {"units": "1", "long_name": "number of draws"}),
+            "failures": ("stratum", estimate.failures, {"units": "1", "long_name": "draws that failed"}),
+            "weight": (("net", "stratum"), estimate.weights, {"units": "1", "long_name": "probability of the stratum"}),
+        }
+        return cls(study, xr.Dataset(columns, attrs={"title": study.name}), width, estimate.simulations)
+
+    @cached_property
+    def estimate(self) -> StratifiedEstimate:
+        """The probability and how it was estimated."""
+        data = self.dataset
+        return StratifiedEstimate(
+            self.simulations,
+            data["weight"].values,
+            data["failures"].values,
+            data["draws"].values,
+            data["upper"].values[:-1],
+        )
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        low, high = self.estimate.interval()
+        return f"failure probability {self.estimate.probability:.4g} in [{low:.4g}, {high:.4g}]"
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.strata(self)
+
+    @property
+    def answer(self) -> ProbabilityAnswer:
+        """The numbers that summary.json holds."""
+        estimate = self.estimate
+        low, high = estimate.interval()
+        return ProbabilityAnswer(
+            requirements=tuple(requirement.text for requirement in self.study.requirements),
+            probability=estimate.probability,
+            interval=(low, high),
+            confidence=CONFIDENCE,
+            width=self.width,
+            reached=high - low <= self.width,
+            simulations=estimate.simulations,
+            plain_draws=draws_as_narrow(estimate.probability, high - low),
+            edges=estimate.edges,
+            weights=estimate.weights.mean(axis=0),
+            draws=estimate.draws,
+            failures=estimate.failures,
+        )
+
+
+@takes_file
+def probability(
+    study: Study, width: float = WIDTH, most: int = MOST_STRATIFIED, progress: ProgressCallback | None = None
+) -> FailureProbability:
+    """Estimate a study's failure probability at its own values.
+
+    A pilot of plain draws predicts where draws fail. Further draws are spent where the prediction is in doubt. The
+    interval holds however bad the prediction is.
+
+    Args:
+        study: The study, or its file; its sweep, its number of draws and its ``sampling`` are ignored.
+        width: Upper minus lower limit at which the number of draws aims, in (0, 1).
+        most: Largest number of draws in the strata, which may leave the interval wider.
+        progress: Called with the simulations done; the total is not known beforehand.
+
+    Raises:
+        ConfigError: A number is out of range, the study has no requirements, or nothing is uncertain.
+    """
+    study = study.without_sweep()
+    if not 0.0 < width < 1.0 or most < 1000:
+        raise ConfigError("probability", f"needs width in (0, 1) and most >= 1000, got {width:g} and {most}")
+    if not study.requirements:
+        raise ConfigError(study.source, "probability needs at least one [[requirement]], whose slack it predicts")
+    if not study.laws:
+        raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
+    engine = Engine(study, LANES)
+    finished = 0
+
+    def slacks(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        nonlocal finished
+        results = evaluate(engine, values_at(study, points), noise)
+        finished += len(points)
+        if progress:
+            progress(finished, None)
+        return worst_slack(study.requirements, results)
+
+    estimate = stratified_probability(slacks, len(study.laws), (study.config.seed,), width, most)
+    return FailureProbability.of(study, width, estimate)

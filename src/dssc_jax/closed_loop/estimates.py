@@ -1,0 +1,48 @@
+"""The estimate on board of a plant: when it starts, when it is renewed, and what the controllers measure of it."""
+
+import jax
+
+from dssc_jax.closed_loop.control import measure
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.estimation import Estimation
+from dssc_jax.core.signals import Measurements, PlantInput, ReferencePoints, Scalar, Signals, State
+
+
+def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
+    """The estimation that the plant's parameters choose; None: the controllers see the true state."""
+    estimation = loop.mimo_plant.estimation
+    return estimation if estimation is not None and estimation.chosen(params.plant) else None
+
+
+def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
+    """The plant's state with the error of the first estimate, and the estimator's memory; () without one."""
+    estimation = estimation_of(loop, params)
+    if estimation is None:
+        return plant, ()
+    return estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
+
+
+def renewed_estimate(
+    loop: Loop, params: LoopParams, key: jax.Array, plant: State, memory: State, k: Scalar
+) -> tuple[State, State]:
+    """The plant's state with the error of the estimate at sample k, and the estimator's memory."""
+    estimation = estimation_of(loop, params)
+    if estimation is None:
+        return plant, memory
+    fresh = jax.random.fold_in(loop.key(key, "estimator"), k)
+    return estimation.step(params.plant, plant, memory, fresh, k, loop.sample_time)
+
+
+def seen_measurements(
+    loop: Loop,
+    params: LoopParams,
+    plant: State,
+    references: ReferencePoints,
+    drive: PlantInput[Signals],
+    exact: Measurements,
+) -> Measurements:
+    """What the sensors of the channels see: the estimate, or the exact measurements without an estimator."""
+    estimation = estimation_of(loop, params)
+    if estimation is None:
+        return exact
+    return measure(loop, params, estimation.seen(params.plant, plant), references, drive)

@@ -1,0 +1,27 @@
+"""Estimation on board of a plant: at each sample it gives the controllers an estimate in place of the true state."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+
+from dssc_jax.core.signals import Params, Scalar, State
+
+
+class Estimation(NamedTuple):
+    """Sensors and an estimator that are part of a plant.
+
+    The error of the estimate at a sample is part of the plant's state, and constant until the next sample: between two
+    samples the software on board sees the true state with this error.
+
+    Args:
+        chosen: ``(params) -> bool``: whether the parameters choose an estimator.
+        start: ``(params, state, key) -> (state, memory)`` at t = 0.
+        step: ``(params, state, memory, key, k, dt) -> (state, memory)`` at sample k > 0.
+        seen: ``(params, state) -> state``: the state as the controllers see it.
+    """
+
+    chosen: Callable[[Params], bool]
+    start: Callable[[Params, State, jax.Array], tuple[State, State]]
+    step: Callable[[Params, State, State, jax.Array, Scalar, float], tuple[State, State]]
+    seen: Callable[[Params, State], State]

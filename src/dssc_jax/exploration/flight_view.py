@@ -1,0 +1,177 @@
+"""A vehicle's flight in three dimensions over time, with many draws as ghosts, in Bokeh.
+
+The browser projects everything for the time of the slider and the direction of view, without a program behind it.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.events import MouseWheel, Pan
+from bokeh.layouts import column
+from bokeh.layouts import row as side_by_side
+from bokeh.models import ColumnDataSource, CustomJS, Div, LayoutDOM, Range1d, Slider, Toggle
+from bokeh.plotting import figure
+
+from dssc_jax.core import files
+from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun
+from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE, RED
+
+SCRIPT = files.read_text(Path(__file__).with_name("flight_view.js"))
+FRAME = 900, 460  # px
+VIEW = {"azimuth": -1.0, "elevation": 0.45}
+"""Direction from which the flight is seen at first [rad]: from the south-east, above."""
+FLOOR_LINES = 11
+OUTLINE = 0.02  # share of the draws, on each side, that does not set the scale
+LAYERS = ("floor", "ghosts", "points", "marks", "flown", "wanted", "craft")
+LEGEND = (
+    "thin blue: draws that pass; orange: draws that fail, with a cross from the moment on at which that was certain; "
+    "red: the chosen draw, as far as it has flown; dashed: where it should fly. Drag turns the view, the wheel "
+    "magnifies. The vehicle is drawn larger than it is: red arm forward, green up."
+)
+
+
+class FlightView:
+    """The flights of a run over time: the chosen draw with its attitude, all others as ghosts."""
+
+    def __init__(self) -> None:
+        first: dict[str, Any] = {name: [[0.0, 0.0]] for name in PLACE}
+        chosen: dict[str, Any] = {name: [0.0] for name in ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))}
+        view: dict[str, Any] = {name: [value] for name, value in VIEW.items()}
+        view |= {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
+        self.scene = ColumnDataSource(view)
+        self.tracks = ColumnDataSource({**first, "colour": [BLUE], "mark": [-1]})
+        self.one = ColumnDataSource(chosen)
+        self.floor = ColumnDataSource(first)
+        self.shown = {name: ColumnDataSource({"across": [], "upward": [], "colour": []}) for name in LAYERS}
+        self.slider = Slider(start=0.0, end=1.0, value=1.0, step=0.01, title="time [s]", width=FRAME[0] - 120)
+        self.button = Toggle(label="play", width=80)
+        self.title = Div(text="", disable_math=True, width=FRAME[0])
+        self.figure = self._figure()
+        self._connect()
+
+    def _figure(self) -> figure:
+        """An empty figure without axes, whose layers are filled in the browser."""
+        width, height = FRAME
+        plot = figure(
+            frame_width=width,
+            frame_height=height,
+            tools="save",
+            x_range=Range1d(start=-1.0, end=1.0),
+            y_range=Range1d(start=-height / width, end=height / width),
+            output_backend="canvas",
+        )
+        plot.axis.visible = False
+        plot.grid.visible = False
+        plot.toolbar.logo = None
+        shown = self.shown
+        plot.multi_line("across", "upward", source=shown["floor"], color=GREY, alpha=0.25)
+        plot.multi_line("across", "upward", source=shown["ghosts"], color="colour", alpha=0.3)
+        plot.line("across", "upward", source=shown["wanted"], color=DARK, line_dash="dashed", alpha=0.7)
+        plot.scatter("across", "upward", source=shown["points"], color="colour", size=5, alpha=0.8)
+        plot.line("across", "upward", source=shown["flown"], color=RED, line_width=2.5)
+        plot.scatter("across", "upward", source=shown["marks"], marker="x", color=ORANGE, size=12, line_width=3)
+        plot.multi_line("across", "upward", source=shown["craft"], color="colour", line_width=3)
+        return plot
+
+    def _connect(self) -> None:
+        """What the slider, the mouse and new data do in the browser."""
+        models = {"scene": self.scene, "tracks": self.tracks, "one": self.one, "floor": self.floor}
+        arguments = {**models, "slider": self.slider, "shown": self.shown}
+        names = ", ".join(arguments)
+        redraw = CustomJS(args=arguments, code=f"{SCRIPT}\ndraw({{{names}}})")
+        for source in models.values():
+            source.js_on_change("data", redraw)
+        self.slider.js_on_change("value", redraw)
+        turning = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
+        ranges = {"ranges": [self.figure.x_range, self.figure.y_range]}
+        self.figure.js_on_event(Pan, turning)
+        self.figure.js_on_event(MouseWheel, CustomJS(args=ranges, code=f"{SCRIPT}\nmagnify(ranges, cb_obj.delta)"))
+        playing = {"button": self.button, "slider": self.slider}
+        self.button.js_on_change("active", CustomJS(args=playing, code=f"{SCRIPT}\nplay(button, slider)"))
+        self.figure.js_on_change("inner_width", redraw)  # when the page is laid out
+
+    @property
+    def layout(self) -> LayoutDOM:
+        """The view with its slider."""
+        legend = Div(text=LEGEND, disable_math=True, width=FRAME[0])
+        return column(self.title, side_by_side(self.button, self.slider), self.figure, legend)
+
+    def show(self, run: LiveRun, row: int, name: str | None = None) -> None:
+        """Show the draws of a run.
+
+        Args:
+            run: The run.
+            row: Row of the chosen draw, which is shown with its attitude.
+            name: Its name; None: its row.
+        """
+        paths = {axis: shown_values(run.signal(f"{axis}_y")) for axis in PLACE}
+        self._set_scene(paths)
+        marks = [mark_of(run, index) for index in range(run.failed.size)]
+        colours = [ORANGE if failed else BLUE for failed in run.failed]
+        self.tracks.data = {**{axis: list(values) for axis, values in paths.items()}, "colour": colours, "mark": marks}
+        chosen: dict[str, Any] = {"t": run.times}
+        for axis in PLACE:
+            chosen[axis] = paths[axis][row]
+            chosen[f"{axis}_ref"] = shown_values(run.signal(f"{axis}_y_ref")[row])
+        for angle in ATTITUDE:
+            chosen[angle] = run.signal(angle)[row]
+        end = float(run.times[-1])
+        place = end if self.slider.value >= self.slider.end else min(self.slider.value, end)
+        self.slider.update(end=end, step=end / max(len(run.times) - 1, 1), value=place)
+        self.one.data = chosen
+        verdict = "fails" if run.failed[row] else "passes"
+        self.title.text = f"{run.failed.size} flights; draw {name or row} {verdict}"
+
+    def _set_scene(self, paths: dict[str, np.ndarray]) -> None:
+        """Centre and scale from nearly all draws, so that one that flies away does not set them; the floor below."""
+        lows, highs = [], []
+        for values in paths.values():
+            known = values[np.isfinite(values)]
+            low, high = np.quantile(known, [OUTLINE, 1.0 - OUTLINE]) if known.size else (0.0, 0.0)
+            lows.append(float(low))
+            highs.append(float(high))
+        extent = [high - low for low, high in zip(lows, highs, strict=True)]
+        span = 0.6 * max(*extent, 0.5)
+        centre = [0.5 * (low + high) for low, high in zip(lows, highs, strict=True)]
+        view: dict[str, Any] = {name: self.scene.data[name] for name in VIEW}
+        places = {f"c{axis}": [value] for axis, value in zip(PLACE, centre, strict=True)}
+        self.scene.data = {**view, **places, "span": [span]}
+        width, height = FRAME
+        half = 1.1 * span
+        self.figure.x_range.update(start=-half * width / height, end=half * width / height)
+        self.figure.y_range.update(start=-half, end=half)
+        self.floor.data = floor_lines(centre, lows[2], span)
+
+
+def mark_of(run: LiveRun, draw: int) -> int:
+    """The sample at which the failure of a draw was certain: its end, or the first violation; -1 of one that passes."""
+    if not run.failed[draw]:
+        return -1
+    moments = [float(run.results["failed_at"][draw])]
+    for requirement in run.study.requirements:
+        moments.append(float(run.results[requirement.violation_name][draw]))
+    known = [moment for moment in moments if np.isfinite(moment)]
+    place = run.signal("x_y")[draw]
+    last = int(np.flatnonzero(np.isfinite(place))[-1]) if np.isfinite(place).any() else 0
+    return min(last, int(np.searchsorted(run.times, min(known, default=run.times[-1]))))
+
+
+def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:
+    """The lines of a square grid below the flights."""
+    offsets = np.linspace(-1.2 * span, 1.2 * span, FLOOR_LINES).tolist()
+    ends = [offsets[0], offsets[-1]]
+    lines: dict[str, list[list[float]]] = {"x": [], "y": [], "z": []}
+    for offset in offsets:
+        along_x = ([centre[0] + end for end in ends], [centre[1] + offset] * 2)
+        along_y = ([centre[0] + offset] * 2, [centre[1] + end for end in ends])
+        for x, y in (along_x, along_y):
+            lines["x"].append(x)
+            lines["y"].append(y)
+            lines["z"].append([height] * 2)
+    return lines
+
+
+def shown_values(values: np.ndarray) -> np.ndarray:
+    """Values that can be drawn, as float32: the browser receives half as much."""
+    return np.where(np.abs(values) < DRAWABLE, values, np.nan).astype(np.float32)

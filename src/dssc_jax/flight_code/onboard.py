@@ -1,0 +1,140 @@
+"""Sampled software on board of a plant, such as the inner loops with the mixer, traced for its C.
+
+Its numbers are constants of the code: a number with a law that it reads is refused.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import keystr, tree_flatten_with_path
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.core.onboard import Onboard
+from dssc_jax.core.signals import PlantInput, Scalar, State
+from dssc_jax.flight_code.controller import TracedFunction
+from dssc_jax.lanes.c.names import member_names
+from dssc_jax.lanes.tracing.origins import translate_with_origins
+from dssc_jax.lanes.unsupported import Unsupported
+from dssc_jax.study import Study
+
+
+@dataclass(frozen=True)
+class TracedSoftware:
+    """Software on board; every function's inputs are laws, readings, held numbers and commands, in this order.
+
+    Args:
+        prefix: Of its functions and types in C.
+        laws: Names of the study's laws, of which it must read none.
+        readings: Names of what it measures, in C.
+        held: Names of its state in C.
+        commands: Names of its commands in C, one for each channel.
+        start: The held numbers before the first sample.
+        sample: Those after the part that runs at a sample of the loop.
+        tick: Those after a tick.
+        ticks: Ticks in a sample.
+        period: Time between two ticks [s].
+        precision: Bits of a number.
+    """
+
+    prefix: str
+    laws: tuple[str, ...]
+    readings: tuple[str, ...]
+    held: tuple[str, ...]
+    commands: tuple[str, ...]
+    start: TracedFunction
+    sample: TracedFunction
+    tick: TracedFunction
+    ticks: int
+    period: float
+    precision: int
+
+    @property
+    def real(self) -> np.dtype:
+        """The type of its numbers."""
+        return np.dtype(f"float{self.precision}")
+
+
+def without_held(software: Onboard, state: State) -> State:
+    """The plant's state with () in place of what the software holds."""
+    return software.holding(state, ())
+
+
+def names_of(tree: Any) -> tuple[str, ...]:
+    """A name in C for each leaf of a tree."""
+    paths = (keystr(path, simple=True, separator=".") for path, _ in tree_flatten_with_path(tree)[0])
+    return tuple(member_names(path.replace(".", "_") for path in paths))
+
+
+def traced_software(study: Study, name: str) -> TracedSoftware | None:
+    """The software on board of a study's plant; None: the study's plant has none.
+
+    Args:
+        study: The study, without a sweep.
+        name: Its name in C.
+
+    Raises:
+        ConfigError: An operation has no exact form in C.
+    """
+    loop = study.loop
+    software = loop.mimo_plant.software
+    period = None if software is None else software.period(study.template.plant)
+    if software is None or period is None:
+        return None
+    laws = tuple(sorted(study.laws))
+    count = len(loop.channels)
+
+    def params_of(values: Sequence[Scalar]) -> Any:
+        return study.params(dict(zip(laws, values, strict=True))).plant
+
+    def start(values: Sequence[Scalar], readings: State) -> State:
+        return as_arrays(software.start(params_of(values), readings))
+
+    def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
+        drive = PlantInput(commands, (0.0,) * count)
+        state = software.holding(readings, held)
+        return as_arrays(software.held(software.sample(params_of(values), state, drive, loop.sample_time)))
+
+    def tick(values: Sequence[Scalar], readings: State, held: State) -> State:
+        return as_arrays(software.held(software.tick(params_of(values), software.holding(readings, held), period)))
+
+    try:
+        with arithmetic(study.config.loop.precision):
+            number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+            values = (number,) * len(laws)
+            whole = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
+            estimation = loop.mimo_plant.estimation
+            if estimation is not None and estimation.chosen(study.template.plant):
+                whole = jax.eval_shape(lambda at: as_arrays(estimation.seen(study.template.plant, at)), whole)
+            readings = jax.tree.map(lambda leaf: number, without_held(software, whole))
+            held = jax.tree.map(lambda leaf: number, software.held(whole))
+            commands = (number,) * count
+            started = traced(start, values, readings)
+            sampled = traced(sample, values, readings, held, commands)
+            ticked = traced(tick, values, readings, held)
+    except Unsupported as problem:
+        raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
+    labels = member_names(channel or "command" for channel in loop.channels)
+    return TracedSoftware(
+        f"{name}_inner_loop",
+        laws,
+        names_of(readings),
+        names_of(held),
+        tuple(labels),
+        started,
+        sampled,
+        ticked,
+        round(loop.sample_time / period),
+        period,
+        study.config.loop.precision,
+    )
+
+
+def traced(function: Callable[..., State], *shapes: Any) -> TracedFunction:
+    """A function of the software, traced."""
+    program, _, origins = translate_with_origins(function, *shapes)
+    return TracedFunction(program, origins)

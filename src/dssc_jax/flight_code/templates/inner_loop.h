@@ -1,0 +1,39 @@
+@{comment}
+
+#ifndef @{guard}
+#define @{guard}
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What it measures: velocity [m/s] and attitude (a unit quaternion, body to inertial) in an inertial frame with z up,
+ * and the body rate [rad/s] along axes that point forward, left and up. */
+typedef struct {
+    @{readings}
+} @{name}_readings;
+
+/* The commands of the controllers: velocities [m/s] and the rate of yaw [rad/s]. */
+typedef struct {
+    @{commands}
+} @{name}_commands;
+
+/* Its state, with what it commands. */
+typedef struct {
+    @{held}
+} @{name};
+
+/* In hover, from the first readings. Returns 0; 1: a reading is not finite, 2: the state would not be. */
+unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen);
+
+/* At each sample of the controllers, before the first of @{ticks} ticks. Returns 0; or 1 or 2, and keeps the state. */
+unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted);
+
+/* One tick: the commands of the rotors. Returns 0; or 1 or 2, and keeps the state. */
+unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

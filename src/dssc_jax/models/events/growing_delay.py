@@ -1,0 +1,68 @@
+"""A delay of the commands that grows from a time on."""
+
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Unmodelled
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import CommandEvent
+from dssc_jax.core.numerics import dot
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+
+MOST_SAMPLES = 200
+
+
+class GrowingParams(NamedTuple):
+    """The delay is rate times the time since the event, at most ``memory`` samples."""
+
+    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
+    memory: Annotated[
+        float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST_SAMPLES, law=False)
+    ] = 20.0
+
+
+class GrowingState(NamedTuple):
+    """Time of the next sample [s], the last commands, newest first, and what reaches the plant in this sample."""
+
+    t: Scalar
+    commands: tuple[Scalar, ...]
+    delayed: Scalar
+
+
+def prepare(params: GrowingParams) -> GrowingParams:
+    """Require a memory of whole samples; raises ConfigError."""
+    if not float(params.memory).is_integer():
+        raise ConfigError("memory", f"must be a whole number of samples, got {params.memory:g}")
+    return params
+
+
+def init(params: GrowingParams) -> GrowingState:
+    """Commands before t = 0 are zero."""
+    return GrowingState(0.0, (0.0,) * (int(params.memory) + 1), 0.0)
+
+
+def sample(params: GrowingParams, state: GrowingState, command: Scalar, key: jax.Array, dt: Scalar) -> GrowingState:
+    """Store a command. A delay of n + f samples acts through its mean over the sample: (1 - f) u_n + f u_(n+1)."""
+    commands = (command, *state.commands[:-1])
+    samples = jnp.clip(params.rate * (state.t - params.at) / dt, 0.0, params.memory)
+    weights = [jnp.maximum(0.0, 1.0 - jnp.abs(samples - age)) for age in range(len(commands))]
+    return GrowingState(state.t + dt, commands, dot(weights, commands))
+
+
+GROWING_DELAY = CommandEvent(
+    GrowingParams,
+    Unmodelled(
+        GrowingParams,
+        init,
+        step=lambda params, state, command, dt: state,
+        output=lambda params, state, command: state.delayed,
+        sample=sample,
+        held=True,
+    ),
+    "the delay of the commands",
+    prepare,
+)

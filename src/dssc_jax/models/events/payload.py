@@ -1,0 +1,46 @@
+"""A mass that the vehicle picks up, or drops, at a time."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition, Load, VehicleEvent
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+
+class PayloadParams(NamedTuple):
+    """A point mass at a place of the vehicle; dropped where the mass is below 0, as the vehicle's own includes it then.
+
+    Velocity and body rate do not jump: what is picked up moves with the vehicle already.
+    """
+
+    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    mass: Annotated[Scalar, Quantity("kg", "mass that is added; below 0: dropped")]
+    offset: Annotated[tuple[Scalar, ...], Quantity("m", "its place from the centre of mass, body axes")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+
+
+def prepare(params: PayloadParams) -> PayloadParams:
+    """Require a place of three values; raises ConfigError."""
+    if len(params.offset) != 3:
+        raise ConfigError("offset", f"needs three values, got {len(params.offset)}")
+    return params
+
+
+def change(params: PayloadParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
+    """The condition with the mass at its place."""
+    mass = share * params.mass
+    x, y, z = params.offset
+    load = Load(mass, Vec3(x, y, z) * mass, Vec3(x * x, y * y, z * z) * mass, Vec3(y * z, z * x, x * y) * mass)
+    if condition.load is not None:
+        total, first, square, product = condition.load
+        load = Load(total + load.mass, first + load.first, square + load.square, product + load.product)
+    return condition._replace(load=load)
+
+
+PAYLOAD = VehicleEvent(PayloadParams, change, "mass, centre of mass and inertia", prepare)

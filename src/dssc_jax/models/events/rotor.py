@@ -1,0 +1,51 @@
+"""A rotor that gives a share of its thrust from a time on, or none."""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition, VehicleEvent
+from dssc_jax.core.numerics import is_known
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+
+AT = Quantity("s", "time of the event", at_least=0.0)
+UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0)
+
+
+class RotorParams(NamedTuple):
+    """The rotor, as trajectories count it (``rotor_1`` is the first), and the share of thrust that it keeps.
+
+    It turns at the root of that share of its speed, so that thrust, drag torque, drag and gyroscopic torque follow.
+    """
+
+    at: Annotated[Scalar, AT]
+    rotor: Annotated[Scalar, Quantity("1", "number of the rotor, 1 is the first", at_least=1.0)]
+    effectiveness: Annotated[Scalar, Quantity("1", "share of its thrust that it keeps", at_least=0.0, at_most=1.0)] = (
+        0.0
+    )
+    until: Annotated[Scalar | None, UNTIL] = None
+
+
+def prepare(params: RotorParams) -> RotorParams:
+    """Require whole numbers of rotors; raises ConfigError."""
+    if any(not end.is_integer() for end in extent(params.rotor)):
+        raise ConfigError("rotor", "must be a whole number, or a choice of them")
+    return params
+
+
+def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
+    """The condition with less of a rotor's thrust."""
+    before = condition.effectiveness or (1.0,) * rotors
+    remaining = 1.0 - share * (1.0 - params.effectiveness)
+    after = []
+    for index, value in enumerate(before, start=1):
+        if is_known(params.rotor):
+            after.append(value * remaining if round(float(params.rotor)) == index else value)
+        else:
+            after.append(jnp.where(jnp.abs(params.rotor - index) < 0.5, value * remaining, value))
+    return condition._replace(effectiveness=tuple(after))
+
+
+ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor", prepare)

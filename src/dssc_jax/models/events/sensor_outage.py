@@ -1,0 +1,50 @@
+"""A sensor that shows its last reading for a while."""
+
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Sensor
+from dssc_jax.core.events import SensorEvent, Wrapped
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Measurement, Scalar, State
+
+ROUNDING = 1e-9  # samples
+
+
+class OutageParams(NamedTuple):
+    """When the sensor freezes, and for how long."""
+
+    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
+
+
+class OutageState(NamedTuple):
+    """State of the sensor, and its last reading."""
+
+    inner: State
+    shown: Measurement
+
+
+def wrap(sensor: Sensor) -> Sensor:
+    """The sensor with an outage: at a sample in [at, at + duration) it shows what it showed before."""
+
+    def init(params: Wrapped, measurement: Measurement, key: jax.Array) -> OutageState:
+        inner = sensor.init(params.inner, measurement, key)
+        return OutageState(inner, Measurement(measurement.y, measurement.y_dot))
+
+    def step(
+        params: Wrapped, state: OutageState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    ) -> tuple[OutageState, Measurement]:
+        inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
+        since = t - params.event.at + ROUNDING * dt
+        frozen = (since >= 0.0) & (since < params.event.duration)
+        y = jnp.where(frozen, state.shown.y, reading.y)
+        y_dot = jnp.where(frozen, state.shown.y_dot, reading.y_dot)
+        return OutageState(inner, Measurement(y, y_dot)), reading._replace(y=y, y_dot=y_dot)
+
+    return Sensor(Wrapped, init, step)
+
+
+SENSOR_OUTAGE = SensorEvent(OutageParams, wrap, "the reading of a sensor")

@@ -1,0 +1,26 @@
+"""A voltage that falls from a time on, and with it the speed of all rotors."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.events import Condition, VehicleEvent
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+
+
+class SagParams(NamedTuple):
+    """The share of the voltage that remains. Rotors turn at that share of their speed: thrust falls with its square."""
+
+    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    voltage: Annotated[Scalar, Quantity("1", "share of the voltage that remains", above=0.0, at_most=1.5)]
+    rise: Annotated[Scalar | None, Quantity("s", "time in which it falls; absent: at once", above=0.0)] = None
+    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+
+
+def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
+    """The condition with less voltage."""
+    remaining = 1.0 - share * (1.0 - params.voltage)
+    before = condition.voltage
+    return condition._replace(voltage=remaining if before is None else before * remaining)
+
+
+VOLTAGE_SAG = VehicleEvent(SagParams, change, "the voltage of all rotors")

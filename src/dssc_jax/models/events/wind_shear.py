@@ -1,0 +1,35 @@
+"""A wind that changes with height, from a time on."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import Condition, Shear, VehicleEvent
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+
+
+class ShearParams(NamedTuple):
+    """The wind of the study, and gradient times the height of the vehicle above ``height``."""
+
+    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
+    height: Annotated[Scalar, Quantity("m", "height z at which the shear adds nothing")] = 0.0
+    rise: Annotated[Scalar | None, Quantity("s", "time in which it sets in; absent: at once", above=0.0)] = None
+    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+
+
+def prepare(params: ShearParams) -> ShearParams:
+    """Require a gradient of three values; raises ConfigError."""
+    if len(params.gradient) != 3:
+        raise ConfigError("gradient", f"needs three values, got {len(params.gradient)}")
+    return params
+
+
+def change(params: ShearParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
+    """The condition with the shear."""
+    shear = Shear(Vec3(*params.gradient) * share, params.height)
+    return condition._replace(shears=(*condition.shears, shear))
+
+
+WIND_SHEAR = VehicleEvent(ShearParams, change, "the wind over height", prepare)

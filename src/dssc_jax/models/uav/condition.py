@@ -1,0 +1,27 @@
+"""What events have made of the vehicle: speeds of its rotors, and the wind at its height."""
+
+from dssc_jax.core.events import Condition
+from dssc_jax.core.numerics import root_abs
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.rotors import RotorMotion
+
+
+def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
+    """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
+    if condition is None or (not condition.effectiveness and condition.voltage is None):
+        return motion
+    voltage = 1.0 if condition.voltage is None else condition.voltage
+    shares = condition.effectiveness or (1.0,) * len(motion.speeds)
+    factors = [root_abs(share) * voltage for share in shares]
+    speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
+    if not motion.accelerations:
+        return RotorMotion(speeds, ())
+    return RotorMotion(speeds, tuple(f * w for f, w in zip(factors, motion.accelerations, strict=True)))
+
+
+def wind_at(wind: Vec3, height: Scalar, condition: Condition | None) -> Vec3:
+    """The wind at a height, with the shears of the condition [m/s]."""
+    for shear in condition.shears if condition is not None else ():
+        wind = wind + shear.gradient * (height - shear.height)
+    return wind

@@ -1,0 +1,38 @@
+"""Estimators of a vehicle, from the readings of its sensors to what its controllers see: one file each."""
+
+from typing import NamedTuple, Protocol, TypeVar
+
+from dssc_jax.core.registry import Registry, single
+from dssc_jax.core.signals import Scalar
+from dssc_jax.models.uav.estimators.complementary import ComplementaryFilter
+from dssc_jax.models.uav.estimators.kalman import KalmanFilter
+from dssc_jax.models.uav.estimators.sensors import Motion, Random
+
+M = TypeVar("M")
+
+
+class Estimator(Protocol[M]):
+    """Parameters of an estimator with its functions; its memory has the fields of :class:`Motion`."""
+
+    def start(self, motion: Motion, random: Random) -> M:
+        """The memory at t = 0."""
+        ...
+
+    def step(self, memory: M, motion: Motion, random: Random, k: Scalar, dt: float) -> M:
+        """The memory after sample k."""
+        ...
+
+    def nees(self, memory: M, motion: Motion) -> Scalar:
+        """Normalised squared error of the estimate; 0 where there is no covariance."""
+        ...
+
+
+class NoEstimator(NamedTuple):
+    """The controllers see the true state."""
+
+
+ESTIMATORS: Registry = {
+    "none": single(NoEstimator, "the controllers see the true state, through [sensor]"),
+    "kalman": single(KalmanFilter, "error-state Kalman filter with 15 states"),
+    "complementary": single(ComplementaryFilter, "complementary filter with constant gains"),
+}

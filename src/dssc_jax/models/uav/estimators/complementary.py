@@ -1,0 +1,107 @@
+"""Complementary filter: the inertial unit in the short run, the other sensors in the long run, with constant gains.
+
+    tilt:     dtheta corrected by k_tilt T (a/|a| x R' e3), a the measured specific force
+    heading:  by k_heading T (psi_m - psi) about the vertical
+    position: p by 2 w T_p (p_m - p), v by w^2 T_p (p_m - p), T_p the time between positions
+    bias:     b_g by -k_bias T of the same corrections of the attitude
+
+In accelerated flight a is not vertical, so the tilt is wrong by what the gain lets in: that is its error, not the
+program's.
+
+Reference:
+    R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear complementary filters on the special orthogonal group (2008).
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.models.uav.estimators.sensors import (
+    UP,
+    Motion,
+    Random,
+    SensorMemory,
+    Sensors,
+    heading_difference,
+    heading_of,
+    rotation_of,
+    sense,
+    start_sensors,
+)
+from dssc_jax.models.uav.inner_loops.sampled import product
+
+
+class ComplementaryMemory(NamedTuple):
+    """The filter with its sensors."""
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    gyro_bias: Vec3
+    rate: Vec3
+    sensors: SensorMemory
+
+
+class ComplementaryFilter(NamedTuple):
+    """Sensors and gains."""
+
+    sensors: Sensors = Sensors()
+    tilt_gain: Annotated[Scalar, Quantity("1/s", "gain of the tilt k_tilt", at_least=0.0)] = 0.2
+    heading_gain: Annotated[Scalar, Quantity("1/s", "gain of the heading", at_least=0.0)] = 0.5
+    bias_gain: Annotated[Scalar, Quantity("1/s^2", "gain of the gyroscopes' bias", at_least=0.0)] = 0.01
+    position_bandwidth: Annotated[Scalar, Quantity("rad/s", "bandwidth w of position and velocity", at_least=0.0)] = 2.0
+
+    def start(self, motion: Motion, random: Random) -> ComplementaryMemory:
+        """The true motion; only the biases are unknown."""
+        sensors = start_sensors(self.sensors, motion, random)
+        return ComplementaryMemory(
+            motion.position,
+            motion.velocity,
+            motion.attitude,
+            Vec3(0.0, 0.0, 0.0),
+            motion.rate + sensors.gyro_bias,
+            sensors,
+        )
+
+    def step(
+        self, memory: ComplementaryMemory, motion: Motion, random: Random, k: Scalar, dt: float
+    ) -> ComplementaryMemory:
+        """Integrate the inertial unit, and lean on the other sensors."""
+        sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
+        rotation = memory.attitude.matrix()
+        velocity = memory.velocity + rotation @ increments.velocity - UP * dt
+        position = memory.position + memory.velocity * dt + rotation @ increments.position - UP * (0.5 * dt * dt)
+        size = jnp.maximum(increments.velocity.norm(), 1e-9)
+        leaning = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
+        if self.sensors.heading is not None:
+            difference = heading_difference(aids.heading, heading_of(memory.attitude))
+            gain = self.heading_gain * round(self.sensors.heading_period)
+            leaning = leaning + rotation.c * jnp.where(aids.has_heading, gain * difference, 0.0)
+        turned = rotation_of(increments.rotation + (leaning - memory.gyro_bias) * dt)
+        if self.sensors.position is not None:
+            since = dt * round(self.sensors.position_period)
+            miss = aids.position - (position - velocity * (self.sensors.delayed * dt))
+            weight = jnp.where(aids.has_position, self.position_bandwidth * since, 0.0)
+            position = position + miss * (2.0 * weight)
+            velocity = velocity + miss * (weight * self.position_bandwidth)
+        if self.sensors.height is not None:
+            miss = aids.height - position.z
+            weight = jnp.where(aids.has_height, self.position_bandwidth * dt * round(self.sensors.height_period), 0.0)
+            position = position._replace(z=position.z + 2.0 * weight * miss)
+            velocity = velocity._replace(z=velocity.z + weight * self.position_bandwidth * miss)
+        bias = memory.gyro_bias - leaning * (self.bias_gain * dt)
+        return ComplementaryMemory(
+            position,
+            velocity,
+            product(memory.attitude, turned).normalised(),
+            bias,
+            increments.rate - bias,
+            sensors,
+        )
+
+    def nees(self, memory: ComplementaryMemory, motion: Motion) -> Scalar:
+        """0: the filter has no covariance."""
+        return 0.0

@@ -1,0 +1,275 @@
+"""Error-state Kalman filter with 15 states: position, velocity, attitude, biases of gyroscopes and accelerometers.
+
+    p+ = p + v T + R s - g e3 T^2/2,  v+ = v + R (dv - b_a T) - g e3 T,  q+ = q exp(dtheta - b_g T)
+    error x = (dp, dv, dtheta, db_g, db_a), the attitude's on the inertial side: R_true = exp([dtheta]x) R
+    dp' = dv,  dv' = -[f]x dtheta - R db_a - R n_a,  dtheta' = -R db_g - R n_g,  f = R (dv/T - b_a)
+
+Each measured number is an update of its own, which needs no inverse. A delayed position is compared with p - v tau. The
+filter knows the standard deviations of its sensors, and not the errors of their scale.
+
+Reference:
+    J. Sola, Quaternion kinematics for the error-state Kalman filter (2017), sections 5 to 7.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Mat3, Quaternion, Vec3
+from dssc_jax.models.uav.estimators.sensors import (
+    UP,
+    Aids,
+    Increments,
+    Motion,
+    Random,
+    SensorMemory,
+    Sensors,
+    heading_difference,
+    heading_of,
+    rotation_of,
+    rotation_vector,
+    sense,
+    start_sensors,
+)
+from dssc_jax.models.uav.inner_loops.sampled import conjugate, product
+
+STATES = 15
+POSITION, VELOCITY, ATTITUDE, GYRO_BIAS, ACCEL_BIAS = 0, 3, 6, 9, 12
+"""Places of the parts of the error state."""
+NAVIGATION = 9
+"""Leading error states whose consistency is measured: position, velocity, attitude."""
+LEAST_VARIANCE = 1e-30
+"""Below it an innovation counts as certain, and changes nothing."""
+
+Covariance = tuple[tuple[Scalar, ...], ...]
+"""Lower triangle of a symmetric matrix, by rows."""
+Sparse = tuple[tuple[int, Scalar], ...]
+"""Entries of a row that are not 0, with their places."""
+
+
+class KalmanMemory(NamedTuple):
+    """The filter with its sensors."""
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    gyro_bias: Vec3
+    accel_bias: Vec3
+    covariance: Covariance
+    rate: Vec3
+    sensors: SensorMemory
+
+
+class KalmanFilter(NamedTuple):
+    """Sensors, and the standard deviations of the first estimate."""
+
+    sensors: Sensors = Sensors()
+    initial_position: Annotated[Scalar, Quantity("m", "standard deviation at first", at_least=0.0)] = 0.0
+    initial_velocity: Annotated[Scalar, Quantity("m/s", "standard deviation at first", at_least=0.0)] = 0.0
+    initial_attitude: Annotated[Scalar, Quantity("rad", "standard deviation at first", at_least=0.0)] = 0.0
+
+    def start(self, motion: Motion, random: Random) -> KalmanMemory:
+        """The filter at t = 0, with errors drawn from its covariance."""
+        stds = (
+            *(self.initial_position,) * 3,
+            *(self.initial_velocity,) * 3,
+            *(self.initial_attitude,) * 3,
+            *(self.sensors.gyro_bias,) * 3,
+            *(self.sensors.accel_bias,) * 3,
+        )
+        rows: list[list[Scalar]] = [[0.0] * (i + 1) for i in range(STATES)]
+        for i, std in enumerate(stds):
+            rows[i][i] = std * std
+        turn = random.vector(2, self.initial_attitude)
+        zero = Vec3(0.0, 0.0, 0.0)
+        sensors = start_sensors(self.sensors, motion, random)
+        return KalmanMemory(
+            motion.position - random.vector(3, self.initial_position),
+            motion.velocity - random.vector(4, self.initial_velocity),
+            product(rotation_of(-turn), motion.attitude),
+            zero,
+            zero,
+            tuple(map(tuple, rows)),
+            motion.rate + sensors.gyro_bias,
+            sensors,
+        )
+
+    def step(self, memory: KalmanMemory, motion: Motion, random: Random, k: Scalar, dt: float) -> KalmanMemory:
+        """Predict with the inertial unit, and correct by what the other sensors show."""
+        sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
+        predicted = self.predict(memory, increments, dt)
+        corrected = self.correct(predicted, aids, dt)
+        return corrected._replace(sensors=sensors, rate=increments.rate - corrected.gyro_bias)
+
+    def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
+        """Strapdown integration, and the covariance after it."""
+        rotation = memory.attitude.matrix()
+        pushed = increments.velocity - memory.accel_bias * dt
+        shifted = increments.position - memory.accel_bias * (0.5 * dt * dt)
+        force = rotation @ (pushed / dt)
+        velocity = memory.velocity + rotation @ pushed - UP * dt
+        position = memory.position + memory.velocity * dt + rotation @ shifted - UP * (0.5 * dt * dt)
+        turned = rotation_of(increments.rotation - memory.gyro_bias * dt)
+        noises = (
+            (VELOCITY, self.sensors.accel_noise),
+            (ATTITUDE, self.sensors.gyro_noise),
+            (GYRO_BIAS, self.sensors.gyro_walk),
+            (ACCEL_BIAS, self.sensors.accel_walk),
+        )
+        spread = propagated(memory.covariance, transition(rotation, force, dt))
+        added = [list(row) for row in spread]
+        for place, density in noises:
+            for i in range(place, place + 3):
+                added[i][i] = added[i][i] + density * density * dt
+        return memory._replace(
+            position=position,
+            velocity=velocity,
+            attitude=product(memory.attitude, turned).normalised(),
+            covariance=tuple(map(tuple, added)),
+        )
+
+    def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:
+        """All updates of a sample: position, height, heading."""
+        update = Update(memory.covariance, (0.0,) * STATES)
+        delay = self.sensors.delayed * dt
+        if self.sensors.position is not None:
+            difference = aids.position - (memory.position - memory.velocity * delay)
+            for i, value in enumerate(difference):
+                row: Sparse = ((POSITION + i, 1.0), *(((VELOCITY + i, -delay),) if delay else ()))
+                update = update.by(row, value, self.sensors.position, aids.has_position)
+        if self.sensors.height is not None:
+            difference = aids.height - memory.position.z
+            update = update.by(((POSITION + 2, 1.0),), difference, self.sensors.height, aids.has_height)
+        if self.sensors.heading is not None:
+            difference = heading_difference(aids.heading, heading_of(memory.attitude))
+            row = heading_row(memory.attitude.matrix())
+            update = update.by(row, difference, self.sensors.heading, aids.has_heading)
+        p, v, turn, gyro, accel = (Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3))
+        return memory._replace(
+            position=memory.position + p,
+            velocity=memory.velocity + v,
+            attitude=product(rotation_of(turn), memory.attitude).normalised(),
+            gyro_bias=memory.gyro_bias + gyro,
+            accel_bias=memory.accel_bias + accel,
+            covariance=update.covariance,
+        )
+
+    def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
+        """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
+        turn = rotation_vector(product(motion.attitude, conjugate(memory.attitude)))
+        error = (*(motion.position - memory.position), *(motion.velocity - memory.velocity), *turn)
+        return weighted_square(memory.covariance, error)
+
+
+def transition(rotation: Mat3, force: Vec3, dt: float) -> tuple[Sparse, ...]:
+    """Rows of F - I, the transition of the error state over a sample."""
+    rows: list[list[tuple[int, Scalar]]] = [[] for _ in range(STATES)]
+    cross = ((0.0, -force.z, force.y), (force.z, 0.0, -force.x), (-force.y, force.x, 0.0))
+    for i in range(3):
+        rows[POSITION + i].append((VELOCITY + i, dt))
+        for j in range(3):
+            if i != j:
+                rows[VELOCITY + i].append((ATTITUDE + j, -cross[i][j] * dt))
+            rows[VELOCITY + i].append((ACCEL_BIAS + j, -rotation[i][j] * dt))
+            rows[ATTITUDE + i].append((GYRO_BIAS + j, -rotation[i][j] * dt))
+    return tuple(map(tuple, rows))
+
+
+def entry(covariance: Covariance, i: int, j: int) -> Scalar:
+    """An entry of a symmetric matrix."""
+    return covariance[i][j] if i >= j else covariance[j][i]
+
+
+def propagated(covariance: Covariance, rows: tuple[Sparse, ...]) -> Covariance:
+    """F P F' for F = I + the sparse rows."""
+    left = []
+    for i in range(STATES):
+        line = []
+        for j in range(STATES):
+            value = entry(covariance, i, j)
+            for place, weight in rows[i]:
+                value = value + weight * entry(covariance, place, j)
+            line.append(value)
+        left.append(line)
+    result = []
+    for i in range(STATES):
+        line = []
+        for j in range(i + 1):
+            value = left[i][j]
+            for place, weight in rows[j]:
+                value = value + weight * left[i][place]
+            line.append(value)
+        result.append(tuple(line))
+    return tuple(result)
+
+
+def heading_row(rotation: Mat3) -> Sparse:
+    """Slope of the yaw with the attitude's error: e3, and tan theta of it about the horizontal axis."""
+    flat = rotation.a.x * rotation.a.x + rotation.b.x * rotation.b.x
+    lean = -rotation.c.x / jnp.maximum(flat, 1e-12)
+    return (ATTITUDE, rotation.a.x * lean), (ATTITUDE + 1, rotation.b.x * lean), (ATTITUDE + 2, 1.0)
+
+
+class Update(NamedTuple):
+    """The covariance and the estimated error after some updates."""
+
+    covariance: Covariance
+    error: tuple[Scalar, ...]
+
+    def by(self, row: Sparse, difference: Scalar, std: Scalar, there: Scalar) -> "Update":
+        """The update by one number; without it nothing changes.
+
+        Args:
+            row: Its slope with the error state.
+            difference: Measured minus estimated.
+            std: Standard deviation of its noise.
+            there: Whether it was measured.
+        """
+        shares = []
+        for i in range(STATES):
+            value: Scalar = 0.0
+            for place, weight in row:
+                value = value + weight * entry(self.covariance, i, place)
+            shares.append(value)
+        variance: Scalar = std * std
+        innovation = difference
+        for place, weight in row:
+            variance = variance + weight * shares[place]
+            innovation = innovation - weight * self.error[place]
+        inverse = jnp.where(
+            jnp.logical_and(there, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
+        )
+        gains = [value * inverse for value in shares]
+        rows = []
+        for i in range(STATES):
+            rows.append(tuple(self.covariance[i][j] - gains[i] * shares[j] for j in range(i + 1)))
+        error = tuple(value + gain * innovation for value, gain in zip(self.error, gains, strict=True))
+        return Update(tuple(rows), error)
+
+
+def weighted_square(covariance: Covariance, error: tuple[Scalar, ...]) -> Scalar:
+    """e' P^-1 e by the factors L D L' of the leading block of P."""
+    factor: list[list[Scalar]] = []
+    inverse: list[Scalar] = []
+    solved: list[Scalar] = []
+    total: Scalar = 0.0
+    for i in range(NAVIGATION):
+        line: list[Scalar] = []
+        for j in range(i):
+            value = covariance[i][j]
+            for m in range(j):
+                value = value - line[m] * factor[j][m]
+            line.append(value)
+        pivot = covariance[i][i]
+        scaled = [value * inverse[j] for j, value in enumerate(line)]
+        value = error[i]
+        for j in range(i):
+            pivot = pivot - scaled[j] * line[j]
+            value = value - scaled[j] * solved[j]
+        factor.append(scaled)
+        inverse.append(1.0 / jnp.maximum(pivot, LEAST_VARIANCE))
+        solved.append(value)
+        total = total + value * value * inverse[i]
+    return total

@@ -1,0 +1,211 @@
+"""Sensors of a vehicle's estimator: inertial unit, position, height and heading.
+
+The inertial unit gives increments over a sample: of the rotation, of the velocity and of the position, in the body
+frame at its beginning, as units with compensated coning and sculling do. Without noise, bias and scale error they are
+those of the true motion, and strapdown integration is exact.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.numerics import is_zero, standard_normals, wrap_angle
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.inner_loops.sampled import canonical, conjugate, product
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+MOST_DELAYED = 64
+"""Largest delay of a position [samples]."""
+UP = Vec3(0.0, 0.0, GRAVITY)
+
+
+class Motion(NamedTuple):
+    """Position [m] and velocity [m/s], inertial; attitude, body to inertial; body rate [rad/s]."""
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    rate: Vec3
+
+
+class Sensors(NamedTuple):
+    """Sensors; a standard deviation of 0 is a perfect sensor, and an absent one is none.
+
+    Periods and delays are in samples of the loop. During the outage no position is measured.
+    """
+
+    gyro_noise: Annotated[Scalar, Quantity("rad/s^0.5", "noise density of the gyroscopes", at_least=0.0)] = 0.0
+    accel_noise: Annotated[Scalar, Quantity("m/s^1.5", "noise density of the accelerometers", at_least=0.0)] = 0.0
+    gyro_bias: Annotated[Scalar, Quantity("rad/s", "standard deviation of the gyroscopes' bias", at_least=0.0)] = 0.0
+    accel_bias: Annotated[Scalar, Quantity("m/s^2", "standard deviation of the accelerometers' bias", at_least=0.0)] = (
+        0.0
+    )
+    gyro_walk: Annotated[Scalar, Quantity("rad/s^1.5", "random walk of the gyroscopes' bias", at_least=0.0)] = 0.0
+    accel_walk: Annotated[Scalar, Quantity("m/s^2.5", "random walk of the accelerometers' bias", at_least=0.0)] = 0.0
+    gyro_scale: Annotated[Scalar, Quantity("1", "scale error of the gyroscopes, which no filter knows")] = 0.0
+    accel_scale: Annotated[Scalar, Quantity("1", "scale error of the accelerometers, which no filter knows")] = 0.0
+    position: Annotated[Scalar | None, Quantity("m", "standard deviation of positions", at_least=0.0)] = 0.0
+    position_period: Annotated[float, Quantity("samples", "period of positions", at_least=1.0, law=False)] = 1.0
+    position_delay: Annotated[
+        float, Quantity("samples", "delay of positions", at_least=0.0, at_most=MOST_DELAYED, law=False)
+    ] = 0.0
+    outage_start: Annotated[Scalar | None, Quantity("s", "start of an outage of positions", at_least=0.0)] = None
+    outage_duration: Annotated[Scalar, Quantity("s", "duration of the outage", at_least=0.0)] = 0.0
+    height: Annotated[Scalar | None, Quantity("m", "standard deviation of barometric heights", at_least=0.0)] = None
+    height_period: Annotated[float, Quantity("samples", "period of heights", at_least=1.0, law=False)] = 1.0
+    heading: Annotated[Scalar | None, Quantity("rad", "standard deviation of headings", at_least=0.0)] = 0.0
+    heading_period: Annotated[float, Quantity("samples", "period of headings", at_least=1.0, law=False)] = 1.0
+
+    @property
+    def delayed(self) -> int:
+        """Delay of a position [samples]."""
+        return round(self.position_delay)
+
+
+class SensorMemory(NamedTuple):
+    """What the sensors remember.
+
+    Args:
+        last: The true motion at the last sample.
+        gyro_bias: True bias [rad/s].
+        accel_bias: True bias [m/s^2].
+        positions: True positions at the last samples, the newest first, as many as the delay.
+    """
+
+    last: Motion
+    gyro_bias: Vec3
+    accel_bias: Vec3
+    positions: tuple[Vec3, ...]
+
+
+class Increments(NamedTuple):
+    """What the inertial unit gives: rotation [rad], velocity [m/s] and position [m] over a sample; rate [rad/s]."""
+
+    rotation: Vec3
+    velocity: Vec3
+    position: Vec3
+    rate: Vec3
+
+
+class Aids(NamedTuple):
+    """What the other sensors give, and whether it is there."""
+
+    position: Vec3
+    has_position: Scalar
+    height: Scalar
+    has_height: Scalar
+    heading: Scalar
+    has_heading: Scalar
+
+
+class Random(NamedTuple):
+    """Independent standard normal numbers of a sample, from a key; zero noise takes none."""
+
+    key: jax.Array
+
+    def numbers(self, place: int, std: Scalar | None, count: int) -> tuple[Scalar, ...]:
+        """Some numbers with a standard deviation."""
+        if std is None or is_zero(std):
+            return (0.0,) * count
+        return tuple(number * std for number in standard_normals(jax.random.fold_in(self.key, place), count))
+
+    def vector(self, place: int, std: Scalar | None) -> Vec3:
+        """Three numbers with a standard deviation."""
+        return Vec3(*self.numbers(place, std, 3))
+
+    def number(self, place: int, std: Scalar | None) -> Scalar:
+        """One number with a standard deviation."""
+        return self.numbers(place, std, 1)[0]
+
+
+def rotation_vector(q: Quaternion) -> Vec3:
+    """The vector [rad] of a rotation of less than half a turn."""
+    q = canonical(q)
+    imaginary = Vec3(q.x, q.y, q.z)
+    square = imaginary.dot(imaginary)
+    size = jnp.sqrt(jnp.maximum(square, 1e-24))
+    small = square < 1e-16
+    return imaginary * jnp.where(small, 2.0, 2.0 * atan2(size, q.w) / size)
+
+
+def rotation_of(vector: Vec3) -> Quaternion:
+    """The rotation of a vector [rad]; its inverse is :func:`rotation_vector`."""
+    square = vector.dot(vector)
+    size = jnp.sqrt(jnp.maximum(square, 1e-24))
+    small = square < 1e-16
+    factor = jnp.where(small, 0.5, jnp.sin(0.5 * size) / size)
+    return Quaternion(jnp.where(small, 1.0, jnp.cos(0.5 * size)), *(vector * factor)).normalised()
+
+
+def heading_of(attitude: Quaternion) -> Scalar:
+    """Yaw [rad]."""
+    rotation = attitude.matrix()
+    return atan2(rotation.b.x, rotation.a.x)
+
+
+def start_sensors(sensors: Sensors, motion: Motion, random: Random) -> SensorMemory:
+    """The sensors at t = 0, with biases drawn."""
+    return SensorMemory(
+        motion,
+        random.vector(0, sensors.gyro_bias),
+        random.vector(1, sensors.accel_bias),
+        (motion.position,) * sensors.delayed,
+    )
+
+
+def sense(
+    sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, k: Scalar, dt: float
+) -> tuple[SensorMemory, Increments, Aids]:
+    """What the sensors show at sample k, with the increments since the sample before it."""
+    last = memory.last
+    to_body = last.attitude.matrix().transpose
+    rotation = rotation_vector(product(conjugate(last.attitude), motion.attitude))
+    velocity = to_body @ (motion.velocity - last.velocity + UP * dt)
+    position = to_body @ (motion.position - last.position - last.velocity * dt + UP * (0.5 * dt * dt))
+    turned = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
+    pushed = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
+    increments = Increments(
+        rotation * (1.0 + sensors.gyro_scale) + turned,
+        velocity * (1.0 + sensors.accel_scale) + pushed,
+        position * (1.0 + sensors.accel_scale) + pushed * (0.5 * dt),
+        motion.rate * (1.0 + sensors.gyro_scale) + turned / dt,
+    )
+    positions = (motion.position, *memory.positions)
+    shown = positions[-1] + random.vector(2, sensors.position)
+    after = SensorMemory(
+        motion,
+        memory.gyro_bias + random.vector(3, sensors.gyro_walk) * math.sqrt(dt),
+        memory.accel_bias + random.vector(4, sensors.accel_walk) * math.sqrt(dt),
+        positions[:-1],
+    )
+    t = k * dt
+    has_position = due(k, sensors.position_period)
+    if sensors.outage_start is not None:
+        begun = t >= sensors.outage_start
+        out = jnp.logical_and(begun, t < sensors.outage_start + sensors.outage_duration)
+        has_position = jnp.logical_and(has_position, jnp.logical_not(out))
+    aids = Aids(
+        shown,
+        has_position,
+        motion.position.z + random.number(5, sensors.height),
+        due(k, sensors.height_period),
+        heading_of(motion.attitude) + random.number(6, sensors.heading),
+        due(k, sensors.heading_period),
+    )
+    return after, increments, aids
+
+
+def due(k: Scalar, period: float) -> Scalar:
+    """Whether a sensor with a period in samples shows something at sample k."""
+    count = round(period)
+    return k >= 0 if count == 1 else k % count == 0
+
+
+def heading_difference(measured: Scalar, estimated: Scalar) -> Scalar:
+    """Difference of two headings, in (-pi, pi] [rad]."""
+    return wrap_angle(measured - estimated)

@@ -1,0 +1,102 @@
+"""The ground: a plane on which the vehicle stands by four feet, and its effect on the rotors above it.
+
+A foot at r_j that has sunk in by d > 0 at the velocity v_j is pushed up by N = max(0, k d - c v_jz), and held by the
+friction -mu N v_jt/(|v_jt|^2 + v_s^2)^(1/2), in which v_s smooths the change of direction.
+
+Reference:
+    I. C. Cheeseman, W. E. Bennett, The Effect of the Ground on a Helicopter Rotor in Forward Flight, ARC R&M 3021
+    (1955): at the same power and speed, thrust near the ground is 1/(1 - (R/(4 h))^2) times that far from it.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.quantities import Quantity, nominal
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+SINK = 0.01
+"""Depth by which a standing vehicle sinks in where no stiffness is given [m]; assumed."""
+SLOW = 0.05
+"""Speed below which friction fades [m/s]; assumed."""
+LOWEST_HEIGHT = 0.5
+"""Least height over radius at which the effect of the ground is counted: below, the formula is not valid."""
+FEET = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+
+
+class Ground(NamedTuple):
+    """The plane z = height with the feet of the vehicle, and the radius of its rotors for the effect of the ground."""
+
+    height: Annotated[Scalar, Quantity("m", "height z of the ground")] = 0.0
+    gear_height: Annotated[Scalar, Quantity("m", "feet below the centre of mass", above=0.0)] = 0.2
+    gear_width: Annotated[Scalar, Quantity("m", "feet beside it, along x and y", above=0.0)] = 0.2
+    stiffness: Annotated[Scalar | None, Quantity("N/m", "stiffness of a foot", above=0.0)] = None
+    damping: Annotated[Scalar | None, Quantity("N s/m", "damping of a foot", at_least=0.0)] = None
+    friction: Annotated[Scalar, Quantity("1", "coefficient of friction", at_least=0.0)] = 0.6
+    fastest_landing: Annotated[Scalar, Quantity("m/s", "rate of descent at which a touch is a crash", above=0.0)] = 3.0
+    rotor_radius: Annotated[Scalar | None, Quantity("m", "rotor radius R of the ground effect", above=0.0)] = None
+
+
+class Contact(NamedTuple):
+    """Force [N], inertial, and torque about the centre of mass [N m], body axes."""
+
+    force: Vec3
+    torque: Vec3
+
+
+def prepared_ground(ground: Ground, mass: Scalar) -> Ground:
+    """The ground with stiffness and critical damping of a foot for the nominal mass, where they are not given."""
+    share = nominal(mass) / len(FEET)
+    stiffness = ground.stiffness if ground.stiffness is not None else share * GRAVITY / SINK
+    damping = ground.damping if ground.damping is not None else 2.0 * (nominal(stiffness) * share) ** 0.5
+    return ground._replace(stiffness=stiffness, damping=damping)
+
+
+def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate: Vec3) -> Contact:
+    """Force and torque of the ground on all feet.
+
+    Args:
+        ground: The plane and the feet, prepared.
+        position: Place of the centre of mass [m].
+        velocity: Its velocity, inertial [m/s].
+        rotation: R, body to inertial.
+        rate: Body rate [rad/s].
+    """
+    assert ground.stiffness is not None
+    assert ground.damping is not None
+    force = Vec3(0.0, 0.0, 0.0)
+    torque = Vec3(0.0, 0.0, 0.0)
+    for x, y in FEET:
+        place = Vec3(x * ground.gear_width, y * ground.gear_width, -ground.gear_height)
+        depth = ground.height - position.z - (rotation @ place).z
+        speed = velocity + rotation @ rate.cross(place)
+        pressed = jnp.maximum(ground.stiffness * depth - ground.damping * speed.z, 0.0)
+        push = jnp.where(depth > 0.0, pressed, 0.0)
+        sliding = jnp.sqrt(speed.x * speed.x + speed.y * speed.y + SLOW * SLOW)
+        hold = -ground.friction * push / sliding
+        part = Vec3(hold * speed.x, hold * speed.y, push)
+        force = force + part
+        torque = torque + place.cross(rotation.transpose @ part)
+    return Contact(force, torque)
+
+
+def lift_factor(ground: Ground, height: Scalar) -> Scalar:
+    """Thrust near the ground over that far from it, for the height of the centre of mass [m]."""
+    radius = ground.rotor_radius
+    assert radius is not None
+    share = radius / (4.0 * jnp.maximum(height - ground.height, LOWEST_HEIGHT * radius))
+    return 1.0 / (1.0 - share * share)
+
+
+def has_crashed(ground: Ground, height: Scalar, climb: Scalar) -> Scalar:
+    """Whether the vehicle has hit the ground: feet at it while it falls too fast, or the centre of mass below it.
+
+    Args:
+        ground: The plane and the feet.
+        height: Height z of the centre of mass [m].
+        climb: Its rate [m/s].
+    """
+    touches = height - ground.gear_height < ground.height
+    return (touches & (climb < -ground.fastest_landing)) | (height < ground.height)

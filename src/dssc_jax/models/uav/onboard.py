@@ -1,0 +1,175 @@
+"""Software on board of the UAV: its state, the sampled inner loop with the allocation, and the estimator."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.core.signals import PlantInput, Scalar, State
+from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.models.uav.allocation import allocate
+from dssc_jax.models.uav.estimators import Estimator, NoEstimator
+from dssc_jax.models.uav.estimators.sensors import Motion, Random
+from dssc_jax.models.uav.inner_loops import SampledInnerLoop
+from dssc_jax.models.uav.inner_loops.article import InnerGains
+from dssc_jax.models.uav.inner_loops.sampled import Readings, allocated_moment, conjugate, product
+from dssc_jax.models.uav.parameters import UavParams
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+
+class HeldLoop(NamedTuple):
+    """A sampled inner loop between its samples.
+
+    Args:
+        software: State of the inner loop.
+        thrust: Held wanted net thrust [N].
+        rotor: Held commanded thrusts f_i [N].
+        limited: Whether a rotor is at a limit.
+    """
+
+    software: State
+    thrust: Scalar
+    rotor: tuple[Scalar, ...]
+    limited: Scalar
+
+
+class UavState(NamedTuple):
+    """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
+
+    ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
+    ``error`` is the :class:`EstimationError` at the last sample; () without an estimator.
+    """
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    rate: Vec3
+    inner: State
+    speeds: tuple[Scalar, ...]
+    error: State = ()
+
+
+class EstimationError(NamedTuple):
+    """Error of an estimate: estimated minus true, and that of the attitude as a rotation on the inertial side.
+
+    ``nees`` is the normalised squared error of position, velocity and attitude, 0 without a covariance.
+    """
+
+    position: Vec3
+    velocity: Vec3
+    attitude: Quaternion
+    rate: Vec3
+    nees: Scalar
+
+
+def estimator_of(params: UavParams) -> Estimator | None:
+    """The estimator; None: the controllers see the true state."""
+    return None if isinstance(params.estimator, NoEstimator) else params.estimator
+
+
+def sampled_loop(params: UavParams) -> SampledInnerLoop | None:
+    """The sampled inner loop; None: it is the article's."""
+    gains = params.inner_loop
+    return None if isinstance(gains, InnerGains) else gains
+
+
+def required_loop(params: UavParams) -> SampledInnerLoop:
+    """The sampled inner loop of parameters that have one."""
+    loop = sampled_loop(params)
+    assert loop is not None
+    return loop
+
+
+def software_start(params: UavParams, state: UavState) -> HeldLoop:
+    """A sampled inner loop in hover."""
+    software = required_loop(params).init(params.craft, readings_of(state))
+    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
+
+
+def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:
+    """Commands of velocity [m/s] and yaw rate [rad/s] with their disturbances."""
+    x, y, z, psi = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
+    return Vec3(x, y, z), psi
+
+
+def software_period(params: UavParams) -> float | None:
+    """Time between two ticks of a sampled inner loop [s]."""
+    loop = sampled_loop(params)
+    return None if loop is None else loop.period
+
+
+def readings_of(state: UavState) -> Readings:
+    """What the inner loop measures: the true motion, or with the error of the last estimate."""
+    if state.error == ():
+        return Readings(state.velocity, state.attitude, state.rate)
+    error = state.error
+    return Readings(state.velocity + error.velocity, product(error.attitude, state.attitude), state.rate + error.rate)
+
+
+def seen_state(params: UavParams, state: UavState) -> UavState:
+    """The state as the controllers see it, without an error."""
+    if state.error == ():
+        return state
+    seen = readings_of(state)
+    position = state.position + state.error.position
+    return state._replace(position=position, velocity=seen.velocity, attitude=seen.attitude, rate=seen.rate, error=())
+
+
+def motion_of(state: UavState) -> Motion:
+    """The true motion."""
+    return Motion(state.position, state.velocity, state.attitude, state.rate)
+
+
+def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple[UavState, State]:
+    """The state with the error of an estimate, and the estimator's memory."""
+    motion = motion_of(state)
+    error = EstimationError(
+        memory.position - motion.position,
+        memory.velocity - motion.velocity,
+        product(memory.attitude, conjugate(motion.attitude)),
+        memory.rate - motion.rate,
+        estimator.nees(memory, motion),
+    )
+    return state._replace(error=error), memory
+
+
+def required_estimator(params: UavParams) -> Estimator:
+    """The estimator of parameters that have one."""
+    estimator = estimator_of(params)
+    assert estimator is not None
+    return estimator
+
+
+def start_estimate(params: UavParams, state: UavState, key: jax.Array) -> tuple[UavState, State]:
+    """The first estimate."""
+    estimator = required_estimator(params)
+    return with_estimate(estimator, state, estimator.start(motion_of(state), Random(key)))
+
+
+def renew_estimate(
+    params: UavParams, state: UavState, memory: State, key: jax.Array, k: Scalar, dt: float
+) -> tuple[UavState, State]:
+    """The estimate at sample k."""
+    estimator = required_estimator(params)
+    return with_estimate(estimator, state, estimator.step(memory, motion_of(state), Random(key), k, dt))
+
+
+def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: float) -> UavState:
+    """Velocity control of a sampled inner loop."""
+    command, yaw_command = velocity_commands(drive)
+    software = required_loop(params).sample(
+        params.craft, state.inner.software, readings_of(state), command, yaw_command, dt
+    )
+    return state._replace(inner=state.inner._replace(software=software))
+
+
+def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
+    """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
+    craft = params.craft
+    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
+    missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
+    unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
+    software = software._replace(unallocated=unallocated)
+    limited = jnp.where(thrusts.limited, 1.0, 0.0)
+    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))

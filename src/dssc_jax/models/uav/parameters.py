@@ -1,0 +1,126 @@
+"""Parameters of the complete UAV, and what follows from their nominal values before tracing."""
+
+from typing import Annotated, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, nominal
+from dssc_jax.core.registry import Slot
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.allocation import geometry, pseudo_inverse
+from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
+from dssc_jax.models.uav.ground import Ground, prepared_ground
+from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
+from dssc_jax.models.uav.inner_loops.article import InnerGains
+from dssc_jax.models.uav.inner_loops.sampled import Craft
+from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
+
+
+class Believed(NamedTuple):
+    """Nominal values of the inner loop; absent numbers are the vehicle's own, or the medians of their laws."""
+
+    mass: Annotated[Scalar | None, Quantity("kg", "believed mass M_n", above=0.0)] = None
+    inertia: Annotated[tuple[Scalar, ...] | None, Quantity("kg m^2", "believed total inertia J", above=0.0)] = None
+    thrust_coefficient: Annotated[Scalar | None, Quantity("N s^2/rad^2", "believed k_T", above=0.0)] = None
+
+
+class InnerModel(NamedTuple):
+    """The inner loop's model of the vehicle: M [kg], diagonal of J [kg m^2], k_T [N s^2/rad^2]."""
+
+    mass: Scalar
+    inertia: Vec3
+    thrust_coefficient: Scalar
+
+
+class UavParams(NamedTuple):
+    """Parameters of the UAV.
+
+    The fields after ``ground`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
+    circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
+    """
+
+    vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
+    believed: Believed = Believed()
+    inner_loop: Annotated[InnerGains | SampledInnerLoop, Slot(INNER_LOOPS, default="article")] = InnerGains()
+    position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
+    velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
+    yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
+    estimator: Annotated[NoEstimator | Estimator, Slot(ESTIMATORS, default="none")] = NoEstimator()
+    desaturation: Desaturation = Desaturation.CLIP
+    ground: Ground | None = None
+    allocation: tuple = ()
+    moments: tuple = ()
+    believed_rotors: tuple = ()
+    rotor_limit: float = 0.0
+
+    @property
+    def inner_model(self) -> InnerModel:
+        """The nominal values, complete after :func:`prepare`."""
+        mass, inertia, thrust_coefficient = self.believed
+        assert mass is not None
+        assert inertia is not None
+        assert thrust_coefficient is not None
+        return InnerModel(mass, Vec3(*inertia), thrust_coefficient)
+
+    @property
+    def believed_coefficients(self) -> tuple[Scalar, ...]:
+        """The nominal k_T of each rotor, complete after :func:`prepare` [N s^2/rad^2]."""
+        return self.believed_rotors or (self.inner_model.thrust_coefficient,) * self.vehicle.rotors
+
+    @property
+    def hover_thrusts(self) -> tuple[Scalar, ...]:
+        """Thrusts of the rotors at which the believed vehicle hovers, complete after :func:`prepare` [N]."""
+        weight = self.inner_model.mass * GRAVITY
+        if not self.vehicle.rotor:
+            return (weight / self.vehicle.rotors,) * self.vehicle.rotors
+        return tuple(row[0] * weight for row in self.allocation)
+
+    @property
+    def craft(self) -> Craft:
+        """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
+        model = self.inner_model
+        return Craft(model.mass, model.inertia, self.allocation, self.moments, self.rotor_limit)
+
+
+def prepare(params: UavParams) -> UavParams:
+    """Check the vehicle, and derive allocation and nominal values from its numbers; raises ConfigError."""
+    vehicle = params.vehicle
+    try:
+        check_vehicle(vehicle)
+        allocation = pseudo_inverse(vehicle)
+    except ConfigError as error:
+        raise error.within_path("vehicle") from None
+    for name in ("position", "velocity"):
+        if len(getattr(params, name)) != 3:
+            raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
+    plain = vehicle._replace(
+        body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
+        rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
+        rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
+    )
+    vehicle_values = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
+    chosen = {name: value for name, value in params.believed._asdict().items() if value is not None}
+    believed = vehicle_values._replace(**chosen)
+    if len(chosen.get("inertia", (0, 0, 0))) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
+    limit = vehicle.max_thrust
+    return params._replace(
+        ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
+        believed=believed,
+        allocation=allocation,
+        moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
+        believed_rotors=believed_rotors(params),
+        rotor_limit=2.0 * nominal(vehicle.mass) * GRAVITY / vehicle.rotors if limit is None else nominal(limit),
+    )
+
+
+def believed_rotors(params: UavParams) -> tuple[float, ...]:
+    """The nominal k_T of rotors anywhere: that of ``[plant.believed]`` for all, or each rotor's own."""
+    vehicle = params.vehicle
+    if not vehicle.rotor:
+        return ()
+    believed = params.believed.thrust_coefficient
+    return tuple(nominal(value if believed is None else believed) for value in vehicle.thrust_coefficients)

@@ -1,0 +1,41 @@
+"""What is wrong with a study's table, in one line: path, rule, value, and the nearest valid name."""
+
+from collections.abc import Iterable
+
+from pydantic import ValidationError
+
+from dssc_jax.core.errors import ConfigError, close_names, nearest
+
+UNKNOWN_NAME = "unknown name"
+
+
+def explain(error: ValidationError, names: Iterable[str]) -> ConfigError:
+    """The first error of pydantic as an error of this package; a misspelt name goes before all others.
+
+    A name is misspelt if it is unknown and resembles one that is required and missing.
+
+    Args:
+        error: What pydantic found in the table.
+        names: The valid names of the table.
+    """
+    errors = error.errors()
+    missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
+    unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
+    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
+    first = misspelt[0] if misspelt else errors[0]
+    path = ".".join(str(part) for part in first["loc"])
+    value = first.get("input")
+    match first["type"]:
+        case "extra_forbidden":
+            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")
+        case "missing":
+            return ConfigError(path, "is required and missing")
+        case "value_error":
+            return ConfigError(path, str(first.get("ctx", {}).get("error")))
+        case "list_type" if isinstance(value, dict):
+            return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
+        case "literal_error":
+            expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
+            return ConfigError(path, f"'{value}' is none of {expected}")
+        case _:
+            return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")

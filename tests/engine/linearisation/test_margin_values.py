@@ -1,0 +1,225 @@
+"""Requirements on margins: against python-control, in any block, with derivatives, and where they are refused."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import brentq, minimize_scalar
+
+import dssc_jax as dj
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.engine.evaluation import Derivative, GradientEvaluator
+from dssc_jax.engine.linearisation.margin_values import MarginValues
+from dssc_jax.engine.sampling import draw
+from tests.page_examples import BLOCK
+
+T_S = 0.02
+GAINS = {"kind": "pid", "k_p": 6.0, "k_i": 2.0, "k_d": 3.0, "filter": 0.05}
+REQUIRED = [
+    {"metric": "error_max", "max": 2.0},
+    {"margin": "gain", "min": "6 dB"},
+    {"margin": "gain_lower", "max": "-6 dB"},
+    {"margin": "phase", "min": "35 deg"},
+    {"margin": "delay", "min": "100 ms"},
+    {"margin": "modulus", "min": 0.5},
+    {"margin": "disk", "min": 0.6},
+]
+TABLE = {
+    "name": "required",
+    "draws": 40,
+    "loop": {"duration": 0.4, "sample_time": T_S},
+    "plant": {
+        "kind": "normal_form",
+        "k_p": {"uniform": [0.5, 2.0]},
+        "a_p": {"uniform": [-6.0, 3.0]},
+        "initial": [1.0, 0.0],
+    },
+    "controller": GAINS,
+    "requirement": REQUIRED,
+}
+
+
+def study(**changes):
+    return dj.Study.from_table(TABLE | changes)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return dj.run(study(), check=False)
+
+
+def held(a, b, t_s):
+    """A continuous system with a held input, by the matrix exponential."""
+    order = len(a)
+    block = np.zeros((order + 1, order + 1))
+    block[:order, :order] = a
+    block[:order, order] = b
+    transition = expm(block * t_s)
+    return transition[:order, :order], transition[:order, order:]
+
+
+def pid_loop(a, b, c, gains, t_s):
+    """L(z) of a PID controller and a linear plant, by python-control."""
+    z = control.tf([1.0, 0.0], [1.0], t_s)
+    lag = gains["filter"]
+    law = gains["k_p"] + t_s * gains["k_i"] / (z - 1.0) + gains["k_d"] * (z - 1.0) / ((lag + t_s) * z - lag)
+    return control.minreal(law * control.ss2tf(control.ss(*held(a, b, t_s), [c], 0.0, t_s)), verbose=False)
+
+
+def assert_margins(values, loop, response, t_s):
+    """The margins of a draw are those of python-control, refined on a frequency response that is computed directly."""
+
+    def refined(function, omega):
+        return brentq(function, 0.999 * omega, min(1.001 * omega, np.pi / t_s), xtol=1e-14 * omega, rtol=1e-15)
+
+    gains, phases, _, phase_at, gain_at, _ = control.stability_margins(loop, returnall=True, method="poly")
+    upper = [omega for gain, omega in zip(gains, phase_at, strict=True) if gain > 1.0 + 1e-9 and omega * t_s < 3.14]
+    exact = [-1.0 / response(refined(lambda w: response(w).imag, omega)).real for omega in upper]
+    nyquist = -1.0 / response(np.pi / t_s).real
+    exact += [nyquist] if nyquist > 1.0 else []
+    assert values["gain_margin"] == pytest.approx(min(exact, default=np.inf), rel=1e-9)
+    crossings = [refined(lambda w: np.log(abs(response(w))), omega) for omega in gain_at]
+    left = [abs(np.angle(-response(omega))) for omega in crossings]
+    assert min(left) == pytest.approx(np.radians(np.min(np.abs(phases))), rel=1e-3, abs=1e-4)
+    assert values["phase_margin"] == pytest.approx(min(left), rel=1e-9)
+    grid = np.geomspace(0.01 * min(gain_at), np.pi / t_s, 4000)
+    distances = [abs(1.0 + response(w)) for w in grid]
+    nearest = grid[int(np.argmin(distances))]
+    found = minimize_scalar(
+        lambda w: abs(1.0 + response(w)), bounds=(0.99 * nearest, min(1.01 * nearest, np.pi / t_s)), method="bounded",
+        options={"xatol": 1e-9 * nearest},
+    )  # fmt: skip
+    assert values["modulus_margin"] == pytest.approx(found.fun, rel=1e-9)
+
+
+def response_of(a, b, c, gains, t_s):
+    """L at omega, term by term."""
+    transition, inputs = held(a, b, t_s)
+    lag = gains["filter"]
+
+    def at(omega):
+        z = np.exp(1j * omega * t_s)
+        law = gains["k_p"] + t_s * gains["k_i"] / (z - 1.0) + gains["k_d"] * (z - 1.0) / ((lag + t_s) * z - lag)
+        return complex(law * (c @ np.linalg.solve(z * np.eye(len(a)) - transition, inputs))[0])
+
+    return at
+
+
+def test_margins_of_all_draws_are_those_of_python_control(result):
+    dataset = result.dataset
+    seen = 0
+    for i in range(dataset.sizes["draw"]):
+        values = {name: float(dataset[name][i]) for name in dataset}
+        plant = [[0.0, 1.0], [0.0, -values["plant.a_p"]]], [0.0, values["plant.k_p"]], np.array([1.0, 0.0])
+        loop = pid_loop(*plant, GAINS, T_S)
+        if np.max(np.abs(control.poles(control.feedback(loop, 1)))) >= 1.0:
+            # an unstable loop has the margins of the limit of stability
+            assert [values[name] for name in ("gain_margin", "gain_lower_margin", "phase_margin")] == [1.0, 1.0, 0.0]
+            assert [values[name] for name in ("delay_margin", "disk_margin", "modulus_margin")] == [0.0, 0.0, 0.0]
+            continue
+        seen += 1
+        response = response_of(*plant, GAINS, T_S)
+        assert_margins(values, loop, response, T_S)
+        omega = control.stability_margins(loop, method="poly")[4]
+        near = np.geomspace(0.2 * omega, min(5.0 * omega, np.pi / T_S), 400)
+        rough = control.disk_margins(loop, near)[0]
+        assert values["disk_margin"] == pytest.approx(rough, rel=1e-2)
+        assert values["disk_margin"] <= rough + 1e-9  # the grid of python-control misses the peak
+    assert 15 < seen < dataset.sizes["draw"]
+
+
+def test_a_buck_converter_meets_what_python_control_finds():
+    page = (Path(__file__).parents[3] / "docs" / "parameters.md").read_text()
+    buck = dj.Study.from_table(tomllib.loads(next(text for _, text in BLOCK.findall(page) if "# buck.toml" in text)))
+    wanted = [
+        {"margin": "gain", "min": "6 dB"},
+        {"margin": "phase", "min": "40 deg"},
+        {"margin": "modulus", "min": 0.5},
+    ]
+    buck = buck.override({"draws": 5, "requirement": wanted, "loop.duration": 1e-3, "metrics": {}})
+    numbers = draw(buck, np.arange(5))
+    found = MarginValues(buck)(numbers, np.arange(5))
+    for i in range(5):
+        at = {name: float(column[i]) for name, column in numbers.items()}
+        henry, farad, load, coil, volt = (at[f"parameters.{name}"] for name in ("L", "C", "R", "r", "V"))
+        gains = {name: float(buck.leaves()[f"controller.{name}"]) for name in ("k_p", "k_i", "k_d", "filter")}
+        a = [[-coil / henry, -1.0 / henry], [1.0 / farad, -1.0 / (load * farad)]]
+        plant = a, [volt / henry, 0.0], np.array([0.0, 1.0])
+        values = {name: float(column[i]) for name, column in found.items()}
+        t_s = buck.config.loop.sample_time
+        assert_margins(values, pid_loop(*plant, gains, t_s), response_of(*plant, gains, t_s), t_s)
+
+
+def test_verdicts_follow_and_come_first(result):
+    dataset = result.dataset
+    short = dataset["phase_margin"].values < np.radians(35.0)
+    assert 0 < short.sum() < short.size
+    np.testing.assert_array_equal(dataset["slack_phase_margin_min"].values < 0.0, short)
+    np.testing.assert_array_equal(dataset["violated_at_phase_margin_min"].values == 0.0, short)
+    row = next(r for r in result.summary()["points"][0]["requirements"] if r["name"] == "phase_margin_min")
+    assert row["text"] == "phase_margin >= 35 deg"
+    assert row["failures"] == short.sum()
+    assert dataset["gain_margin"].attrs["units"] == "1"
+    assert np.all((dataset["outcome"].values != 0)[short])
+
+
+def test_margins_depend_on_the_draw_alone(result, tmp_path):
+    folder = tmp_path / "blocks"
+    dj.run(study(draws=14), folder, block=7, check=False)
+    resumed = dj.run(study(), folder, resume=True, check=False).dataset
+    assert resumed.sizes["draw"] == result.dataset.sizes["draw"]
+    for name in result.dataset:
+        np.testing.assert_array_equal(resumed[name].values, result.dataset[name].values)
+
+
+def test_one_draw_alone_has_the_same_margin(result):
+    trajectory = dj.simulate(study(), draw=4)
+    assert trajectory.attrs["disk_margin"] == result.dataset["disk_margin"].values[4]
+
+
+def test_derivatives_of_slacks_are_those_of_the_margins():
+    steep = GradientEvaluator(study(), {"controller.k_p": (6.0, 6.0)}, 8, names=["controller.k_p"])
+    indices = np.arange(4)
+    values = steep.drawn(slice(0, 4)) | {"controller.k_p": np.full(4, 6.0)}
+    found = steep(indices, values)
+    ends = [steep.engine.margins(values | {"controller.k_p": np.full(4, k)}, indices) for k in (5.99, 6.01)]
+    for margin, sign in {"phase_margin": 1.0, "disk_margin": 1.0, "gain_lower_margin": -1.0}.items():
+        expected = (ends[1][margin] - ends[0][margin]) / 0.02
+        np.testing.assert_allclose(found[Derivative(margin, "controller.k_p")], expected, rtol=1e-3, atol=1e-9)
+        slack = next(r.name for r in study().requirements if r.measure.name == margin)
+        np.testing.assert_array_equal(
+            found[Derivative(slack, "controller.k_p")], sign * found[Derivative(margin, "controller.k_p")]
+        )
+
+
+@pytest.mark.parametrize(
+    ("requirement", "text"),
+    [
+        ({"margin": "fase", "min": 1.0}, "unknown margin 'fase'; did you mean 'phase'?"),
+        ({"margin": "phase", "min": "30 dB"}, "must be a number [rad], or a text of a number and one of rad, deg"),
+        ({"margin": "gain", "min": 0.5}, "must be > 1, which loops at the limit of stability have; got 0.5"),
+        ({"margin": "gain"}, "needs exactly one of max and min"),
+        (
+            {"margin": "gain", "min": 2.0, "after": 1.0},
+            "a margin is that of the linearised loop, before the flight; take",
+        ),
+        ({"margin": "gain", "min": 2.0, "at": "x input"}, "must be one of input, output, rate; got 'x input'"),
+        ({"metric": "error_max", "max": "6 dB"}, "only a margin takes a unit"),
+        ({"metric": "phase_margin", "min": 1.0}, 'write margin = "phase" in place of the metric'),
+    ],
+)
+def test_what_is_no_requirement_on_a_margin(requirement, text):
+    with pytest.raises(ConfigError, match=re.escape(text)):
+        study(requirement=[requirement])
+
+
+def test_who_cannot_judge_a_margin_says_so():
+    switching = study(controller={"kind": "smc", "gain": 5.0, "l0": 1.0}, requirement=[{"margin": "gain", "min": 2.0}])
+    with pytest.raises(ConfigError, match="'smc' switches at the origin"):
+        dj.run(switching)
+    with pytest.raises(ConfigError, match="gain_margin is that of the linearised loop"):
+        dj.lane(study())
