@@ -14,6 +14,7 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.flight_logs.contents import log_contents
 from dssc_jax.flight_logs.frames import field_values
+from dssc_jax.flight_logs.reader import nearest_values
 from dssc_jax.flight_logs.ulog import Segment, chosen_segment, list_topics, read_topics, segments_of, stamps
 from tests.cli.conftest import last_json
 
@@ -94,6 +95,20 @@ def test_a_simulated_take_off():
     assert {"x_y", "x_u_total", "y_y_dot", "z_y_ref", "psi_y"} <= set(log.columns)
     assert log.columns["z_y"].value.max() == pytest.approx(up.highest)
     assert log.columns["psi_y"].value.std() < 0.01
+
+
+def test_px4s_position_controller_in_the_models_axes():
+    """Its velocity setpoint is MPC_XY_P times the error of position plus the trajectory's velocity, axis by axis."""
+    gain = list_topics(TAKEOFF).parameters["MPC_XY_P"]
+    log = dj.read_log(TAKEOFF, VEHICLE, {"segment": "airborne", "start": 19.0})
+    for axis in "xy":
+        names = ("y", "y_ref", "y_ref_dot", "u_total")
+        values = [nearest_values(log.columns[f"{axis}_{name}"], log.start, 0.1, 60) for name in names]
+        y, y_ref, y_ref_dot, logged = values
+        command = gain * (y_ref - y) + y_ref_dot
+        told = np.isfinite(command)  # the trajectory is logged at every second sample
+        assert told.sum() >= 29
+        np.testing.assert_allclose(command[told], logged[told], atol=1e-6)
 
 
 def test_a_board_that_was_never_armed(capsys):

@@ -51,7 +51,7 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
 
 
 class SoftwareFiles(NamedTuple):
-    """What all files are written from."""
+    """The data from which all files are written."""
 
     software: TracedSoftware
     start: Written
