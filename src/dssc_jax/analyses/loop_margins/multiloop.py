@@ -79,7 +79,7 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     influences = np.any(matrices.a[reached] != 0.0, axis=0)
     forward = [closure(np.any(matrices.b[reached][:, :, p] != 0.0, axis=0), influences.T) for p in places]
     backward = [closure(np.any(matrices.c[reached][:, p] != 0.0, axis=0), influences) for p in places]
-    kept = [ahead & behind for ahead, behind in zip(forward, backward, strict=True)]
+    kept = [ahead & reaching for ahead, reaching in zip(forward, backward, strict=True)]
     effective = [i for i, states in enumerate(kept) if states.any()]
     if len(effective) < 2:
         return None
