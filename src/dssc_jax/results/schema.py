@@ -29,7 +29,7 @@ def outcome_codes(study: Study) -> dict[int, str]:
     """
     requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
     broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
-    if getattr(study.template.plant, "ground", None) is not None:
+    if study.table["plant"].get("ground") is not None:  # of a study whose code is not loaded, too
         broken[int(Outcome.INTO_GROUND)] = "into_ground"
     return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | broken | requirements
 
