@@ -20,11 +20,12 @@ from dssc_jax.core.vectors import Vec3
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.models.uav.airframe import read_airframe
 from dssc_jax.models.uav.desaturation import Desaturation
-from dssc_jax.models.uav.plant import UAV, Believed
+from dssc_jax.models.uav.parameters import Believed
+from dssc_jax.models.uav.plant import UAV
 from dssc_jax.models.uav.presets import VEHICLES
 from dssc_jax.models.uav.vehicle import Rotor
 
-DT, SECONDS = 0.01, 30.0
+DT, SECONDS = 0.01, 34.0
 RADIUS, PERIOD, TURN = 2.0, 6.0, 0.3
 G = 9.81
 
@@ -114,7 +115,7 @@ def check(params, step, circle):
     weight = vehicle.mass * G
     x, y, z, tilt, lift, *_ = step.T
     worst = [abs(x[-1] - 1.0), abs(y[-1]), abs(z[-1]), abs(lift[-1] / lifted(vehicle, weight) - 1.0), tilt[-1]]
-    x, y, _, tilt, lift, rate, *v = circle[-int(PERIOD / DT) :].T
+    x, y, _, tilt, lift, _, *v = circle[-int(PERIOD / DT) :].T
     radius, speed = np.hypot(x, y).mean(), np.hypot(v[0], v[1]).mean()
     inward = vehicle.mass * speed**2 / radius
     hover = sum(np.sqrt(weight / vehicle.rotors / np.array(vehicle.thrust_coefficients)))
@@ -122,6 +123,8 @@ def check(params, step, circle):
     side = math.hypot(inward, against)
     force = math.hypot(side, weight)
     worst += [tilt.mean() / math.atan2(side, weight) - 1.0, lift.mean() / lifted(vehicle, force) - 1.0]
+    seen = 2.0 * math.pi / (2.0 * math.pi / PERIOD - TURN)  # period of the flight as the turning body sees it [s]
+    rate = circle[-2 * round(seen / DT) :, 5]
     worst += [rate.mean() / TURN - 1.0, tilt.std() / tilt.mean(), speed * PERIOD / (2 * math.pi * radius) - 1.0]
     return np.abs(worst)
 
