@@ -10,6 +10,7 @@ from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.engine.sampling import latin_design, sobol_points
 from dssc_jax.runs.design_choice import PILOT, PILOT_NETS, SEEN, nets_of
 from dssc_jax.statistics import FixedCount, Replicated
+from dssc_jax.statistics.stratified import allocation, stratified_interval
 
 REPLICATES = 8
 Trial = Callable[[int], np.ndarray | str]
@@ -96,6 +97,38 @@ def smooth_slack(name: str, p: float) -> SlackFunction:
     return lambda points, _: stats.chi2(3).isf(p) - np.sum(special.ndtri(points) ** 2, axis=-1)
 
 
+def counts(true: tuple[float, ...], expected: tuple[float, ...], width: float) -> Trial:
+    """The interval from strata whose shares of failures are known; the draws are planned for expected shares."""
+    weights = np.array(WEIGHTS)
+    shares = np.array(true)
+    draws = allocation(weights, np.array(expected), width, 10**6)
+
+    def trial(seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        by_net = rng.multinomial(4096, weights, size=16) / 4096
+        return side(stratified_interval(by_net, rng.binomial(draws, shares), draws), float(weights @ shares))
+
+    return trial
+
+
+WEIGHTS = (0.036, 0.025, 0.01, 0.01, 0.025, 0.062, 0.152, 0.68)
+"""Probabilities of the strata of an axis."""
+
+SHARP = (0.999, 0.98, 0.7, 0.2, 0.02, 0.001, 1e-5, 1e-6)
+BLURRED = (0.7, 0.55, 0.45, 0.4, 0.3, 0.2, 0.1, 0.02)
+EQUAL = (0.05,) * 8
+SEVERAL = (0.004, 0.002, 0.003, 0.002, 0.004, 0.001, 5e-4, 1e-5)
+FAR = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.5e-4)
+COUNTS = {
+    "a sharp border": (SHARP, SHARP),
+    "a blurred border": (BLURRED, BLURRED),
+    "a border that is blurred and expected to be sharp": (BLURRED, SHARP),
+    "no border, expected to be sharp": (EQUAL, SHARP),
+    "rare failures in all strata": (SEVERAL, SHARP),
+    "failures of 1e-4 where none is expected": (FAR, SHARP),
+}
+"""Shares of failures in the strata, true and expected."""
+
 STRATA = ((0.2, 0.05), (0.05, 0.02), (0.05, 0.008), (0.01, 0.01), (1e-4, 1e-3))
 """Probabilities, and widths of the interval."""
 
@@ -112,6 +145,11 @@ DESIGN_CASES: dict[str, tuple[str, Trial]] = {
         )
         for name in ("half space", "two modes", "curved border")
         for p, width in STRATA
+    },
+    **{
+        f"given strata, {name}, planned for a width of {width:g}": ("failure probability", counts(*shares, width))
+        for name, shares in COUNTS.items()
+        for width in (0.02, 0.004)
     },
     "strata, two modes that no slack predicts, p = 0.05, width 0.05": (
         "failure probability",

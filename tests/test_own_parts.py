@@ -9,6 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.design.first_gains import first_gains
 from dssc_jax.study import Described
 from dssc_jax.study.importing import allow_imports
 from tests.conftest import UNCERTAIN
@@ -194,3 +195,64 @@ def test_a_controller_may_report_nothing_but_no_other_type(info, rule, tmp_path,
     study = dj.Study.from_table(table)
     assert "error_rms" in dj.run(study).dataset
     assert "u" in dj.simulate(study)
+
+
+CUBE = """
+from typing import Annotated, NamedTuple
+import jax.numpy as jnp
+from dssc_jax.types import SMOOTH, Measurement, NamedSignal, Plant, Quantity
+class Params(NamedTuple):
+    k: Annotated[float, Quantity("1/s", "stiffness", above=0.0)] = 1.0
+class State(NamedTuple):
+    x: float
+class Info(NamedTuple):
+    force: Annotated[float, Quantity("N", "force of the spring")]
+def derivative(params, state, drive, t):
+    return State(-params.k * state.x**3 + drive.command)
+CUBE = Plant(Params, lambda params: State(2.0), derivative,
+    lambda params, state, drive: Measurement(state.x, derivative(params, state, drive, 0.0).x), lambda params: 1.0,
+    monitor=lambda params, state, drive: Info(params.k * state.x**3), info=Info, smooth=SMOOTH)
+"""
+
+
+@pytest.fixture
+def cube(tmp_path, monkeypatch):
+    """x' = -k x^3 + u, held at x = 2, where its slope is -12 k and its command 8 k."""
+    (tmp_path / "own_cube.py").write_text(CUBE)
+    monkeypatch.syspath_prepend(tmp_path)
+    table = {
+        "name": "cube", "draws": 4, "loop": {"duration": 0.5, "sample_time": 0.01},
+        "plant": {"kind": "own_cube:CUBE", "k": {"uniform": [0.9, 1.1]}},
+        "reference": {"kind": "step", "size": 0.0, "offset": 2.0},
+        "controller": {"kind": "pid", "k_p": 3.0, "k_i": 5.0, "low": 0.0, "high": 20.0},
+        "requirement": [{"signal": "force", "metric": "max_abs", "max": 20.0}],
+    }  # fmt: skip
+    yield table
+    sys.modules.pop("own_cube", None)
+
+
+def test_a_nonlinear_plant_is_linearised_where_its_reference_holds_it(cube):
+    """The sampled loop of x' = -12 k x + u under PI has these poles; at 0 it would be another one."""
+    study = dj.Study.from_table(cube | {"plant": {"kind": "own_cube:CUBE"}, "draws": 1})
+    data = dj.loop_margins(study).dataset
+    decay = np.exp(-12.0 * 0.01)
+    omega = np.linspace(1e-3, np.pi, 20_001)
+    z = np.exp(1j * omega)
+    open_loop = (1.0 - decay) / 12.0 / (z - decay) * (3.0 + 0.05 / (z - 1.0))
+    peak = float(data["sensitivity_peak"].max())
+    assert peak == pytest.approx(np.max(np.abs(1.0 / (1.0 + open_loop))), rel=1e-4)
+
+
+def test_first_gains_are_those_at_the_command_that_holds_the_start(cube):
+    gains = first_gains(dj.Study.from_table(cube), "lqg", 5.0)
+    linear = {"kind": "state_space", "a": [[-12.0]], "b": [1.0], "c": [1.0]}
+    expected = first_gains(dj.Study.from_table(cube | {"plant": linear, "requirement": []}), "lqg", 5.0)
+    assert gains.table == expected.table
+
+
+def test_a_stored_result_keeps_the_units_of_a_plant_s_own_outputs(cube, tmp_path):
+    dj.run(dj.Study.from_table(cube), tmp_path / "done")
+    sys.modules.pop("own_cube")
+    loaded = dj.load(tmp_path / "done")
+    assert isinstance(loaded.study, Described)
+    assert loaded.dataset["max_abs_force"].attrs["units"] == "N"

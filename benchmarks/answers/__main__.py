@@ -6,6 +6,7 @@ a process of its own, twice; the first time counts as cold, the second as warm. 
 """
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -78,7 +79,7 @@ def measured(peers: str) -> dict[str, list[JsonObject]]:
 def cell(found: list[JsonObject] | None) -> str:
     """Evaluations and seconds of an answer, cold and warm."""
     if found is None:
-        return NONE
+        return "not run"
     if not found:
         return f"none in {LIMIT} s"
     answered = [answer for answer in found if answer["answer"] is not None and answer["evaluations"]]
@@ -105,14 +106,14 @@ def table(kept: dict[str, list[JsonObject]]) -> list[str]:
         for peer in PEERS:
             texts = [cell(answer) for tool, answer in found.items() if tool.startswith(peer)]
             cells.append("; subset sampling ".join(texts) or NONE)
-        ours = found[OURS] or []
-        plain = plain_cell(ours, found.get("splitting"))
-        lines.append(f"| {question} | {model} | {cell(ours)} | {plain} | {' | '.join(cells)} |")
+        plain = plain_cell(found[OURS] or [], found.get("splitting"))
+        lines.append(f"| {question} | {model} | {cell(found[OURS])} | {plain} | {' | '.join(cells)} |")
     return lines
 
 
 def main(peers: str) -> int:
     lines = table(measured(peers))
+    lines += ["", f"Mean load of the machine in the last quarter of an hour: {os.getloadavg()[2]:.0f} processes."]
     print("\n".join(lines))
     put("answers", "\n".join(lines), PAGE)
     return 0

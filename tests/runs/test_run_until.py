@@ -31,12 +31,16 @@ def plain():
 
 
 def test_the_result_is_that_of_the_final_number_of_draws(plain, tmp_path):
-    found = dj.run_until(plain, dj.UntilWidth(0.15), tmp_path / "r", most=1000)
+    told = []
+    found = dj.run_until(
+        plain, dj.UntilWidth(0.15), tmp_path / "r", most=1000, progress=lambda done, total: told.append(done)
+    )
     stopping = found.manifest["stopping"]
     assert stopping["data_driven"]
     assert stopping["verdict"] == "narrow"
     assert stopping["looks"][0]["draws"] == 100
     draws = stopping["looks"][-1]["draws"]
+    assert told[-1] == draws  # more may have been simulated, in whole blocks
     fixed = dj.run(plain.override({"draws": draws}))
     for name in fixed.dataset.data_vars:
         np.testing.assert_array_equal(fixed.dataset[name], found.dataset[name], err_msg=name)

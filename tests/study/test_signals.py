@@ -202,3 +202,18 @@ def test_the_theorem_refuses_a_disturbance_at_an_input():
     with pytest.raises(NotCovered, match="acts at the input 'road'"):
         require_no_inputs(car().loop)
     require_no_inputs(car(disturbance=GUST).loop)
+
+
+def test_formulas_and_metrics_name_signals_as_columns_do():
+    """With the channel before the signal: `x_e` everywhere, and `e_x` nowhere."""
+    signals = ("x_y", "x_y_dot", "x_y_ref", "x_e", "x_e_dot", "x_sigma", "x_u", "x_u_total")
+    table = {
+        "name": "names", "draws": 1, "loop": {"duration": 0.1, "sample_time": 0.01}, "plant": {"kind": "uav"},
+        "reference": {"kind": "hover"}, "controller": dj.Study.load("uav_robustness").table["controller"],
+    }  # fmt: skip
+    required = [{"signal": name, "metric": "max_abs", "max": 1e6} for name in signals]
+    required += [{"formula": f"always {name} < 1e6"} for name in signals]
+    assert len(dj.Study.from_table(table | {"requirement": required}).requirements) == 2 * len(signals)
+    for wrong in ({"signal": "e_x", "metric": "max_abs", "max": 1.0}, {"formula": "always e_x < 1"}):
+        with pytest.raises(ConfigError, match=r"e_x.*x_e"):
+            dj.Study.from_table(table | {"requirement": [wrong]})

@@ -33,7 +33,7 @@ def require_writable(options: Simulate | Replay) -> None:
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
-def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, others: Sequence[Path] = ()) -> None:
+def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_files: Sequence[Path] = ()) -> None:
     """Write the requested files of a trajectory, and show how the draw ended, with all files and ``others``."""
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
         (options.csv, lambda path: write_table(trajectory, path)),
@@ -41,7 +41,7 @@ def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, others:
         (options.mcap, lambda path: write_mcap(trajectory, path)),
         (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
     ]
-    written = [*others]
+    written = [*flight_files]
     for path, write in writers:
         if path is not None:
             attempt(path, partial(write, path))

@@ -373,10 +373,10 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
         drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in received), t)
 
         def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
-            before, states = at
-            ticked = run_tick(params, before, tick_time)
+            earlier, states = at
+            ticked = run_tick(params, earlier, tick_time)
             if observe is not None:
-                observe(before, drive, ticked)
+                observe(earlier, drive, ticked)
             first = tick * steps_per_tick
             return repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
 

@@ -31,8 +31,8 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
             console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
         console.print(f"tuning: {escape(answer.tuned.budget)}", soft_wrap=True)
     for name in answer.untuned:
-        why = f"none of its usual gains is a plain number; [compare.{name}.tune] may name others"
-        console.print(f"{name} keeps its gains: {why}", markup=False, soft_wrap=True)
+        reason = f"none of its usual gains is a plain number; [compare.{name}.tune] may name others"
+        console.print(f"{name} keeps its gains: {reason}", markup=False, soft_wrap=True)
     show_files(files)
 
 

@@ -71,9 +71,9 @@ class Arrangement(NamedTuple):
     """Indices of the elements in the order in which they act.
 
     Args:
-        sampled: Those that act on the sampled command.
-        integrated: Those between, which move between the samples.
-        linear: The linear ones before the plant.
+        sampled: Elements that act on the sampled command.
+        integrated: Elements after these, which move between the samples and are integrated.
+        linear: Linear elements directly before the plant.
     """
 
     sampled: tuple[int, ...]
@@ -82,7 +82,7 @@ class Arrangement(NamedTuple):
 
     @property
     def head(self) -> tuple[int, ...]:
-        """All but the linear ones before the plant."""
+        """All elements but the linear ones directly before the plant."""
         return self.sampled + self.integrated
 
 

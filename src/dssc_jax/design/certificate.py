@@ -139,7 +139,7 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
 
 
 def as_floats(numbers: Numbers) -> Numbers:
-    """The same tuple with Python numbers."""
+    """The tuple with its arrays of one element replaced by Python numbers."""
     values = [value if isinstance(value, str) else float(value) for value in numbers]
     return numbers._replace(**dict(zip(numbers._fields, values, strict=True)))
 

@@ -49,7 +49,7 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     gains = template.controller[channel]
     dt = study.loop.sample_time
     origin = ReferencePoint(0.0, 0.0, 0.0)
-    signals = (0.0,) * controller.takes(gains)
+    signals = (0.0,) * int(controller.takes(gains))
 
     def two_samples(rate: float) -> list[Scalar]:
         measured = Measurement(0.0, rate, signals)

@@ -70,7 +70,7 @@ class IntegrationError(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """What to do about it; empty where the error does not matter."""
+        """The remedy, in words; empty if the error does not matter."""
         if not self.matters:
             return ""
         remedy = f"set loop.substeps = {self.remedy}, or shorten loop.sample_time"

@@ -87,7 +87,7 @@ def gpu_name(choice: str) -> str:
 
 
 def compiler_settings() -> list[str]:
-    """What affects the last digits of a result beside the versions: the compiler, the processor, a request."""
+    """Settings beside the versions that affect the last digits of a result: the compiler, the processor, a request."""
     form = requested()
     requests = [f"{KERNEL_VARIABLE}={form}"] if os.environ.get(KERNEL_VARIABLE) else []
     gpus = [f"gpu {gpu_name(form)}"] if form in GPU_FORMS else []

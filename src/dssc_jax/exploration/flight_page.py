@@ -33,8 +33,8 @@ def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
     if not 0 <= draw < fixed.config.draws:
         raise ConfigError(fixed.source, f"draw must be in 0 .. {fixed.config.draws - 1}, got {draw}")
     indices = np.unique([draw, *range(min(ghosts + 1, fixed.config.draws))])
-    others = indices[indices != draw][:ghosts]
-    indices = np.concatenate([[draw], others])
+    companions = indices[indices != draw][:ghosts]
+    indices = np.concatenate([[draw], companions])
     program = RecordedDraws(fixed, {}, recorded_signals(fixed), lanes=VEHICLE_BATCH)
     results = all_draws(list(program.batches(fixed, indices)))
     values = {name: column[indices] for name, column in drawn(fixed, slice(0, int(indices.max()) + 1)).items()}

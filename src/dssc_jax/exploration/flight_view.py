@@ -153,8 +153,8 @@ def mark_of(run: LiveRun, draw: int) -> int:
         moments.append(float(run.results[requirement.violation_name][draw]))
     known = [moment for moment in moments if np.isfinite(moment)]
     place = run.signal("x_y")[draw]
-    last = int(np.flatnonzero(np.isfinite(place))[-1]) if np.isfinite(place).any() else 0
-    return min(last, int(np.searchsorted(run.times, min(known, default=run.times[-1]))))
+    final = int(np.flatnonzero(np.isfinite(place))[-1]) if np.isfinite(place).any() else 0
+    return min(final, int(np.searchsorted(run.times, min(known, default=run.times[-1]))))
 
 
 def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:

@@ -27,7 +27,7 @@ COMMAND = ("u", "u_n", "u_p")
 """The command in its two parts and their sum (11)."""
 
 OF_CHANNEL = ("y", "y_dot")
-"""What every controller measures."""
+"""Names of the signals that every controller measures."""
 
 
 class MeasuredSignal(NamedTuple):
@@ -39,7 +39,7 @@ class MeasuredSignal(NamedTuple):
 
 
 def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
-    """What a channel's controller measures: y and y', and the study's measured signals if a controller takes some."""
+    """The measurement of a channel's controller: y, y' and, if the controller takes some, the measured signals."""
     loop = study.loop
     units = study.units[index]
     y, y_dot = OF_CHANNEL
@@ -115,7 +115,7 @@ class SampledController:
 
 @dataclass(frozen=True)
 class FlightCode:
-    """What all files of generated code are written from."""
+    """The data from which all files of generated code are written."""
 
     study: Study  # without a sweep
     controllers: list[SampledController]  # one for each channel

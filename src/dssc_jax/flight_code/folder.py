@@ -83,7 +83,7 @@ class FlightFolder:
         )
 
     def fmu(self) -> ControllerFmu:
-        """The same controllers as an FMU."""
+        """The controllers as an FMU."""
         return controller_fmu(self.code)
 
     def recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:

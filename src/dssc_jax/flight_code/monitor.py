@@ -23,7 +23,7 @@ LAST_SAMPLE = 2**31 - 1
 
 
 class ChannelSample(NamedTuple):
-    """What the monitor reads of a channel at one sample. The last two are () if no bound uses them.
+    """The signals of a channel that the monitor reads at one sample. The last two are () if no bound uses them.
 
     Args:
         y: The output, as the controller receives it.
@@ -43,7 +43,7 @@ class ChannelSample(NamedTuple):
 
 
 class MonitorSample(NamedTuple):
-    """What the monitor reads at one sample: its channels, the tilt [rad] and the rotors' commanded thrusts [N].
+    """The monitor's inputs at one sample: its channels, the tilt [rad] and the rotors' commanded thrusts [N].
 
     The tilt and the thrusts are () if the certificate does not bound them.
     """

@@ -35,7 +35,7 @@ Carry: TypeAlias = tuple[LoopState, Scalar, tuple[MonitorState, MonitorState]]
 
 
 def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
-    """What the monitor sees of a simulated sample."""
+    """The monitor's inputs at a simulated sample."""
     channels = []
     for channel, controlled, reference in zip(premises.channels, recorded.controlled, recorded.references, strict=True):
         command = () if channel.disturbance is None else controlled.command.total

@@ -20,7 +20,7 @@ INPUT_MEANINGS = {
     "tilt": "rad: angle between body z and the vertical",
     "rotor": "N: commanded thrust of a rotor",
 }
-"""What the numbers of a sample are, by the end of their names."""
+"""Meanings of the numbers of a sample, by the end of their names."""
 
 
 def monitor_texts(traced: TracedMonitor, study: str) -> dict[str, str]:
@@ -78,7 +78,7 @@ def header_text(traced: TracedMonitor, study: str) -> str:
 
 
 def input_meaning(name: str) -> str:
-    """What a number of the sample is."""
+    """The meaning of a number of the sample."""
     endings = [ending for ending in INPUT_MEANINGS if name.endswith(ending) or name.startswith(f"{ending}_")]
     return INPUT_MEANINGS[max(endings, key=len)]
 

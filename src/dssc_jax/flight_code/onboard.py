@@ -106,12 +106,14 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         with arithmetic(study.config.loop.precision):
             number = jax.ShapeDtypeStruct((), jnp.result_type(float))
             values = (number,) * len(laws)
-            whole = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
+            plant_state = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
             estimation = loop.mimo_plant.estimation
             if estimation is not None and estimation.chosen(study.template.plant):
-                whole = jax.eval_shape(lambda at: as_arrays(estimation.seen(study.template.plant, at)), whole)
-            readings = jax.tree.map(lambda leaf: number, without_held(software, whole))
-            held = jax.tree.map(lambda leaf: number, software.held(whole))
+                plant_state = jax.eval_shape(
+                    lambda at: as_arrays(estimation.seen(study.template.plant, at)), plant_state
+                )
+            readings = jax.tree.map(lambda leaf: number, without_held(software, plant_state))
+            held = jax.tree.map(lambda leaf: number, software.held(plant_state))
             commands = (number,) * count
             started = traced(start, values, readings)
             sampled = traced(sample, values, readings, held, commands)

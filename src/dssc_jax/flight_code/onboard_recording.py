@@ -40,9 +40,9 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             state, k = carry
             rows: list[Row] = []
 
-            def observe(before: State, drive: PlantInput, after: State) -> None:
+            def observe(earlier: State, drive: PlantInput, after: State) -> None:
                 estimation = estimation_of(loop, params)
-                known = before if estimation is None else estimation.seen(params.plant, before)
+                known = earlier if estimation is None else estimation.seen(params.plant, earlier)
                 readings = jax.tree.leaves(without_held(software, known))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 row = (*readings, *commands, *jax.tree.leaves(software.held(after)))

@@ -51,7 +51,7 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
 
 
 class SoftwareFiles(NamedTuple):
-    """What all files are written from."""
+    """The data from which all files are written."""
 
     software: TracedSoftware
     start: Written
@@ -92,14 +92,14 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         f"A tick every {software.period:g} s, {software.ticks} in a sample. Numbers of the study are constants here.",
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
     ]
-    about = [line for sentence in sentences for line in comment(sentence)]
+    remarks = [line for sentence in sentences for line in comment(sentence)]
     definitions = dict.fromkeys([*files.start.definitions, *files.sample.definitions, *files.tick.definitions])
     readings = [f"seen->{reading}" for reading in files.readings]
     commands = [f"wanted->{command}" for command in software.commands]
     header = fill(
         "inner_loop.h",
         name=name,
-        comment=about,
+        comment=remarks,
         guard=f"{name.upper()}_H",
         readings=[f"{real} {reading};" for reading in files.readings],
         commands=[f"{real} {command};" for command in software.commands],
@@ -109,7 +109,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
     source = fill(
         "inner_loop.c",
         name=name,
-        comment=about,
+        comment=remarks,
         real=real,
         fabs="fabsf" if software.precision == 32 else "fabs",
         largest="FLT_MAX" if software.precision == 32 else "DBL_MAX",

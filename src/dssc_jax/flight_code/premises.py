@@ -1,4 +1,4 @@
-"""What a monitor compares a flight with: the bounds of a certificate, in plain numbers, and the flags that follow."""
+"""Premises that a monitor checks: the bounds of a certificate, in plain numbers, and the flags for them."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
@@ -20,7 +20,7 @@ class Flag(NamedTuple):
 
 @dataclass(frozen=True)
 class DisturbancePremises:
-    """What a certificate of one axis takes for granted of y'' = -a_p y' + k_p (G(mu s) u + d).
+    """Premises of a certificate of one axis about y'' = -a_p y' + k_p (G(mu s) u + d).
 
     Args:
         level: Bound of |d|, in the unit of the command.
@@ -97,7 +97,7 @@ class ChannelPremises:
 
 @dataclass(frozen=True)
 class Premises:
-    """What a verified certificate states of a flight.
+    """The bounds of a flight that a verified certificate states.
 
     Args:
         sample_time: T_s [s].
@@ -134,7 +134,7 @@ class Premises:
         return tuple(found)
 
     def rounded(self, real: np.dtype) -> "Premises":
-        """The same bounds in another type of numbers, each rounded outwards."""
+        """Return the bounds in another type of numbers, each rounded outwards."""
         channels = tuple(rounded_channel(channel, real) for channel in self.channels)
         plane = self.plane_start and (above(self.plane_start[0], real), above(self.plane_start[1], real))
         tilt = None if self.tilt is None else above(self.tilt, real)

@@ -88,15 +88,15 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
     with errors_under(str(path)):
         if path.suffix.lower() != ".ulg":
             if topics:
-                raise ConfigError("--topic", "is for a ULog of PX4; a table has columns, which are shown")
+                raise ConfigError("topic", "is for a ULog of PX4; a table has columns, which are shown")
             return table_contents(path)
         listed = list_topics(path)
         known = [topic.name for topic in listed.topics]
         for name in topics:
             if name.removesuffix(":0") not in known:
-                raise ConfigError("--topic", f"the log has no topic '{name}'; {nearest(name, known)}")
-        wanted = [name.partition(":")[0] for name in topics]
-        data, begin = read_topics(path, [*wanted, *SEGMENT_TOPICS])
+                raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, known)}")
+        names = [name.partition(":")[0] for name in topics]
+        data, begin = read_topics(path, [*names, *SEGMENT_TOPICS])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
             path.name,
@@ -113,17 +113,17 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
 def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValues]:
     """The fields of a topic, those in the model's axes first."""
     topic, _, instance = name.partition(":")
-    own = data.get(f"{topic}:{instance or 0}", {})
-    if not own:
+    signals = data.get(f"{topic}:{instance or 0}", {})
+    if not signals:
         return
     label = name.removesuffix(":0")
-    time = stamps(own, begin)
-    for field in derived_fields(topic, own):
-        yield field_summary(f"{label}.{field}", field_values(topic, own, field), True)
+    time = stamps(signals, begin)
+    for field in derived_fields(topic, signals):
+        yield field_summary(f"{label}.{field}", field_values(topic, signals, field), True)
     yield field_summary(f"{label}: time [s]", time, False)
-    for field in own:
+    for field in signals:
         if not field.startswith("timestamp"):
-            yield field_summary(f"{label}.{field}", field_values(topic, own, field), False)
+            yield field_summary(f"{label}.{field}", field_values(topic, signals, field), False)
 
 
 def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldValues:
@@ -164,18 +164,18 @@ def topic_table(
     with errors_under(str(path)):
         name, _, instance = topic.partition(":")
         data, begin = read_topics(path, [name, *SEGMENT_TOPICS])
-        own = data.get(f"{name}:{instance or 0}")
-        if own is None:
+        signals = data.get(f"{name}:{instance or 0}")
+        if signals is None:
             known = [topic.name for topic in list_topics(path).topics]
-            raise ConfigError("--topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
-        time = stamps(own, begin)
-        whole = Segment("whole", 0.0, np.inf)
-        part = whole if segment is None else chosen_segment(segment, segments_of(data, begin))
+            raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
+        time = stamps(signals, begin)
+        log_span = Segment("whole", 0.0, np.inf)
+        part = log_span if segment is None else chosen_segment(segment, segments_of(data, begin))
         origin = part.begin if start is None else start
         inside = (time >= max(part.begin, origin)) & (time <= part.end)
         table = {TIME: time[inside] - origin}
-        for field in [*derived_fields(name, own), *own]:
-            values = field_values(name, own, field)
+        for field in [*derived_fields(name, signals), *signals]:
+            values = field_values(name, signals, field)
             if values is not None and not field.startswith("timestamp"):
                 table[field] = values[inside]
         return table

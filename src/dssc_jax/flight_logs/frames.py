@@ -132,16 +132,16 @@ GROUND_TRUTH = "_groundtruth"
 """Suffix of a simulator's topics, whose fields are those of the estimate."""
 
 
-def derived_fields(topic: str, own: Fields) -> dict[str, DerivedField]:
+def derived_fields(topic: str, columns: Fields) -> dict[str, DerivedField]:
     """The fields in the model's axes of a topic with given fields, by name; a field of its own goes first."""
     found = {}
     for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):
-        if field.name not in own and all(name in own for name in field.needs):
+        if field.name not in columns and all(name in columns for name in field.needs):
             found[field.name] = field
     return found
 
 
-def field_values(topic: str, own: Fields, name: str) -> np.ndarray | None:
+def field_values(topic: str, columns: Fields, name: str) -> np.ndarray | None:
     """A field of a topic, its own or one in the model's axes, as float64; None if the topic lacks it.
 
     Example:
@@ -150,10 +150,10 @@ def field_values(topic: str, own: Fields, name: str) -> np.ndarray | None:
         [1.0, 0.0, 2.0]
     """
     with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged log
-        if name in own:
-            return own[name].astype(float)
-        field = derived_fields(topic, own).get(name)
-        return None if field is None else field.of(*(own[source].astype(float) for source in field.needs))
+        if name in columns:
+            return columns[name].astype(float)
+        field = derived_fields(topic, columns).get(name)
+        return None if field is None else field.of(*(columns[source].astype(float) for source in field.needs))
 
 
 PX4_COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {

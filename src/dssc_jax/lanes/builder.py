@@ -112,11 +112,11 @@ class Builder:
         return loop.results
 
     def branch(self, condition: Value, sides: Sequence[Callable[[], list[Value]]]) -> list[Value]:
-        """The results of one of two sides.
+        """Add a branch: a condition chooses which of two sides computes the results.
 
         Args:
-            condition: Whether to take the first.
-            sides: Functions that build them.
+            condition: Whether the first side does.
+            sides: For each side the function that builds it and returns its results.
         """
         outside = self.here
         blocks = []

@@ -1,4 +1,4 @@
-"""What the program of a lane, its machine code and its callers agree on."""
+"""The interface between the program of a lane, its machine code and its callers."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -13,7 +13,7 @@ ENTRY_POINT = "lanes"
 
 
 class Signature(NamedTuple):
-    """What a caller of a lane's machine code must know.
+    """The signature of a lane's machine code, for its callers.
 
     Args:
         width: Lanes of a vector.

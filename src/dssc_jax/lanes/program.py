@@ -116,11 +116,11 @@ class Record:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Recording:
-    """An array that a loop writes, by one record, and nobody reads within the program.
+    """An output array of a loop: one :class:`Record` writes it, and no operation of the program reads it.
 
     Args:
-        length: Number of its elements.
-        dtype: Their type.
+        length: Number of elements.
+        dtype: Type of the elements.
     """
 
     length: int
@@ -169,7 +169,7 @@ class Subroutine:
 
 
 Node: TypeAlias = Value | CodeLoop | Branch | Record
-"""What a block holds, in its order."""
+"""An entry of a block; the entries run in order."""
 
 
 def inner_blocks(node: Node) -> tuple[CodeBlock, ...]:

@@ -122,11 +122,11 @@ def digest(key: str, program: bytes) -> bytes:
 
 
 def kept(name: str, make: Callable[[], bytes]) -> bytes:
-    """What has a name in the user's cache, or is now made and kept there.
+    """Read an entry of the user's cache by its name; compute and keep it if there is none.
 
     Args:
-        name: Identifies everything that it depends on.
-        make: Makes it.
+        name: Identifies everything on which the entry depends.
+        make: Computes the entry.
     """
     folder = cache_directory()
     if folder is None:

@@ -37,7 +37,7 @@ class Packing(NamedTuple):
 
 PACKINGS = {
     512: (Packing(450, 4, 25), Packing(math.inf, 2, 60)),
-    256: (Packing(750, 4, 120), Packing(2000, 2, 150), Packing(math.inf, 1, 300)),
+    256: (Packing(750, 4, 0), Packing(2000, 2, 60), Packing(math.inf, 1, 20)),
 }
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
@@ -77,7 +77,7 @@ def lane_program(lane: Callable[..., Any], arguments: tuple[Any, ...], strict: b
 
 
 def signature_of(program: Program, results: Any, width: int, code: str) -> Signature:
-    """What a caller of the program's code must know; ``code`` is the name of the code."""
+    """The signature of the program's code, for its callers; ``code`` is the name of the code."""
     outputs = []
     for output in program.outputs:
         outputs.append((output.dtype, output.length if isinstance(output, Recording) else None))

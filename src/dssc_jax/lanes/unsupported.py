@@ -1,4 +1,4 @@
-"""What a lane's program cannot express."""
+"""The error for a function that a lane's program cannot express."""
 
 from typing import Any
 

@@ -170,8 +170,9 @@ def flight(run: xr.Dataset) -> Figure:
             left.set_xlabel("time [s]")
             right.set_xlabel("time [s]")
     for ax in figure.axes:
-        if ax.name != "3d" and ax.get_xlabel() != "x [m]":
-            mark_events(ax, run, named=ax.get_subplotspec().is_last_row())
+        place = ax.get_subplotspec()
+        if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
+            mark_events(ax, run, named=place.is_last_row())
     hidden = [channel for channel in channels if channel not in active]
     note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
     title(figure, how_it_ended(run) + note)

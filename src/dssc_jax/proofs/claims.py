@@ -1,4 +1,4 @@
-"""What a proof covers, and which error it bounds, in words for figures, reports and consoles."""
+"""The claim of a proof in words, for figures, reports and consoles: what it covers, and which error it bounds."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

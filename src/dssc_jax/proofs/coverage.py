@@ -1,4 +1,4 @@
-"""What of a study a proof covers: from its loop to the plain numbers of a problem."""
+"""The parts of a study that a proof covers, and the plain numbers of the problem that follow from its loop."""
 
 import math
 from dataclasses import asdict

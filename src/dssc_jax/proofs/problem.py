@@ -1,4 +1,4 @@
-"""What is to be proved, in plain numbers: one loop with intervals, from a study and into a certificate's file."""
+"""The problem of a proof, in plain numbers: one loop with intervals, from a study and into a certificate's file."""
 
 from dataclasses import asdict, dataclass
 

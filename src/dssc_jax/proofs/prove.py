@@ -91,7 +91,7 @@ class Proved:
         }
 
     def statement(self) -> str:
-        """What is proved, in one sentence."""
+        """The proved statement, in one sentence."""
         if not self.proofs:
             return f"Nothing is proved: {self.reason}."
         box = with_mu(self.problem.box)

@@ -90,7 +90,7 @@ class VehicleProved:
         }
 
     def statement(self) -> str:
-        """What is proved, in a few sentences."""
+        """The proved statement, in a few sentences."""
         if self.verdict is None or self.failure:
             return f"Nothing is proved: {self.reason}."
         wind_h, wind_z = self.problem.wind
@@ -160,7 +160,7 @@ def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
 
 
 def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
-    """What the search finds, or why it finds nothing: in cells of time if the vehicle starts elsewhere."""
+    """The bounds that the search finds, in cells of time if the vehicle starts elsewhere; or why it finds none."""
     if problem.starts_away:
         in_cells = cell_bounds(problem, room)
         if not isinstance(in_cells, str):

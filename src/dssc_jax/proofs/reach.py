@@ -65,7 +65,7 @@ class ProvedReach:
 
 
 def last_words(proof: AnyProved) -> JsonObject:
-    """What the proof at the last proved value covers, and the bounds of a vehicle's signals there."""
+    """The coverage of the proof at the last proved value, and the bounds of a vehicle's signals there."""
     summary = proof.summary()
     bounds = {name: summary[name] for name in ("bounds", "settled") if name in summary}
     return {"covered": proof.claim.covered, **bounds}

@@ -1,4 +1,4 @@
-"""What of a vehicle's study a proof covers: from its loop to the plain numbers of a problem."""
+"""The parts of a vehicle's study that a proof covers, and the plain numbers of the problem that follow from them."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What is to be proved of a whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
+"""The problem of a proof of the whole vehicle, in plain numbers; docs/vehicle_proofs.md states the theorem."""
 
 import math
 from dataclasses import asdict, dataclass

@@ -10,7 +10,7 @@ from dssc_jax.proofs.words import functions_words, interval_words, nominal_words
 
 
 def vehicle_in_words(problem: VehicleProblem) -> dict[str, str]:
-    """What a certificate's problem says, by label; the problem is well formed."""
+    """The problem of a certificate in words, by label; it must be well formed."""
     drag = problem["structure_drag"]
     words = {
         "loop": f"T_s = {problem['sample_time']} s, delay of {problem['delay']} samples, conservative form",
@@ -74,7 +74,7 @@ SHOWN_AS = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
 
 
 def vehicle_verdict_in_words(verdict: VehicleVerdict) -> str:
-    """What a verdict says."""
+    """The verdict in words."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     parts = []

@@ -9,7 +9,7 @@ SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 
 
 def loop_in_words(problem: Problem) -> dict[str, str]:
-    """What a certificate's problem says, by label.
+    """The problem of a certificate in words, by label.
 
     The problem is well formed; units are those of the certificate, y and u, seconds.
     """
@@ -27,7 +27,7 @@ def loop_in_words(problem: Problem) -> dict[str, str]:
 
 
 def verdict_in_words(verdict: ProofVerdict) -> str:
-    """What a verdict says."""
+    """The verdict in words."""
     if not verdict.proved:
         return f"not valid: {verdict.reason}"
     bounds = f"{verdict.largest_error:.4g} and ends within {verdict.error:.4g}"

@@ -41,7 +41,7 @@ def proofs(subject: Subject) -> Section | None:
 
 
 def largest_statement(result: Result, proofs: SweepProofs) -> h.Node:
-    """What is proved in words, at the proved point with the largest bound of the error."""
+    """The proved statement, at the proved point with the largest bound of the error."""
     largest = int(np.nanargmax(proofs.error))
     place = np.unravel_index(largest, proofs.proved.shape)
     pairs = zip(result.study.axes.items(), place, strict=True)

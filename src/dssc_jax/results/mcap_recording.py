@@ -119,11 +119,13 @@ def poses(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Writ
     if set(DESIRED) <= set(columns):
         desired = np.stack([columns[name] for name in DESIRED], axis=1)
         for row in np.flatnonzero(np.isfinite(desired).all(axis=1)):
-            wanted = PoseInFrame(frame_id=WORLD)
-            wanted.timestamp.FromNanoseconds(int(times[row]))
-            wanted.pose.position.x, wanted.pose.position.y, wanted.pose.position.z = map(float, desired[row])
-            wanted.pose.orientation.w = 1.0
-            yield Written("/desired_pose", int(times[row]), wanted)
+            desired_pose = PoseInFrame(frame_id=WORLD)
+            desired_pose.timestamp.FromNanoseconds(int(times[row]))
+            desired_pose.pose.position.x, desired_pose.pose.position.y, desired_pose.pose.position.z = map(
+                float, desired[row]
+            )
+            desired_pose.pose.orientation.w = 1.0
+            yield Written("/desired_pose", int(times[row]), desired_pose)
 
 
 def vectors(topic: str, components: list[np.ndarray], times: np.ndarray) -> Iterator[Written]:

@@ -123,8 +123,8 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     if not entry:
         return None
     earlier = study.override({"draws": entry["asked_draws"]})
-    more = study.config.draws > entry["asked_draws"] and resume
-    if earlier.hash != entry["asked"] or (earlier.hash != study.hash and not more):
+    extends = study.config.draws > entry["asked_draws"] and resume
+    if earlier.hash != entry["asked"] or (earlier.hash != study.hash and not extends):
         return None
     asked = study.hash, study.config.draws
     stored = manifest["study"]

@@ -1,4 +1,4 @@
-"""What changed laws do to the failure probability whatever set of draws fails."""
+"""Bounds of the failure probability under changed laws, whatever set of draws fails."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What a few exchangeable flights say of the next one, and of the study that describes them, without any law.
+"""Sets for the next of several exchangeable flights, and a test of the study that describes them, without any law.
 
 Each flight has a number that is computed in a way fixed before the flights. If n + 1 flights are exchangeable, the rank
 of the last number among all is uniform, so that it is not above the k-th smallest of the others with a probability of

@@ -176,7 +176,7 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
 
 
 class Misfit(NamedTuple):
-    """What a channel's residual tells, if its noise is of one kind.
+    """The noise that a channel's residual shows, if it is of one kind.
 
     Args:
         log_likelihood: Logarithm of the restricted likelihood: without the numbers, and without the variance.

@@ -27,7 +27,7 @@ class Change(ABC):
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """What a size is called in answers: a shift in standard deviations, or a relative width."""
+        """Name of the size in answers: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What it is worth to know in which part of its law a number lies, from the draws that failed.
+"""The value of knowing in which part of its law a number lies, from the draws that failed.
 
 The law of a number is divided into B parts of equal probability. Given that a draw fails, its number lies in part b
 with probability q_b; the failure probability of that part alone is p_b = B p q_b. Knowing the part removes the share
@@ -22,7 +22,7 @@ LEAST_IN_PART = 5
 
 
 class KnownPart(NamedTuple):
-    """What knowing the part of a number's law is worth.
+    """The value of knowing in which part of its law a number lies.
 
     Args:
         parts: B; fewer if few draws failed.
@@ -42,7 +42,7 @@ class KnownPart(NamedTuple):
 def known_part(
     levels: np.ndarray, failed: np.ndarray, limit: float, confidence: float = CONFIDENCE
 ) -> KnownPart | None:
-    """What it is worth to know in which part of its law a number lies.
+    """Estimate the value of knowing in which part of its law a number lies.
 
     The interval of the removed share is Student's with B - 1 degrees of freedom and the variance of a mean over pairs.
     That of the probability of another decision counts the parts that are certainly, or possibly, on the other side of

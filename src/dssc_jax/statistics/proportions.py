@@ -189,7 +189,7 @@ def replicate_interval(values: np.ndarray, replicates: int, confidence: float = 
 
 
 class DesignEffect(NamedTuple):
-    """What a replicated design saved in comparison with independent draws.
+    """The gain of a replicated design over independent draws.
 
     Args:
         variance_ratio: Variance of the share from the design, relative to that from as many independent draws.

@@ -10,7 +10,9 @@ import numpy as np
 from scipy import optimize, special
 
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
+from dssc_jax.statistics.weighted import weighted_interval
 
+DENSE = 10  # failures and passes of a stratum with limits of its own
 LEAST_DRAWS = 8  # of a stratum
 MOST_DRAWS = 10**8
 
@@ -20,7 +22,9 @@ def stratified_interval(
 ) -> tuple[float, float]:
     """Interval of sum_k W_k p_k.
 
-    The limits of each stratum are exact (Clopper-Pearson), and those of the weights Student's t over the nets.
+    A stratum with at least ``DENSE`` failures and passes has exact limits (Clopper-Pearson). The failures of all other
+    strata are weighted rare events, whose limits are those of their sum (Fay and Feuer); so are the passes where passes
+    are rare. The limits of the weights are Student's t over the nets.
 
     Args:
         weights: Probability W_k of each stratum from each of R independent nets, shape (R, strata).
@@ -33,9 +37,20 @@ def stratified_interval(
     """
     shares = failures / draws
     mean = weights.mean(axis=0)
-    limits = clopper_pearson(failures, draws, confidence)
-    below = np.sum(np.square(mean * (shares - limits[:, 0])))
-    above = np.sum(np.square(mean * (limits[:, 1] - shares)))
+    passes = draws - failures
+    dense = np.minimum(failures, passes) >= DENSE
+    limits = clopper_pearson(failures[dense], draws[dense], confidence)
+    below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
+    above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
+    failing = ~dense & (failures > passes)
+    passing = ~dense & ~failing
+    event_weights = mean / draws
+    lower, upper = distances(event_weights[passing], failures[passing], confidence)
+    below += lower**2
+    above += upper**2
+    lower, upper = distances(event_weights[failing], passes[failing], confidence)
+    below += upper**2
+    above += lower**2
     by_net = weights @ shares
     nets = len(by_net)
     half = special.stdtrit(nets - 1, 0.5 * (1.0 + confidence)) * by_net.std(ddof=1) / np.sqrt(nets)
@@ -44,6 +59,22 @@ def stratified_interval(
         float(max(0.0, estimate - np.sqrt(below + half**2))),
         float(min(1.0, estimate + np.sqrt(above + half**2))),
     )
+
+
+def distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:
+    """Distances of the limits of a weighted sum of rare events from it, below and above.
+
+    Args:
+        weights: Weight of an event in each stratum, shape (strata,).
+        counts: Events of each stratum, shape (strata,).
+        confidence: Coverage, in (0, 1).
+    """
+    if not len(weights):
+        return 0.0, 0.0
+    events = np.repeat(weights, counts)
+    low, high = weighted_interval(events, 1, float(weights.max()), confidence)
+    total = float(events.sum())
+    return total - low, high - total
 
 
 def allocation(

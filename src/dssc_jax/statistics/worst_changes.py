@@ -70,7 +70,7 @@ class WeightedDraws:
     confidence: float
 
     def at(self, amounts: np.ndarray) -> WeightedChange:
-        """What the draws say of a change."""
+        """The failure probability under a change, as the weights of the draws give it."""
         draws = len(self.scores)
         weights = np.exp(self.change.log_weights(amounts, self.scores))
         failing = weights[self.failed]

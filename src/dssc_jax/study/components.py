@@ -336,13 +336,13 @@ def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple
         tables = {index: as_table(table, str(index)) for index, table in enumerate(value)}
         presets: tuple[Any, ...] = (None,) * len(tables)
     else:
-        given = as_table({} if value is None else value)
+        tables_by_index = as_table({} if value is None else value)
         known = [str(index) for index in range(len(preset))]
-        unknown = next((key for key in given if key not in known), None)
+        unknown = next((key for key in tables_by_index if key not in known), None)
         if unknown is not None:
-            there = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
-            raise ConfigError(unknown, f"is no index of an item; {there}")
-        tables = {index: as_table(given.get(str(index), {}), str(index)) for index in range(len(preset))}
+            hint = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
+            raise ConfigError(unknown, f"is no index of an item; {hint}")
+        tables = {index: as_table(tables_by_index.get(str(index), {}), str(index)) for index in range(len(preset))}
         presets = preset
     items = []
     numbers: list[Number] = []

@@ -105,12 +105,12 @@ def with_sensor_events(column: list[Component], events: list[Happening], channel
                 continue
             inner = column[index]
             place = f"sensor.{index}"
-            own = tuple(number.under(f"{place}.event", happening.path) for number in happening.part.numbers)
+            event_numbers = tuple(number.under(f"{place}.event", happening.path) for number in happening.part.numbers)
             column[index] = Component(
                 f"{inner.kind} with {happening.part.kind}",
                 event.wrap(inner.model),
                 Wrapped(inner.params, happening.part.params),
-                (*moved(inner.numbers, place, "inner"), *own),
+                (*moved(inner.numbers, place, "inner"), *event_numbers),
             )
     return column
 
@@ -132,16 +132,16 @@ def with_command_events(column: list[Component], events: list[Happening], channe
             inner = column[index]
             place = f"unmodelled.{index}"
             if inner.kind == "none":
-                own = tuple(number.under(place, happening.path) for number in happening.part.numbers)
-                column[index] = Component(happening.part.kind, event.model, happening.part.params, own)
+                event_numbers = tuple(number.under(place, happening.path) for number in happening.part.numbers)
+                column[index] = Component(happening.part.kind, event.model, happening.part.params, event_numbers)
                 continue
             if " + " in inner.kind:
                 raise ConfigError(
                     happening.path, "stands behind one actuator at most; the study has a chain of several"
                 )
-            own = tuple(number.under(f"{place}.1", happening.path) for number in happening.part.numbers)
+            event_numbers = tuple(number.under(f"{place}.1", happening.path) for number in happening.part.numbers)
             model = chain((Element(inner.kind, inner.model), Element(happening.part.kind, event.model)))
             params = (inner.params, happening.part.params)
             kind = f"{inner.kind} + {happening.part.kind}"
-            column[index] = Component(kind, model, params, (*moved(inner.numbers, place, "0"), *own))
+            column[index] = Component(kind, model, params, (*moved(inner.numbers, place, "0"), *event_numbers))
     return column

@@ -171,7 +171,7 @@ SPREAD = "spread"
 
 
 class Uncertain(ABC):
-    """What stands for a number that differs between draws: a law, or an expression of such numbers."""
+    """The content of a number that differs between draws: a law, or an expression of such numbers."""
 
     @property
     @abstractmethod
@@ -181,7 +181,7 @@ class Uncertain(ABC):
     @property
     @abstractmethod
     def median(self) -> float:
-        """The value where every law has its median."""
+        """The value for which every law is at its median."""
 
 
 @dataclass(frozen=True)

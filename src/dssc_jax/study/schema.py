@@ -380,8 +380,8 @@ class StudyTable(BaseModel):
     def _design(self) -> "StudyTable":
         if self.independent:
             if "replicates" in self.model_fields_set:
-                none = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
-                raise ValueError(f"replicates belong to sampling = 'sobol' or 'lhs'; {none}")
+                remedy = "random draws have none" if self.sampling == "random" else "'auto' chooses their number"
+                raise ValueError(f"replicates belong to sampling = 'sobol' or 'lhs'; {remedy}")
             return self
         share, remainder = divmod(self.draws, self.replicates)
         if self.sampling == "lhs" and (remainder or share < 2):

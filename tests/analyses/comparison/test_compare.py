@@ -155,3 +155,21 @@ def test_a_requirement_that_a_rival_cannot_have(study):
     changed = copy.deepcopy(TABLE) | {"requirement": [{"metric": "outside_sliding", "max": 0.1}]}
     with pytest.raises(dj.ConfigError, match=r"compare.pi: .*needs sliding_margin"):
         dj.compare(dj.Study.from_table(changed), ["dssc", "pi"])
+
+
+def test_what_cannot_be_tuned_keeps_its_gains_and_is_named():
+    """Gains that follow from a parameter, unless `tune` names them; weights that are fitted when the study is read."""
+    pid = {"kind": "pid", "k_p": "=g", "k_i": "=g/4", "k_d": "=g/2", "filter": 0.02}
+    lqg = {"kind": "lqg", "command_weight": 0.1, "output_weight": 1.0, "signal_std": [0.1], "disturbance_std": [0.1]}
+    plant = {"kind": "state_space", "a": [[0.0, 1.0], [0.0, -1.0]], "b": [0.0, 1.0], "c": [1.0, 0.0], "x0": [1.0]}
+    table = TABLE | {"draws": 8, "parameters": {"g": 4.0}, "plant": plant, "controller": pid}
+    table |= {"compare": {"lqg": lqg, "tuned": pid | {"tune": {"k_p": [1.0, 8.0]}}}}
+    study = dj.Study.from_table(table)
+    found = dj.compare(study, ["pid", "lqg", "tuned"], candidates=2, tuning_draws=4)
+    assert found.untuned == ("pid", "lqg")
+    assert found.summary()["untuned"] == ["pid", "lqg"]
+    assert found.tuned.tables["pid"] == found.corresponding.tables["pid"]
+    assert 1.0 <= found.tuned.tables["tuned"]["k_p"] <= 8.0
+    none = dj.compare(study, ["pid", "lqg"], candidates=2, tuning_draws=4)
+    assert none.tuned is None
+    assert none.untuned == ("pid", "lqg")

@@ -63,16 +63,26 @@ def test_the_interpolation_is_that_of_scipy():
 
 
 def test_one_stratum_has_the_exact_interval():
-    found = stratified_interval(np.ones((16, 1)), np.array([7]), np.array([200]))
-    assert found == pytest.approx(tuple(clopper_pearson(7, 200)))
+    found = stratified_interval(np.ones((16, 1)), np.array([17]), np.array([200]))
+    assert found == pytest.approx(tuple(clopper_pearson(17, 200)))
+
+
+def test_single_failures_of_several_strata_add_up_as_one_count():
+    """Equal weights: the exact limits of a Poisson count, here of 3 and then of 0."""
+    weights = np.full((16, 4), 0.25)
+    for counts, ends in (([1, 1, 1, 0], (0.6187, 8.7673)), ([0, 0, 0, 0], (0.0, 3.6889))):
+        low, high = stratified_interval(weights, np.array(counts), np.full(4, 1000))
+        assert (low, high) == pytest.approx(np.array(ends) * 0.25 / 1000, rel=1e-3)
+        low, high = stratified_interval(weights, 1000 - np.array(counts), np.full(4, 1000))
+        assert (1.0 - high, 1.0 - low) == pytest.approx(np.array(ends) * 0.25 / 1000, rel=1e-3)
 
 
 def test_the_allocation_reaches_the_width_and_prefers_doubt():
     weights = np.array([0.05, 0.05, 0.9])
     shares = np.array([0.99, 0.5, 1e-4])
     draws = allocation(weights, shares, 0.01, 10**6)
-    low, high = stratified_interval(np.tile(weights, (16, 1)), shares * draws, draws)
-    assert 0.009 < high - low <= 0.01
+    low, high = stratified_interval(np.tile(weights, (16, 1)), np.round(shares * draws).astype(int), draws)
+    assert 0.008 < high - low <= 0.0102
     assert draws[1] > 2 * draws[0]
     assert allocation(weights, shares, 0.0001, 10**4).sum() < 1.1e4
 

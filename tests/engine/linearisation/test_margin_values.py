@@ -168,9 +168,12 @@ def test_verdicts_follow_and_come_first(result):
 
 
 def test_margins_depend_on_the_draw_alone(result, tmp_path):
-    in_blocks = dj.run(study(), tmp_path / "blocks", block=7, check=False).dataset
+    folder = tmp_path / "blocks"
+    dj.run(study(draws=14), folder, block=7, check=False)
+    resumed = dj.run(study(), folder, resume=True, check=False).dataset
+    assert resumed.sizes["draw"] == result.dataset.sizes["draw"]
     for name in result.dataset:
-        np.testing.assert_array_equal(in_blocks[name].values, result.dataset[name].values)
+        np.testing.assert_array_equal(resumed[name].values, result.dataset[name].values)
 
 
 def test_one_draw_alone_has_the_same_margin(result):

@@ -65,9 +65,14 @@ def test_an_exact_derivative_that_shows_the_disturbance_is_told():
         {"differentiator": {"kind": "lead_filter", "tau_f": 1e-4}},
         {"sensor": {"kind": "noisy", "velocity_std": 1.0}},
         {"plant": CONVERTER["plant"] | {"disturbance": B}},
+        {"controller": {"kind": "pid", "k_p": 1e-3, "k_i": 1.0, "k_d": 1e-7}},  # it takes y alone
+        {"controller": {"kind": "state_feedback", "k_1": 1e-3, "k_2": 0.0}},
+        {"controller": {"kind": "lqg", "command_weight": 1.0, "output_weight": 1.0, "signal_std": [0.1]}},
     ]
     for change in silent:
         assert rate_warning(dj.Study.from_table(CONVERTER | change)) is None
+    switching = {"kind": "smc", "l0": 1e4, "gain": 0.1}
+    assert rate_warning(dj.Study.from_table(CONVERTER | {"controller": switching})) is not None
 
 
 def test_the_column_has_a_number_for_each_state():

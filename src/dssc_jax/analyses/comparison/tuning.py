@@ -104,8 +104,8 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     """
     if not extents:
         return {}
-    given = plain_values(study, extents)
-    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **given})
+    plain = plain_values(study, extents)
+    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **plain})
     candidates = candidate_points(trial, extents, budget)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
     all_scores = scores(evaluator, candidates, np.arange(budget.draws))

@@ -12,15 +12,15 @@ from dssc_jax.cli.declarations.types import Json, ResultArgument, StoredArgument
 
 @dataclass(frozen=True, kw_only=True)
 class Verify(StoredOptions):
-    """Compute a random handful of a result's lanes again, by the plain program.
+    """Recompute some random lanes of a result by the plain program.
 
-    The largest relative deviation is shown. Exit 1 where it is more than rounding explains, or where every lane
-    amplifies rounding so much that none is evidence. A result whose study names code of its own needs --trust-code.
+    Prints the largest relative deviation. Exit 1 if it is more than rounding explains, or if every lane amplifies
+    rounding so much that none can confirm the result. A result whose study names code of its own needs --trust-code.
     """
 
     result: ResultArgument
     draws: Annotated[int, typer.Option("--draws", metavar="K", help="How many lanes to compute again.")] = 16
-    seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Picks them [anew each time].")] = None
+    seed: Annotated[int | None, typer.Option("--seed", metavar="S", help="Seed of the choice [at random].")] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,7 @@ class Margin(OutputOptions, DrawsOptions, WalkOptions):
     """
 
     controllers: Annotated[
-        str | None, typer.Option("--controllers", metavar="A,B,..", help="Of each of these, on the same draws.")
+        str | None, typer.Option("--controllers", metavar="A,B,..", help="Margins of each of these controllers.")
     ] = None
     prove: Prove = False
 
@@ -32,10 +32,10 @@ class Margin(OutputOptions, DrawsOptions, WalkOptions):
 class Theory(OutputOptions, DrawsOptions, WalkOptions):
     """Compare theory with simulation for one number.
 
-    Theorem 1 where it speaks, the linearised loop's local margin, describing functions (over unmodelled.mu), and the
-    simulated margin. They answer different questions; where one of them does not apply, the answer says why. With
-    --prove, also how far the sampled loop is proved, for all plants of the laws, or all winds within the bounds, at
-    once.
+    Prints how far Theorem 1 certifies the loop, the local margin of the linearised loop, what describing functions
+    predict (over unmodelled.mu), and the simulated margin. They answer different questions; where one of them does not
+    apply, the answer says why. With --prove, also how far the sampled loop is proved, for all plants of the laws, or
+    all winds within the bounds, at once.
     """
 
     also: ClassVar = ("pole", "poles", "eig", "rlocus", "root-locus")
@@ -49,8 +49,8 @@ class Compare(OutputOptions, DrawsOptions):
 
     Gains that the study does not give follow from DSSC's; --tune also tunes all on equal budgets.
 
-    Prints failure probabilities, and for every pair the difference with its interval and an exact paired test. What is
-    tuned is tuned on draws of its own. Plants of several channels are not tuned.
+    Prints failure probabilities, and for every pair the difference with its interval and an exact paired test. Tuning
+    uses other draws than the comparison. Plants of several channels are not tuned.
     """
 
     controllers: Annotated[

@@ -33,10 +33,10 @@ class Run(OutputOptions, StatedOptions, RunOptions, DrawsOptions):
     The study's [sweep] is ignored.
 
     Prints the failure probability with its interval, and writes a results folder. Draws that fail are outcomes: the
-    exit code is 0. With --until-width, or --accept and --reject, the draws decide their number. The interval is then
-    the sequential one, which stays valid, and the exit code is 1 unless the rule is met (narrow enough, or accepted).
+    exit code is 0. With --until-width, or --accept and --reject, the run draws until it can stop, and its interval
+    accounts for this. The exit code is then 1 unless the interval is narrow enough, or the loop is accepted.
 
-    With --within, --shift or --widening the interval is also printed that holds if the laws are wrong by so much.
+    --within, --shift and --widening add an interval that holds if the laws are wrong by these amounts.
     """
 
     also: ClassVar = ("monte-carlo", "montecarlo", "mc")
@@ -62,8 +62,8 @@ class Sweep(OutputOptions, RunOptions, DrawsOptions):
 
     The axes are those of the study's [sweep], or those given by --over.
 
-    With --prove, figures tell four things apart: points that are proved, that survive every draw, that fail in some
-    draws, and in all. The proofs and their certificates are in proofs.json of the results folder.
+    With --prove, figures distinguish four kinds of points: proved; not proved, but no draw fails; some draws fail; all
+    draws fail. The proofs and their certificates are in proofs.json of the results folder.
 
     All points see the same draws. A swept value takes the place of the law of that parameter. If the folder already
     holds this study's complete result, it is shown; --fresh computes it again. If it is incomplete, the run starts
@@ -90,7 +90,7 @@ class Sweep(OutputOptions, RunOptions, DrawsOptions):
 class Simulate(TrajectoryOptions, SeededOptions):
     """Simulate one draw and keep its trajectory.
 
-    Values are the study's own. Tells how the draw ended; --csv and --figure keep the trajectory.
+    The study's [sweep] is ignored. Prints how the draw ended; --csv and --figure keep the trajectory.
     """
 
     also: ClassVar = ("step", "lsim", "sim", "impulse")

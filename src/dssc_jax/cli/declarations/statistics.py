@@ -32,8 +32,8 @@ from dssc_jax.cli.declarations.types import (
 class Plan:
     """How many draws does my question need?
 
-    Answers for a failure probability (Chernoff; Clopper-Pearson, at the expected count and assured), for the worst case
-    and for no failure at all, and for tolerance limits (Wilks).
+    Prints the numbers of draws for a failure probability (by Chernoff's bound; by the exact interval, at the expected
+    count and in nearly all runs), for the worst case, for no failure at all, and for tolerance limits (Wilks).
     """
 
     error: Annotated[
@@ -106,7 +106,7 @@ class Rare(OutputOptions, SeededOptions):
 
     Importance sampling around the design points, the failures nearest to the median draw, takes some thousand
     simulations. Where it has no answer, adaptive multilevel splitting approaches failures level by level, which takes
-    some hundred thousand. Plain draws show where an answer cannot be right. The study's [sweep] and its number of draws
+    some hundred thousand. Plain draws check the answer. The study's [sweep] and its number of draws
     are ignored.
     """
 
@@ -128,6 +128,6 @@ class Rare(OutputOptions, SeededOptions):
     plain: Annotated[
         int | None,
         typer.Option(
-            "--plain", metavar="N", help=f"Plain draws, which may contradict [{FEWER_PLAIN}; splitting: {PLAIN}]."
+            "--plain", metavar="N", help=f"Plain draws that check the answer [{FEWER_PLAIN}; splitting: {PLAIN}]."
         ),
     ] = None

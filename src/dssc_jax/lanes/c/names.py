@@ -91,7 +91,7 @@ def member_names(texts: Iterable[str]) -> list[str]:
 
 
 def prefix_name(text: str) -> str:
-    """What the names of functions and types begin with, in small letters."""
+    """Prefix of the names of functions and types, in small letters."""
     name = underscored(text).lower()
     if not name[:1].isalpha() or is_known(name) or LINKED.fullmatch(name):
         name = f"study_{name}".rstrip("_")

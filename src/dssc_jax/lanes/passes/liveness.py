@@ -1,4 +1,4 @@
-"""What of a program its results depend on."""
+"""Liveness analysis: the values on which a program's results depend."""
 
 from collections import Counter
 

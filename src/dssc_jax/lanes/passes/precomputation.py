@@ -19,7 +19,7 @@ WORTHWHILE = 12  # uniform operations in a turn that are worth it
 
 @dataclass(frozen=True)
 class AheadPlan:
-    """What to compute ahead.
+    """The values of a loop to precompute.
 
     Args:
         counters: Positions of the uniform states, and by how much each grows in a turn.
@@ -33,7 +33,7 @@ class AheadPlan:
 
 
 def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
-    """What of a loop's body to compute ahead; None if that is impossible or not worthwhile.
+    """Select the values of a loop's body to precompute; None if that is impossible or not worthwhile.
 
     Args:
         loop: The loop.

@@ -137,7 +137,7 @@ def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], s
 
 
 def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
-    """What an index beyond an array reads."""
+    """The value that an index beyond an array reads."""
     if fill is not None:
         return build.constant(fill, dtype)
     match dtype.kind:

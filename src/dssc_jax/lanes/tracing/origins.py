@@ -1,4 +1,4 @@
-"""What a model's source calls the values of a trace: the variable, field or argument that an operation is assigned to.
+"""Names of a trace's values in a model's source: the variable, field or argument to which an operation is assigned.
 
 JAX's trace tells the place in the source of each operation, to the column. The syntax tree of the file tells the rest:
 
@@ -151,7 +151,7 @@ def function_at(place: Place) -> tuple[str, str]:
 
 
 def assigned_name(places: Sequence[Place]) -> str:
-    """What the value computed at the first place is assigned to, there or where the calls around it return it."""
+    """The name to which the value at the first place is assigned, there or where the calls around it return it."""
     elements: list[int] = []  # positions in the tuples that the value is returned in, innermost last
     for place in places:
         nodes, parents = source(place.code.co_filename)

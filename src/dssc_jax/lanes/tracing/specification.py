@@ -1,4 +1,4 @@
-"""What a rule translates exactly: types of operands and results, and values of each parameter.
+"""Specifications of rules: types of operands and results, and values of parameters, that are translated exactly.
 
 Whatever a specification does not list is refused by name: another type, another value, or a parameter that a newer JAX
 adds. The program then runs as plain XLA. :meth:`Specification.require` is the only place that decides so.
@@ -59,7 +59,7 @@ def one_of(*values: object) -> Condition:
 
 @dataclass(frozen=True)
 class Specification:
-    """What of a primitive is translated exactly.
+    """The types and parameters of a primitive that are translated exactly.
 
     Args:
         types: Of every operand and result; None: a call or a loop, whose inner equations are checked.

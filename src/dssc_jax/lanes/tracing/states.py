@@ -1,4 +1,4 @@
-"""What a loop carries, between values of a trace and the scalars of a program."""
+"""Conversion of a loop's states between the values of a trace and the scalars of a program."""
 
 from collections.abc import Sequence
 from typing import Any

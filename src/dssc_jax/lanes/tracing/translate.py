@@ -285,7 +285,7 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
 
 
 def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
-    """One of several programs; a lane's own choice."""
+    """``lax.cond`` and ``lax.switch``: nested branches of two sides, of which each lane chooses for itself."""
     index, *remaining = operands
     refuse_recordings(remaining)
     build, branches = translator.build, equation.params["branches"]

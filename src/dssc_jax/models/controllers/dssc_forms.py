@@ -103,7 +103,7 @@ class SampleRatios(NamedTuple):
 
 
 class ControlSample(NamedTuple):
-    """What filter and predictor see at one sample: the error, the functions and their ratios there, the bound rho."""
+    """Inputs of filter and predictor at one sample: the error, the functions and their ratios there, the bound rho."""
 
     error: TrackingError
     at: StateFunctions

@@ -37,10 +37,10 @@ def prepare(params: RotorParams) -> RotorParams:
 
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
     """The condition with less of a rotor's thrust."""
-    before = condition.effectiveness or (1.0,) * rotors
+    shares = condition.effectiveness or (1.0,) * rotors
     remaining = 1.0 - share * (1.0 - params.effectiveness)
     after = []
-    for index, value in enumerate(before, start=1):
+    for index, value in enumerate(shares, start=1):
         if is_known(params.rotor):
             after.append(value * remaining if round(float(params.rotor)) == index else value)
         else:

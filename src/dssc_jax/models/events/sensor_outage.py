@@ -38,8 +38,8 @@ def wrap(sensor: Sensor) -> Sensor:
         params: Wrapped, state: OutageState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[OutageState, Measurement]:
         inner, reading = sensor.step(params.inner, state.inner, measurement, key, t, dt)
-        since = t - params.event.at + ROUNDING * dt
-        frozen = (since >= 0.0) & (since < params.event.duration)
+        elapsed = t - params.event.at + ROUNDING * dt
+        frozen = (elapsed >= 0.0) & (elapsed < params.event.duration)
         y = jnp.where(frozen, state.shown.y, reading.y)
         y_dot = jnp.where(frozen, state.shown.y_dot, reading.y_dot)
         return OutageState(inner, Measurement(y, y_dot)), reading._replace(y=y, y_dot=y_dot)

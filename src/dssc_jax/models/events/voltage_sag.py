@@ -19,8 +19,8 @@ class SagParams(NamedTuple):
 def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
     """The condition with less voltage."""
     remaining = 1.0 - share * (1.0 - params.voltage)
-    before = condition.voltage
-    return condition._replace(voltage=remaining if before is None else before * remaining)
+    earlier = condition.voltage
+    return condition._replace(voltage=remaining if earlier is None else earlier * remaining)
 
 
 VOLTAGE_SAG = VehicleEvent(SagParams, change, "the voltage of all rotors")

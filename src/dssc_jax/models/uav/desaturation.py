@@ -80,9 +80,9 @@ def gain_along(direction: Direction, thrusts: Sequence[Scalar], limit: Scalar) -
     for f, entry, strong in zip(thrusts, direction.entries, direction.strong, strict=True):
         if not strong:
             continue
-        beyond = jnp.where(f < 0.0, -f, jnp.where(f > limit, limit - f, 0.0))
-        low = jnp.minimum(low, beyond / entry)
-        high = jnp.maximum(high, beyond / entry)
+        excess = jnp.where(f < 0.0, -f, jnp.where(f > limit, limit - f, 0.0))
+        low = jnp.minimum(low, excess / entry)
+        high = jnp.maximum(high, excess / entry)
     return low + high
 
 

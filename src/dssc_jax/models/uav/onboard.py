@@ -166,10 +166,10 @@ def software_sample(params: UavParams, state: UavState, drive: PlantInput, dt: f
 def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     """Attitude and rate control of a sampled inner loop, and the allocation to the rotors."""
     craft = params.craft
-    software, wanted = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
-    thrusts = allocate(params.allocation, wanted.thrust, wanted.moment, params.rotor_limit, params.desaturation)
-    missing = wanted.moment - allocated_moment(craft, thrusts.commanded)
+    software, demand = required_loop(params).tick(craft, state.inner.software, readings_of(state), dt)
+    thrusts = allocate(params.allocation, demand.thrust, demand.moment, params.rotor_limit, params.desaturation)
+    missing = demand.moment - allocated_moment(craft, thrusts.commanded)
     unallocated = Vec3(*(jnp.where(thrusts.limited, value, 0.0) for value in missing))
     software = software._replace(unallocated=unallocated)
     limited = jnp.where(thrusts.limited, 1.0, 0.0)
-    return state._replace(inner=HeldLoop(software, wanted.thrust, thrusts.commanded, limited))
+    return state._replace(inner=HeldLoop(software, demand.thrust, thrusts.commanded, limited))

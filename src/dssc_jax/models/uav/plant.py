@@ -77,8 +77,8 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     if not isinstance(gains, InnerGains):
         held = state.inner
         limit = params.vehicle.thrust_limit
-        given = tuple(jnp.minimum(f, limit) for f in held.rotor)
-        rotors = Thrusts(given, held.limited > 0.5)
+        thrusts = tuple(jnp.minimum(f, limit) for f in held.rotor)
+        rotors = Thrusts(thrusts, held.limited > 0.5)
         return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
     model = params.inner_model
     seen = readings_of(state)
@@ -123,8 +123,8 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
         slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    still = jax.tree.map(lambda leaf: 0.0, state.error)
-    return UavState(*slope, commands.slope, turning.accelerations, still)
+    at_rest = jax.tree.map(lambda leaf: 0.0, state.error)
+    return UavState(*slope, commands.slope, turning.accelerations, at_rest)
 
 
 def project(params: UavParams, state: UavState) -> UavState:

@@ -68,10 +68,10 @@ def loaded_derivative(
     jyz = total * c.y * c.z - yz
     jzx = total * c.z * c.x - zx
     tensor = Mat3(Vec3(diagonal.x, jxy, jzx), Vec3(jxy, diagonal.y, jyz), Vec3(jzx, jyz, diagonal.z))
-    about = torque - c.cross(force) - state.rate.cross(tensor @ state.rate)
+    moment = torque - c.cross(force) - state.rate.cross(tensor @ state.rate)
     columns = (tensor.b.cross(tensor.c), tensor.c.cross(tensor.a), tensor.a.cross(tensor.b))  # a symmetric matrix
     determinant = tensor.a.dot(columns[0])
-    rate_dot = (columns[0] * about.x + columns[1] * about.y + columns[2] * about.z) / determinant
+    rate_dot = (columns[0] * moment.x + columns[1] * moment.y + columns[2] * moment.z) / determinant
     lever = rate_dot.cross(c) + state.rate.cross(state.rate.cross(c))
     acceleration = rotation @ (force / total - lever) - Vec3(0.0, 0.0, GRAVITY)
     return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)

@@ -50,7 +50,7 @@ class Proof:
     stages: Sequence[SetStage | BoundsStage]
 
     def to_dict(self) -> dict[str, object]:
-        """As JSON's types."""
+        """Return the content as types of JSON."""
         return asdict(self)
 
 

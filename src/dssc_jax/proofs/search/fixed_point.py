@@ -282,7 +282,7 @@ def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
 
 
 def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: StageRegion) -> float:
-    """What the equivalent control deviates by from that of the middle loop."""
+    """Bound of the difference between the equivalent control and that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
     if problem.form == "implicit":

@@ -126,7 +126,7 @@ def minimiser(cost: np.ndarray, matrices: Sequence[Affine], linear: np.ndarray) 
 
 
 class SetPrograms(NamedTuple):
-    """What the programs of one loop share.
+    """Data that all semidefinite programs of one loop share.
 
     Args:
         sample_time: T_s [s].

@@ -102,7 +102,7 @@ class SetStage:
 
 
 class Setting(NamedTuple):
-    """What the programs of one box share.
+    """Data that all semidefinite programs of one box share.
 
     Args:
         problem: What is to be proved.

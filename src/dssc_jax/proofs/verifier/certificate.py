@@ -36,7 +36,7 @@ class Problem(TypedDict):
 
 
 class Stage(TypedDict):
-    """What the stages of both methods have: a region, bounds of the disturbance, lambda, P and the method."""
+    """The entries of a stage of either method: a region, bounds of the disturbance, lambda, P and the method."""
 
     sigma: float
     e: float
@@ -57,7 +57,11 @@ class SmallGainStage(Stage):
 
 
 class InvariantStage(Stage):
-    """Pieces of the region, degree in 1/mu, multipliers, the coordinate of z, and the bound of the change of e."""
+    """A stage of method 1, an invariant set.
+
+    ``pieces`` is the number of pieces of the region, ``degree`` that of the polynomial in 1/mu, ``multipliers`` are the
+    mu_j of P6. ``coordinate`` is v or q, and ``moved`` bounds the change of e in a sample.
+    """
 
     pieces: int
     degree: int

@@ -130,7 +130,7 @@ def control_rows(problem: Problem, gain: Sequence[arb], *, integrated: bool) -> 
 
 
 def zeta_jump(problem: Problem) -> list[arb]:
-    """What a change of k_p d_r by 1 adds to zeta."""
+    """The change of zeta that a change of k_p d_r by 1 causes."""
     zeta = state_places(problem).zeta
     if problem["denominator"]:
         return [1 / companion_form(problem).a[0], *(arb(0) for _ in zeta[1:])]

@@ -214,7 +214,7 @@ def taylor_terms(generator: arb_mat, slope: arb_mat, order: int) -> list[arb_mat
 
 
 def interpolation_error(problem: Problem, box: Box, degree: int) -> arb_mat:
-    """What is left out by linear interpolation in a_p and a Taylor polynomial in 1/mu about the middle.
+    """The remainder of linear interpolation in a_p and of the Taylor polynomial in 1/mu about the middle.
 
     width^2/8 sup |second derivative| of the one, (width/2)^(degree + 1) sup |derivative of that order| over the
     factorial of the other.

@@ -193,7 +193,7 @@ def implied_bounds(
 def law_deviations(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb]
 ) -> LawDeviations:
-    """What the law deviates by, under the stage's bounds.
+    """Bounds of the law's deviations from the middle loop, under the stage's bounds.
 
     With the coordinate v the gains K_P, K_I and K_N deviate. With q = v - phi_1 the functions phi_1, phi_2 and n of
     sigma and e do: by the spread of their ratios to sigma, or by their distance from straight lines, whichever is
@@ -225,7 +225,7 @@ def law_deviations(
 def slide_deviation(
     problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], moved: arb
 ) -> arb:
-    """What the equivalent control deviates by, through the changes of sigma and, by ``moved``, of e in a sample."""
+    """Bound of the equivalent control's deviation, due to the changes of sigma and, by ``moved``, of e in a sample."""
     by_e = abs(gains.get("slide_e", arb(0))).upper()
     slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], moved)
     return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved

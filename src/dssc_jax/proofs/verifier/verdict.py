@@ -148,7 +148,7 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
 
 
 def limits_of(problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, started: bool, label: str) -> StageLimits:
-    """What a stage shows, by its method."""
+    """The bounds that a stage proves, by its method."""
     if stage["method"] == SMALL_GAIN:
         return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, started, label)
     require_premise(stage["method"] == INVARIANT_SET, "P0: the method is unknown")

@@ -82,9 +82,9 @@ class ComplementaryFilter(NamedTuple):
             leaning = leaning + rotation.c * jnp.where(aids.has_heading, gain * difference, 0.0)
         turned = rotation_of(increments.rotation + (leaning - memory.gyro_bias) * dt)
         if self.sensors.position is not None:
-            since = dt * round(self.sensors.position_period)
+            period = dt * round(self.sensors.position_period)
             miss = aids.position - (position - velocity * (self.sensors.delayed * dt))
-            weight = jnp.where(aids.has_position, self.position_bandwidth * since, 0.0)
+            weight = jnp.where(aids.has_position, self.position_bandwidth * period, 0.0)
             position = position + miss * (2.0 * weight)
             velocity = velocity + miss * (weight * self.position_bandwidth)
         if self.sensors.height is not None:

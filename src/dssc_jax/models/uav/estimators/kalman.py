@@ -218,14 +218,14 @@ class Update(NamedTuple):
     covariance: Covariance
     error: tuple[Scalar, ...]
 
-    def by(self, row: Sparse, difference: Scalar, std: Scalar, there: Scalar) -> "Update":
+    def by(self, row: Sparse, difference: Scalar, std: Scalar, measured: Scalar) -> "Update":
         """The update by one number; without it nothing changes.
 
         Args:
             row: Its slope with the error state.
             difference: Measured minus estimated.
             std: Standard deviation of its noise.
-            there: Whether it was measured.
+            measured: Whether it was measured.
         """
         shares = []
         for i in range(STATES):
@@ -239,7 +239,7 @@ class Update(NamedTuple):
             variance = variance + weight * shares[place]
             innovation = innovation - weight * self.error[place]
         inverse = jnp.where(
-            jnp.logical_and(there, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
+            jnp.logical_and(measured, variance > LEAST_VARIANCE), 1.0 / jnp.maximum(variance, LEAST_VARIANCE), 0.0
         )
         gains = [value * inverse for value in shares]
         rows = []

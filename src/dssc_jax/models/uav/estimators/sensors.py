@@ -71,13 +71,13 @@ class SensorMemory(NamedTuple):
     """What the sensors remember.
 
     Args:
-        last: The true motion at the last sample.
+        previous: The true motion at the last sample.
         gyro_bias: True bias [rad/s].
         accel_bias: True bias [m/s^2].
         positions: True positions at the last samples, the newest first, as many as the delay.
     """
 
-    last: Motion
+    previous: Motion
     gyro_bias: Vec3
     accel_bias: Vec3
     positions: tuple[Vec3, ...]
@@ -162,11 +162,11 @@ def sense(
     sensors: Sensors, memory: SensorMemory, motion: Motion, random: Random, k: Scalar, dt: float
 ) -> tuple[SensorMemory, Increments, Aids]:
     """What the sensors show at sample k, with the increments since the sample before it."""
-    last = memory.last
-    to_body = last.attitude.matrix().transpose
-    rotation = rotation_vector(product(conjugate(last.attitude), motion.attitude))
-    velocity = to_body @ (motion.velocity - last.velocity + UP * dt)
-    position = to_body @ (motion.position - last.position - last.velocity * dt + UP * (0.5 * dt * dt))
+    previous = memory.previous
+    to_body = previous.attitude.matrix().transpose
+    rotation = rotation_vector(product(conjugate(previous.attitude), motion.attitude))
+    velocity = to_body @ (motion.velocity - previous.velocity + UP * dt)
+    position = to_body @ (motion.position - previous.position - previous.velocity * dt + UP * (0.5 * dt * dt))
     turned = memory.gyro_bias * dt + random.vector(0, sensors.gyro_noise) * math.sqrt(dt)
     pushed = memory.accel_bias * dt + random.vector(1, sensors.accel_noise) * math.sqrt(dt)
     increments = Increments(

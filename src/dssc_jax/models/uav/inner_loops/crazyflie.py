@@ -128,15 +128,15 @@ class CrazyflieGains(NamedTuple):
         """Integrals at zero, hover."""
         zero = Vec3(0.0, 0.0, 0.0)
         angles = angles_of(readings.attitude.matrix())
-        wanted = Vec3(0.0, 0.0, angles.z)
+        setpoint = Vec3(0.0, 0.0, angles.z)
         level = heading_velocity(readings.velocity, readings.attitude.matrix())
-        still = Pid(zero, zero)
+        at_rest = Pid(zero, zero)
         return CrazyflieState(
             Pid(zero, level),
-            still._replace(measured=angles),
-            still._replace(measured=readings.rate),
+            at_rest._replace(measured=angles),
+            at_rest._replace(measured=readings.rate),
             self.hover(craft),
-            wanted,
+            setpoint,
             0.0,
             zero,
             0.0,
@@ -169,7 +169,7 @@ class CrazyflieGains(NamedTuple):
         return state._replace(
             velocity=velocity,
             thrust=clip(thrust, self.thrust_min, 1.0),
-            wanted=Vec3(-left, forward, state.wanted.z),
+            setpoint=Vec3(-left, forward, state.setpoint.z),
             yaw_rate=yaw_command,
             bounded=jnp.where(bounded, 1.0, 0.0),
         )
@@ -179,8 +179,8 @@ class CrazyflieGains(NamedTuple):
     ) -> tuple["CrazyflieState", Wrench]:
         """Attitude and rate control: from the held angles to thrust and moment."""
         angles = angles_of(readings.attitude.matrix())
-        wanted = state.wanted._replace(z=wrap_angle(state.wanted.z + state.yaw_rate * dt))
-        error = wanted - angles
+        setpoint = state.setpoint._replace(z=wrap_angle(state.setpoint.z + state.yaw_rate * dt))
+        error = setpoint - angles
         error = error._replace(z=wrap_angle(error.z))
         change = angles - state.attitude.measured
         slope = change._replace(z=wrap_angle(change.z)) * (1.0 / dt)
@@ -191,7 +191,7 @@ class CrazyflieGains(NamedTuple):
         gains = (Vec3(*self.rate_p), Vec3(*self.rate_i), Vec3(*self.rate_d))
         bound = Vec3(*self.rate_integral_max)
         rate, torque = pid(state.rate, rates - readings.rate, readings.rate, slope, gains, bound, dt)
-        after = state._replace(attitude=attitude, rate=rate, wanted=wanted)
+        after = state._replace(attitude=attitude, rate=rate, setpoint=setpoint)
         return after, Wrench(state.thrust * craft.full_thrust, torque.scale(torque_units(craft)))
 
 
@@ -210,7 +210,7 @@ class CrazyflieState(NamedTuple):
         attitude: That of the attitude PIDs.
         rate: That of the rate PIDs.
         thrust: Held thrust, as a share of the full one.
-        wanted: Held roll and pitch, and the desired yaw [rad].
+        setpoint: Held roll and pitch, and the desired yaw [rad].
         yaw_rate: Held rate of yaw [rad/s].
         unallocated: Moment that the rotors did not give at the last tick, which this cascade does not read [N m].
         bounded: Whether the thrust is at its lower limit.
@@ -220,7 +220,7 @@ class CrazyflieState(NamedTuple):
     attitude: Pid
     rate: Pid
     thrust: Scalar
-    wanted: Vec3
+    setpoint: Vec3
     yaw_rate: Scalar
     unallocated: Vec3
     bounded: Scalar

@@ -138,9 +138,9 @@ class Px4Gains(NamedTuple):
         error = command - readings.velocity
         proportional = Vec3(self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z)
         derivative = Vec3(self.velocity_d_xy, self.velocity_d_xy, self.velocity_d_z)
-        wanted = error.scale(proportional) + state.velocity_integral - acceleration.scale(derivative)
-        thrust, bounded = self.thrust_of(wanted, self.hover(craft))
-        given, windup = self.within_thrust(thrust, wanted, error, self.hover(craft))
+        setpoint = error.scale(proportional) + state.velocity_integral - acceleration.scale(derivative)
+        thrust, bounded = self.thrust_of(setpoint, self.hover(craft))
+        allowed, windup = self.within_thrust(thrust, setpoint, error, self.hover(craft))
         gain = Vec3(self.velocity_i_xy, self.velocity_i_xy, self.velocity_i_z)
         integral = state.velocity_integral + windup.scale(gain) * dt
         integral = integral._replace(z=clip(integral.z, -GRAVITY, GRAVITY))
@@ -148,24 +148,24 @@ class Px4Gains(NamedTuple):
             velocity_integral=integral,
             velocity=readings.velocity,
             acceleration=acceleration,
-            thrust=given,
-            attitude=attitude_of(given, readings.attitude),
+            thrust=allowed,
+            attitude=attitude_of(allowed, readings.attitude),
             yaw_rate=yaw_command,
             bounded=jnp.where(bounded, 1.0, 0.0),
         )
 
-    def thrust_of(self, wanted: Vec3, hover: Scalar) -> tuple[Vec3, Scalar]:
+    def thrust_of(self, setpoint: Vec3, hover: Scalar) -> tuple[Vec3, Scalar]:
         """Thrust for an acceleration, in shares of the full one, within tilt and lower limit; whether that binds."""
-        horizontal = jnp.sqrt(wanted.x * wanted.x + wanted.y * wanted.y)
+        horizontal = jnp.sqrt(setpoint.x * setpoint.x + setpoint.y * setpoint.y)
         steepest = GRAVITY * jnp.sin(self.tilt_max) / jnp.cos(self.tilt_max)
         share = jnp.where(horizontal > steepest, steepest / jnp.maximum(horizontal, steepest), 1.0)
-        direction = Vec3(wanted.x * share, wanted.y * share, GRAVITY)
+        direction = Vec3(setpoint.x * share, setpoint.y * share, GRAVITY)
         direction = direction / jnp.sqrt(direction.dot(direction))
-        collective = (wanted.z * (hover / GRAVITY) + hover) / direction.z
+        collective = (setpoint.z * (hover / GRAVITY) + hover) / direction.z
         bounded = collective < self.thrust_min
         return direction * jnp.maximum(collective, self.thrust_min), bounded
 
-    def within_thrust(self, thrust: Vec3, wanted: Vec3, error: Vec3, hover: Scalar) -> tuple[Vec3, Vec3]:
+    def within_thrust(self, thrust: Vec3, setpoint: Vec3, error: Vec3, hover: Scalar) -> tuple[Vec3, Vec3]:
         """Thrust within its upper limit, the vertical part first; the velocity error that the integral takes."""
         low = (thrust.z <= self.thrust_min) & (error.z <= 0.0)
         high = (thrust.z >= self.thrust_max) & (error.z >= 0.0)
@@ -176,14 +176,14 @@ class Px4Gains(NamedTuple):
         vertical = jnp.minimum(thrust.z, jnp.sqrt(jnp.maximum(full - kept * kept, 0.0)))
         left = jnp.sqrt(jnp.maximum(full - vertical * vertical, 0.0))
         share = jnp.where(norm > left, left / jnp.maximum(norm, 1e-12), 1.0)
-        given = Vec3(thrust.x * share, thrust.y * share, vertical)
-        x = given.x * (GRAVITY / hover)
-        y = given.y * (GRAVITY / hover)
-        saturated = wanted.x * wanted.x + wanted.y * wanted.y > x * x + y * y
+        allowed = Vec3(thrust.x * share, thrust.y * share, vertical)
+        x = allowed.x * (GRAVITY / hover)
+        y = allowed.y * (GRAVITY / hover)
+        saturated = setpoint.x * setpoint.x + setpoint.y * setpoint.y > x * x + y * y
         gain = 2.0 / self.velocity_p_xy
-        return given, Vec3(
-            error.x - jnp.where(saturated, gain * (wanted.x - x), 0.0),
-            error.y - jnp.where(saturated, gain * (wanted.y - y), 0.0),
+        return allowed, Vec3(
+            error.x - jnp.where(saturated, gain * (setpoint.x - x), 0.0),
+            error.y - jnp.where(saturated, gain * (setpoint.y - y), 0.0),
             vertical_error,
         )
 
@@ -195,13 +195,13 @@ class Px4Gains(NamedTuple):
             gyro, rate = low_pass(gyro, readings.rate, self.gyro_cutoff, dt)
         slope = (rate - state.rate) * (1.0 / dt)
         turning = blend(state.turning, slope, smoothing(self.derivative_cutoff, dt))
-        wanted = limited(self.rate_for(state, readings.attitude), Vec3(*self.rate_max))
-        error = wanted - rate
+        setpoint = limited(self.rate_for(state, readings.attitude), Vec3(*self.rate_max))
+        error = setpoint - rate
         torque = (
             error.scale(Vec3(*self.rate_p))
             + state.rate_integral
             - turning.scale(Vec3(*self.rate_d))
-            + wanted.scale(Vec3(*self.rate_ff))
+            + setpoint.scale(Vec3(*self.rate_ff))
         )
         missing = state.unallocated.over(torque_units(craft))
         integral = state.rate_integral + self.integrated(error, missing) * dt

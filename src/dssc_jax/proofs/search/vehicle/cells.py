@@ -267,7 +267,7 @@ def closed_cell(
 
 
 def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
-    """What the inputs of earlier cells, and those of this one, cause in it, (rows,).
+    """Bounds of the effects in a cell of the inputs of earlier cells and of its own, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
     """
@@ -283,7 +283,7 @@ def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, fi
 
 
 def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
-    """What the start and the constant cause in a cell, (rows,)."""
+    """Bounds of the effects in a cell of the start and of the constant, (rows,)."""
     first = problem.first_sigma(name)
     deviation = table.at(first).of_start(problem.channels[name].start, first, problem.sample_time)
     result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]

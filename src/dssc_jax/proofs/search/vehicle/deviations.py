@@ -23,7 +23,7 @@ Slopes = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class ChannelDeviations:
-    """What the functions deviate by from straight lines: largest distances, and their ratios to |sigma|.
+    """Deviations of the functions from straight lines: largest distances, and their ratios to |sigma|.
 
     Args:
         slopes: k_1, k_2, k_3, and the share of omega_u in omega_q.
@@ -116,7 +116,7 @@ def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
 
 
 def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
-    """What the functions deviate by from straight lines with these slopes."""
+    """Deviations of the functions from straight lines with these slopes."""
     size = np.abs(points.sigma)
     columns = points.columns
     both = columns["mean"] + columns["k_n"]

@@ -62,7 +62,7 @@ class Nominal:
         return result
 
     def couplings(self, y: Signals) -> Couplings:
-        """What couples the channels, from the bounds of the deviation."""
+        """Bounds of the signals that couple the channels, from the bounds of the deviation."""
         return Couplings(
             alpha_gap=self.bounds["x"]["alpha_gap"] + y["x"]["alpha"],
             wanted_gap=self.bounds["x"]["wanted_gap"] + y["x"]["wanted"],
@@ -75,7 +75,7 @@ class Nominal:
 
 @dataclass(frozen=True)
 class Drive:
-    """What drives the loop of an axis: the reference, and the known parts of its remainders.
+    """Inputs of the loop of an axis: the reference, and the known parts of its remainders.
 
     Args:
         reference: y_m without its constant.
@@ -133,7 +133,7 @@ def nominal_of(
 
 
 def drives_of(problem: VehicleProblem, damping: float) -> dict[str, Drive]:
-    """What drives each axis."""
+    """The inputs of each axis."""
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
     bends = {axis: derivative(waves) for axis, waves in speeds.items()}
@@ -198,7 +198,7 @@ def answer_of(
 
 
 def first_state(problem: VehicleProblem, name: str, slopes: tuple[float, ...], drive: Drive, n: int) -> np.ndarray:
-    """What is known of the vehicle's z_0: it moves with the reference, but does not turn."""
+    """The known part of the vehicle's z_0: it moves with the reference, but does not turn."""
     channel = problem.channels[name]
     speed = sum(phasor.real for phasor in derivative(drive.reference).values())
     result = np.zeros(n)

@@ -1,4 +1,4 @@
-"""What the vehicle deviates by from its linear channels, under bounds of its signals, in floating point.
+"""Remainders: the vehicle's deviations from its linear channels, under bounds of its signals, in floating point.
 
 The formulas are those of docs/vehicle_proofs.md, in their order.
 """
@@ -88,7 +88,7 @@ class Rotors:
 
 @dataclass(frozen=True)
 class Couplings:
-    """What couples the channels in a moving vehicle, whose products of nominal signals are known.
+    """Bounds of the signals by which the channels of a moving vehicle are coupled.
 
     Args:
         alpha_gap: Bound of |alpha - alpha_0| [m/s^2].
@@ -177,7 +177,7 @@ def moments_of(problem: VehicleProblem, at: Attitude) -> Moments:
 
 
 def share_of_moments(problem: VehicleProblem, plane: float, yaw: float) -> float:
-    """What moments J_n times these angular accelerations add to the thrust of a rotor, at most [N]."""
+    """Bound of the thrust that moments J_n times these angular accelerations add to a rotor [N]."""
     j_x, j_y, j_z = problem.believed_inertia
     n = problem.rotors
     return 2.0 * max(j_x, j_y) * plane / (n * problem.arm) + j_z * yaw / (n * problem.torque_coefficient)
@@ -313,7 +313,7 @@ def turned(problem: VehicleProblem, at: Attitude, yaw_acceleration: float) -> fl
 
 
 def lift_share(at: Attitude, couplings: Couplings | None) -> float:
-    """What the lift adds to the horizontal force, without its known part [m/s^2]."""
+    """Bound of the horizontal force due to lift, without its known part [m/s^2]."""
     if couplings is None:
         return at.carried * at.tangent
     known = couplings.lift_gap * GRAVITY * at.tilt + couplings.lift * couplings.alpha_gap

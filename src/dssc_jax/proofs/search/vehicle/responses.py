@@ -231,7 +231,7 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
 
 
 def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
-    """What an input 1 through a column adds to chi within a time."""
+    """The change of chi that an input 1 through a column causes within a time."""
     return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
 
 

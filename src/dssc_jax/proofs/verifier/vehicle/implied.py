@@ -35,7 +35,7 @@ REACH = 2 * len(PHASES)
 
 
 class Vehicle(NamedTuple):
-    """What does not change with the bounds.
+    """Data of the map F that do not depend on the bounds.
 
     Args:
         problem: The certificate's problem.
@@ -57,7 +57,7 @@ class Vehicle(NamedTuple):
 
 
 class Inputs(NamedTuple):
-    """What bounds of the signals allow: the remainders, the deviations of the functions, and |sigma|, by channel."""
+    """What follows from bounds of the signals: remainders, deviations of the functions, and |sigma|, by channel."""
 
     remainders: Remainders
     deviations: Mapping[str, Deviations]

@@ -36,7 +36,7 @@ Phasors = dict[str, list[acb]]
 
 
 class Course(NamedTuple):
-    """What the nominal flight of an axis follows from.
+    """The inputs of an axis from which its nominal flight follows.
 
     Args:
         reference: y_m without its constant.
@@ -117,7 +117,7 @@ def body_bounds(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) 
 
 
 def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) -> Coupling | None:
-    """What couples the channels under bounds of what the signals differ by; None without a reference."""
+    """Bounds of the coupling of the channels, from bounds of the deviation; None without a reference."""
     if flight is None:
         return None
     return Coupling(
@@ -131,7 +131,7 @@ def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]
 
 
 def courses_of(problem: VehicleProblem, name: str, damping: arb) -> list[Course]:
-    """What the flight of each axis of a channel follows from; ``damping`` is c of x."""
+    """The inputs of each axis of a channel; ``damping`` is c of x."""
     sines = problem["reference"]
     assert sines is not None
     references = {axis: sine_wave(sines[axis]) for axis in sines}
@@ -322,7 +322,7 @@ def start_ratio(problem: VehicleProblem, name: str, proof: MiddleProof) -> arb:
 
 
 def unknown_turn(problem: VehicleProblem, name: str) -> arb:
-    """What the reference adds to |sigma_0|: |psi_m'| at t = 0."""
+    """The increase of |sigma_0| by the reference: |psi_m'| at t = 0."""
     sines = problem["reference"]
     if sines is None or name != "psi":
         return arb(0)

@@ -1,4 +1,4 @@
-"""What the intervals of the vehicle come to: the largest deviations and ratios of its mass and inertia."""
+"""The largest deviations and ratios of a vehicle's mass and inertia, from their intervals."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -54,7 +54,7 @@ class Ranges(NamedTuple):
 
 
 def ranges_of(problem: VehicleProblem) -> Ranges:
-    """What the intervals of a problem come to."""
+    """The largest deviations and ratios that the intervals of a problem allow."""
     inertia = problem["inertia"]
     believed = [(value, value) for value in problem["believed_inertia"]]
     believed_x, believed_y, believed_z = problem["believed_inertia"]

@@ -52,7 +52,7 @@ class Rotors(NamedTuple):
 
 
 class Behind(NamedTuple):
-    """What the rotors are behind by: r_mh, r_mz, d, zeta and spin-up of the page."""
+    """How far the rotors lag behind their commands: r_mh, r_mz, d, zeta and spin-up of the page."""
 
     r_mh: arb
     r_mz: arb
@@ -159,7 +159,7 @@ def behind_of(
     rotors: Rotors,
     earlier: Remainders | None = None,
 ) -> Behind:
-    """What rotors with a lag are behind by; zero without.
+    """How far rotors with a lag are behind their commands; zero without a lag.
 
     In a later cell the part xi of :func:`farthest_behind` begins with what it had before. So d is the larger of its
     value and of that before. The latter must be at most 4 f_min/(n - 4)^(1/2), which the larger root is not below: then
@@ -211,7 +211,7 @@ def drag_of(
     rotors: Rotors,
     delayed: Behind,
 ) -> DragBounds:
-    """What structure and propellers drag by, and the gyroscopic torque of the rotors."""
+    """Bounds of the drag of structure and propellers, and of the gyroscopic torque of the rotors."""
     n = arb(problem["rotors"])
     k_h, k_z = map(arb, problem["structure_drag"])
     k_p = arb(problem["propeller_drag"])

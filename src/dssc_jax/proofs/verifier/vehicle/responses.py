@@ -53,7 +53,7 @@ PHASES = (Fraction(1, 8), Fraction(3, 8), Fraction(5, 8), Fraction(7, 8))
 
 
 class SignalResponse(NamedTuple):
-    """What a signal answers at one time within the samples; upper bounds.
+    """Upper bounds of the responses of a signal at one time within the samples.
 
     Args:
         command: To |omega_u| <= 1.

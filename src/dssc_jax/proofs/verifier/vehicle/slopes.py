@@ -33,7 +33,7 @@ def signal_slopes(
 
 
 def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], rests: Balls) -> Balls:
-    """Those of x and y."""
+    """Slopes of the signals of x and y."""
     l0 = arb(problem["channels"]["x"]["l0"])
     stiffness = arb(problem["stiffness"])
     lagging = problem["rotor_lag"] > 0
@@ -60,7 +60,7 @@ def plane_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], re
 
 
 def vertical_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb], rests: Balls, constant: arb) -> Balls:
-    """Those of z, which the constant o joins."""
+    """Slopes of the signals of z, with the constant o."""
     l0 = arb(problem["channels"]["z"]["l0"])
     e_dot = y["acceleration"] + rests["force"] + constant
     demand = arb(problem["velocity_gain"]) * e_dot
@@ -73,7 +73,7 @@ def vertical_slopes(problem: VehicleProblem, damping: arb, y: Mapping[str, arb],
 
 
 def yaw_slopes(problem: VehicleProblem, y: Mapping[str, arb], rests: Balls) -> Balls:
-    """Those of psi."""
+    """Slopes of the signals of psi."""
     l0 = arb(problem["channels"]["psi"]["l0"])
     lagging = problem["rotor_lag"] > 0
     e_dot = (y["gamma"] if lagging else y["wanted"]) + rests["torque"]
