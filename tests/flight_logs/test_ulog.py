@@ -65,6 +65,17 @@ def test_flying_north_and_nose_up():
     )
 
 
+def test_the_rate_of_yaw():
+    """Of a vehicle that turns at -0.7 rad/s by PX4's axes, through the angle pi."""
+    time = np.linspace(0.0, 8.0, 400)
+    half = 0.5 * (-0.7 * time)
+    zero = np.zeros(400)
+    own = {"q[0]": np.cos(half), "q[1]": zero, "q[2]": zero, "q[3]": np.sin(half), "timestamp": 1e6 * time}
+    np.testing.assert_allclose(field_values("vehicle_attitude", own, "psi_dot"), 0.7, rtol=1e-9)
+    single = {name: values[:1] for name, values in own.items()}
+    assert np.isnan(field_values("vehicle_attitude", single, "psi_dot")).all()
+
+
 def test_the_list_of_topics_is_that_of_pyulog():
     for path in (TAKEOFF, LOGS / "board_by_hand.ulg"):
         listed = list_topics(path)

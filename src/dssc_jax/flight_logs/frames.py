@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+MICROSECOND = 1e-6  # s
 Fields: TypeAlias = Mapping[str, np.ndarray]
 """The fields of a topic by name, each of shape (messages,)."""
 
@@ -67,6 +68,14 @@ def yaw_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.nda
     return yaw_of_heading(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
 
 
+def turning_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stamp: np.ndarray) -> np.ndarray:
+    """psi' [rad/s] by differences of psi over the messages' times [us]; NaN of a single message."""
+    if len(stamp) < 2:
+        return np.full(len(stamp), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.gradient(np.unwrap(yaw_of(w, x, y, z)), MICROSECOND * stamp)
+
+
 def along_axes(names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]) -> list[DerivedField]:
     """A vector of the local frame as east, north and up."""
     north, east, down = north_east_down
@@ -84,7 +93,8 @@ def attitude(quaternion: str) -> list[DerivedField]:
     """Euler angles of a quaternion."""
     needs = tuple(f"{quaternion}[{i}]" for i in range(4))
     angles = (("phi", roll_of), ("theta", pitch_of), ("psi", yaw_of))
-    return [DerivedField(name, "rad", needs, of) for name, of in angles]
+    fields = [DerivedField(name, "rad", needs, of) for name, of in angles]
+    return [*fields, DerivedField("psi_dot", "rad/s", (*needs, "timestamp"), turning_of)]
 
 
 def components(name: str) -> tuple[str, str, str]:
@@ -139,10 +149,11 @@ def field_values(topic: str, columns: Fields, name: str) -> np.ndarray | None:
         >>> [float(field_values("vehicle_local_position", down, name)[0]) for name in ("east", "north", "up")]
         [1.0, 0.0, 2.0]
     """
-    if name in columns:
-        return columns[name].astype(float)
-    field = derived_fields(topic, columns).get(name)
-    return None if field is None else field.of(*(columns[source].astype(float) for source in field.needs))
+    with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged log
+        if name in columns:
+            return columns[name].astype(float)
+        field = derived_fields(topic, columns).get(name)
+        return None if field is None else field.of(*(columns[source].astype(float) for source in field.needs))
 
 
 PX4_COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
@@ -157,7 +168,9 @@ PX4_COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
 } | {
     "psi": {
         "y": ("vehicle_attitude.psi", "vehicle_local_position.psi"),
+        "y_dot": ("vehicle_attitude.psi_dot",),
         "y_ref": ("vehicle_local_position_setpoint.psi", "trajectory_setpoint.psi"),
+        "y_ref_dot": ("vehicle_local_position_setpoint.psi_dot", "trajectory_setpoint.psi_dot"),
     }
 }
 """The columns of a multirotor's channels in a ULog, the first that the log has; u_total is the velocity setpoint of

@@ -17,8 +17,8 @@ import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.frames import MICROSECOND
 
-MICROSECOND = 1e-6  # s
 HEADER = struct.Struct("<7sBQ")
 MAGIC = b"ULog\x01\x12\x35"
 MESSAGE = struct.Struct("<HB")  # size and kind
@@ -160,7 +160,8 @@ def list_topics(path: Path) -> LogTopics:
         with redirect_stdout(StringIO()):
             log = ULog(file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
-    parameters = {name: float(value) for name, value in log.initial_parameters.items()}
+    numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
+    parameters = {name: float(value) for name, value in numbers.items()}
     topics = tuple(sorted(counted.topics(), key=lambda topic: topic.name))
     duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
     return LogTopics(system, parameters, duration, topics, counted.dropouts, damaged)
