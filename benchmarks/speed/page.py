@@ -244,8 +244,8 @@ Vectors of 256 bits:
 {stored_part(WITH_C[256], DOCS / "performance.md")}
 
 On a processor that has no wider vectors (AMD EPYC of the generation Zen 3, 2026-11-26), ours over C was 0.91, 0.93,
-0.93 and 0.98 for the vehicle, in the order of the table, and 1.22 for the axis in both precisions: single cores by processor
-time, while other programs ran ([what was tried](lanes.md)).
+0.93 and 0.98 for the vehicle, in the order of the table, and 1.22 for the axis in both precisions: single cores by
+processor time, while other programs ran ([what was tried](lanes.md)).
 
 The next table shows the cost of a process for the UAV with RK4 in float64. Before its first result, each process
 imports this package to draw the same numbers. The metrics of all programs agree with ours to {ALLOWED[64]:g} relative
