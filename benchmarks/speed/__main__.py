@@ -20,11 +20,14 @@ def main() -> None:
     parser.add_argument(
         "--narrow", action="store_true", help="with --with-c, without AVX-512 on a processor that has it"
     )
+    parser.add_argument(
+        "--processor", action="store_true", help="with --with-c, by processor time, where other programs run, too"
+    )
     parser.add_argument("--rounds", type=int, default=9, help="turns of each program (9)")
     parser.add_argument("--simulators", type=Path, metavar="PYTHON", help="a Python that has crazyflow or RotorPy")
     options = parser.parse_args()
-    if options.narrow and not options.with_c:
-        parser.error("--narrow needs --with-c")
+    if (options.narrow or options.processor) and not options.with_c:
+        parser.error("--narrow and --processor need --with-c")
     if options.with_c and machine.vector_bits() not in page.WITH_C:
         parser.error(f"the page has no part for vectors of {machine.vector_bits()} bits")
     if options.narrow:
@@ -33,10 +36,11 @@ def main() -> None:
     programs = [OURS, C] if options.with_c else available()
     contests = {}
     for case in QUICK if options.quick else CASES:
-        contests[case] = contest(case, programs, *SIZES[case.loop], rounds, at_once=options.quick)
+        clock = "processor" if options.processor else "seconds"
+        contests[case] = contest(case, programs, *SIZES[case.loop], rounds, at_once=options.quick, clock=clock)
         print(page.brief(case, contests[case]), flush=True)
     if options.with_c:
-        page.write_with_c(contests, narrow=options.narrow)
+        page.write_with_c(contests, options.narrow, options.processor)
     if options.quick or options.with_c:
         return
     print("growth, a mission, the start of commands, other simulators", flush=True)

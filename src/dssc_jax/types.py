@@ -4,7 +4,6 @@ from dssc_jax.core.contracts import (
     Controller,
     Differentiator,
     Disturbance,
-    HarmonicBalance,
     LinearDynamics,
     Moments,
     NoParams,
@@ -20,6 +19,7 @@ from dssc_jax.core.contracts import (
     stateless,
     unchanged,
 )
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry, Registry, Slot, single

@@ -15,11 +15,19 @@ def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
 
 
 def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
-    """The plant's state with the error of the first estimate, and the estimator's memory; () without one."""
+    """The plant's state with the error of the first estimate, and the estimator's memory; () without one.
+
+    Sampled software on board starts from the estimate.
+    """
     estimation = estimation_of(loop, params)
     if estimation is None:
         return plant, ()
-    return estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
+    plant, memory = estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
+    software = loop.mimo_plant.software
+    if software is not None and software.period(params.plant) is not None:
+        seen = estimation.seen(params.plant, plant)
+        plant = software.holding(plant, software.start(params.plant, seen))
+    return plant, memory
 
 
 def renewed_estimate(

@@ -1,7 +1,6 @@
 """Metrics in streaming form, whose memory does not grow with the duration.
 
-A metric consists of the start of its accumulator and two pure functions, ``update`` and ``value``. Only samples at t
->= ``after`` count.
+A metric is the start of its accumulator and two pure functions, ``update`` and ``value``, of the samples in a window.
 """
 
 import math
@@ -28,8 +27,7 @@ class Sample(NamedTuple):
 
     ``k`` is the sample index. ``e``, ``e_dot`` and ``sigma`` are true, ``y_measured``, ``y_dot_measured`` and
     ``sigma_measured`` are what the controller sees. ``u`` is the robust command and ``u_previous`` its previous value
-    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + y_m with the desired
-    output y_m = ``reference.y``.
+    (at the first sample: ``u``); ``k_p`` is the draw's own input gain. The output is y = e + ``reference.y``.
     """
 
     k: Scalar

@@ -1,8 +1,7 @@
 """The contracts that models implement: types of plants, controllers, references, sensors and disturbances.
 
-A model is a ``NamedTuple`` of pure functions for one draw, without a batch axis, and the ``NamedTuple`` type
-of its parameters. The model is chosen before tracing; its parameters may be traced. Every parameter field is
-annotated with a :class:`~dssc_jax.core.quantities.Quantity`, which is used to validate study files.
+A model is a ``NamedTuple`` of pure functions for one draw, without a batch axis, and the ``NamedTuple`` type of its
+parameters. It is chosen before tracing; its parameters, each annotated with a ``Quantity``, may be traced.
 """
 
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from typing import Generic, NamedTuple, TypeAlias, TypeVar
 import jax
 
 from dssc_jax.core.estimation import Estimation
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.quantities import quantities_of
@@ -157,18 +157,6 @@ class Preset(NamedTuple):
     prepare: Callable[[Params], Params] = as_given
 
 
-class HarmonicBalance(NamedTuple):
-    """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
-
-    Args:
-        amplitude: ``(q) -> A`` from the real part.
-        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
-    """
-
-    amplitude: Callable[[complex], float]
-    residual: Callable[[complex, float, float], float]
-
-
 def takes_none(gains: Params) -> int:
     """Take no measured signals."""
     return 0
@@ -189,14 +177,12 @@ class Controller(NamedTuple):
         synthesised: ``(gains) -> (K_P, K_I)`` of the law u = -K_P sigma - K_I int sigma (22) near the origin; None: the
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
-        takes: ``(gains) -> n``: the number of measured signals that it takes from ``measurement.signals``; 0: it takes
-            y and y' alone, and what else is measured does not matter.
+        takes: ``(gains) -> n``: how many measured signals it takes from ``measurement.signals``; 0: y and y' alone.
         fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
             sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
-        tunable: Names of the usual gains that a comparison tunes, dotted within the controller's table, or a function
-            of the gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
-        from_dssc: ``(gains of DSSC) -> table``: the gains that correspond to those of DSSC. None: a comparison needs
-            ``[compare.NAME]``.
+        tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function of the
+            gains that gives them. Empty: a comparison tunes only what ``[compare.NAME.tune]`` names.
+        from_dssc: ``(gains of DSSC) -> table`` that corresponds to them; None: a comparison needs ``[compare.NAME]``.
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
         native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
@@ -231,13 +217,8 @@ class Controller(NamedTuple):
 class Reference(NamedTuple, Generic[Desired]):
     """A desired trajectory: ``at(params, t) -> ReferencePoint``; for several channels, a tuple with one each.
 
-    Args:
-        params: NamedTuple type of the parameters.
-        at: The point at a time.
-        prepare: As in :class:`Plant`.
-        defaults: An instance of the parameters with the values that a table does not give.
-        level: ``(params) -> y``, of one channel: the constant about which it moves, or at which it ends, and where
-            the linearised loop has its equilibrium. None: 0.
+    ``defaults`` is an instance of the parameters with the values that a table does not give. ``level`` of one channel,
+    ``(params) -> y``, is the constant about which it moves or at which it ends; None: 0.
     """
 
     params: type

@@ -104,5 +104,5 @@ def test_the_same_survive_in_an_independent_model():
     violated = (found["outcome"].values >= 10).sum()
     survive = (found["outcome"].values == 0).sum()
     print(f"\n{ended.sum()} overturn, {violated} go too far, {survive} survive; {gap.max():.1e}")
-    assert gap.max() < 1e-9
+    assert (gap / np.fmax(1.0, worst[~ended])).max() < 1e-9
     assert 0 < survive < 40

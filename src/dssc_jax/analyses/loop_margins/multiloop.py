@@ -90,12 +90,15 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     stable = np.flatnonzero(reached)
     poles = np.linalg.eigvals(matrices.a[np.ix_(stable, states, states)])
     inside = np.max(np.abs(poles), axis=1) < 1.0
-    stable, poles = stable[inside], poles[inside]
+    stable = stable[inside]
+    poles = poles[inside]
     draws = len(reached)
     margins = MultiloopMargins(
-        tuple(channels[i] for i in effective),
-        *(np.full(draws, np.nan) for _ in range(3)),
-        np.full((draws, len(effective)), np.nan, complex),
+        channels=tuple(channels[i] for i in effective),
+        guaranteed=np.full(draws, np.nan),
+        found=np.full(draws, np.nan),
+        frequency=np.full(draws, np.nan),
+        factors=np.full((draws, len(effective)), np.nan, complex),
     )
     if not stable.size:
         return margins

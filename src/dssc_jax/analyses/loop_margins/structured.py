@@ -118,6 +118,7 @@ def power_iteration(matrices: np.ndarray, begin: np.ndarray) -> np.ndarray:
 
     b = normalised(begin)
     w = b
+    a = b
     for _ in range(POWER_STEPS):
         a = normalised(np.einsum("nij,nj->ni", matrices, b))
         z = unit(a) * np.abs(w)

@@ -20,8 +20,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dssc_jax.analyses.theory.linearised import Linearised, at_rest, kind_of, open_loop, require_continuous_dynamics
-from dssc_jax.core.contracts import HarmonicBalance
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.engine.batching import medians
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.study import Study

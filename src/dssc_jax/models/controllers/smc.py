@@ -3,7 +3,8 @@
 import math
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.contracts import Controller, HarmonicBalance
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.numerics import saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry

@@ -15,7 +15,8 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Controller, HarmonicBalance
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.numerics import root_abs, root_of, saturate, sign
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Discretisation, Entry

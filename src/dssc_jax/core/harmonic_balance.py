@@ -1,0 +1,16 @@
+"""The harmonic balance of a switching law with a linear plant."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class HarmonicBalance(NamedTuple):
+    """A switching law's side of the harmonic balance N(A, w) = q = -1/W(i w), for Re q > 0.
+
+    Args:
+        amplitude: ``(q) -> A`` from the real part.
+        residual: ``(q, A, w) -> remaining imaginary part``, 0 in balance.
+    """
+
+    amplitude: Callable[[complex], float]
+    residual: Callable[[complex, float, float], float]
