@@ -87,7 +87,7 @@ def test_tuning_gives_every_controller_the_same(study, found):
 
 def test_the_best_candidate_is_the_best_by_hand(study):
     budget = Tuning(candidates=6, draws=10, seed=10)
-    best = tuned(study, budget, {})
+    best = tuned(study, budget, ranges(study, {}))
     trial = study.override({"seed": 10, "draws": 10})
     candidates = candidate_points(trial, ranges(study, {}), budget)
     data = dj.run(trial.override({"sweep": {name: column.tolist() for name, column in candidates.items()}})).dataset
@@ -108,12 +108,12 @@ def test_the_best_candidate_is_the_best_by_hand(study):
 
 
 def test_stated_ranges(study):
-    given = {"functions.kappa1": [2.0, 3.0], "l0": [0.5, 2.0]}
-    best = tuned(study, Tuning(candidates=4, draws=4, seed=1), given)
+    stated = ranges(study, {"functions.kappa1": [2.0, 3.0], "l0": [0.5, 2.0]})
+    best = tuned(study, Tuning(candidates=4, draws=4, seed=1), stated)
     assert 2.0 <= best["controller.functions.kappa1"] <= 3.0
     assert 0.5 <= best["controller.l0"] <= 2.0
     with pytest.raises(dj.ConfigError, match=r"tune.l0: must be \[lo, hi\]"):
-        tuned(study, Tuning(4, 4, 1), {"l0": [2.0, 0.5]})
+        ranges(study, {"l0": [2.0, 0.5]})
 
 
 def test_a_saved_comparison_is_the_same_again(found, tmp_path):
