@@ -3,6 +3,8 @@
 import io
 from pathlib import Path
 
+import numpy as np
+
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 
@@ -22,7 +24,12 @@ def logged_parameters(path: Path) -> dict[str, float]:
         log = ULog(content, [])
     except Exception as error:  # pyulog raises errors of many kinds
         raise ConfigError("", f"is no ULog: {' '.join(str(error).split())}") from error
-    parameters = {name: float(value) for name, value in log.initial_parameters.items()}
+    parameters = {name: shortest(value) for name, value in log.initial_parameters.items()}
     for _, name, value in log.changed_parameters:
-        parameters[name] = float(value)
+        parameters[name] = shortest(value)
     return parameters
+
+
+def shortest(value: float) -> float:
+    """A parameter of PX4; of a float32 the number with the fewest digits: 0.05, not 0.05000000074505806."""
+    return float(value) if isinstance(value, int) else float(str(np.float32(value)))
