@@ -154,6 +154,8 @@ def require_geometry(plant: Ends) -> None:
         )
     if plant.low.ground is not None:
         raise NotCovered("[plant.ground] pushes the vehicle up")
+    if plant.low.battery is not None:
+        raise NotCovered("[plant.battery] slows the rotors down")
     if plant.low.desaturation is not Desaturation.CLIP:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors

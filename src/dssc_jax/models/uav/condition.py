@@ -1,5 +1,7 @@
 """What events have made of the vehicle: speeds of its rotors, and the wind at its height."""
 
+from collections.abc import Sequence
+
 from dssc_jax.core.events import Condition
 from dssc_jax.core.numerics import root_abs
 from dssc_jax.core.signals import Scalar
@@ -7,13 +9,21 @@ from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.rotors import RotorMotion
 
 
+def voltage_of(condition: Condition | None) -> Scalar:
+    """The voltage that events leave, relative to what it would be."""
+    return 1.0 if condition is None or condition.voltage is None else condition.voltage
+
+
 def conditioned_motion(motion: RotorMotion, condition: Condition | None) -> RotorMotion:
     """The motion of rotors that have lost effectiveness or voltage: thrust goes with the square of the speed."""
     if condition is None or (not condition.effectiveness and condition.voltage is None):
         return motion
-    voltage = 1.0 if condition.voltage is None else condition.voltage
     shares = condition.effectiveness or (1.0,) * len(motion.speeds)
-    factors = [root_abs(share) * voltage for share in shares]
+    return scaled_motion(motion, [root_abs(share) * voltage_of(condition) for share in shares])
+
+
+def scaled_motion(motion: RotorMotion, factors: Sequence[Scalar]) -> RotorMotion:
+    """The motion of rotors that turn at shares of their speeds."""
     speeds = tuple(f * w for f, w in zip(factors, motion.speeds, strict=True))
     if not motion.accelerations:
         return RotorMotion(speeds, ())

@@ -12,7 +12,7 @@ class UavInfo(NamedTuple):
 
     ``rotor`` has the commanded thrusts f_i [N] after their limit ``rotor_limit`` [N], ``wind`` the wind [m/s],
     ``attitude`` the unit quaternion from body to inertial, ``rate`` Omega about the body's axes [rad/s] and
-    ``rotor_speed`` the speeds |thetadot_i| [rad/s].
+    ``rotor_speed`` the speeds |thetadot_i| [rad/s]. Without a battery its charge stays at 1.
     """
 
     phi: Annotated[Scalar, Quantity("rad", "roll")]
@@ -28,6 +28,8 @@ class UavInfo(NamedTuple):
     attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
     rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
     rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
+    rotor_voltage: Annotated[Scalar, Quantity("1", "voltage at the rotors, relative to full")]
+    battery_charge: Annotated[Scalar, Quantity("1", "charge of the battery, relative to full")]
 
 
 class EstimatedUavInfo(NamedTuple):
@@ -50,6 +52,8 @@ class EstimatedUavInfo(NamedTuple):
     attitude: Annotated[Quaternion, Quantity("1", "attitude quaternion, body to inertial,")]
     rate: Annotated[Vec3, Quantity("rad/s", "rate about body")]
     rotor_speed: Annotated[tuple[Scalar, ...], Quantity("rad/s", "speed of rotor")]
+    rotor_voltage: Annotated[Scalar, Quantity("1", "voltage at the rotors, relative to full")]
+    battery_charge: Annotated[Scalar, Quantity("1", "charge of the battery, relative to full")]
     position_estimate_error: Annotated[Scalar, Quantity("m", "error of the estimated position")]
     velocity_estimate_error: Annotated[Scalar, Quantity("m/s", "error of the estimated velocity")]
     attitude_estimate_error: Annotated[Scalar, Quantity("rad", "angle of the attitude's estimation error")]

@@ -37,7 +37,8 @@ class UavState(NamedTuple):
     """State of the body, of the inner loop and, with a motor lag, rotor speeds |thetadot_i| [rad/s].
 
     ``inner`` are the :class:`Integrals` of the article's inner loop, or the :class:`HeldLoop` of a sampled one.
-    ``error`` is the :class:`EstimationError` at the last sample; () without an estimator.
+    ``error`` is the :class:`EstimationError` at the last sample; () without an estimator. ``charge`` is that of the
+    battery, relative to full; () without a battery.
     """
 
     position: Vec3
@@ -47,6 +48,7 @@ class UavState(NamedTuple):
     inner: State
     speeds: tuple[Scalar, ...]
     error: State = ()
+    charge: State = ()
 
 
 class EstimationError(NamedTuple):

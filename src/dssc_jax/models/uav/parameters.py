@@ -8,6 +8,7 @@ from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.allocation import geometry, pseudo_inverse
+from dssc_jax.models.uav.battery import Battery, require_voltages
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
 from dssc_jax.models.uav.ground import Ground, prepared_ground
@@ -37,7 +38,7 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
-    The fields after ``ground`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
+    The fields after ``battery`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
     (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
     circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
@@ -51,6 +52,7 @@ class UavParams(NamedTuple):
     estimator: Annotated[NoEstimator | Estimator, Slot(ESTIMATORS, default="none")] = NoEstimator()
     desaturation: Desaturation = Desaturation.CLIP
     ground: Ground | None = None
+    battery: Battery | None = None
     allocation: tuple = ()
     moments: tuple = ()
     believed_rotors: tuple = ()
@@ -109,6 +111,7 @@ def prepare(params: UavParams) -> UavParams:
     limit = vehicle.max_thrust
     return params._replace(
         ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
+        battery=None if params.battery is None else require_voltages(params.battery),
         believed=believed,
         allocation=allocation,
         moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),

@@ -19,7 +19,8 @@ from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate
-from dssc_jax.models.uav.condition import conditioned_motion, wind_at
+from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
+from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
 from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
 from dssc_jax.models.uav.info import EstimatedUavInfo, UavInfo
@@ -41,7 +42,7 @@ from dssc_jax.models.uav.onboard import (
 )
 from dssc_jax.models.uav.parameters import UavParams, prepare
 from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, loaded_derivative
-from dssc_jax.models.uav.rotors import rotor_motion, rotor_torque, wrench
+from dssc_jax.models.uav.rotors import RotorMotion, rotor_motion, rotor_torque, wrench
 
 CHANNELS = ("x", "y", "z", "psi")
 LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is a singular attitude
@@ -59,6 +60,8 @@ def init(params: UavParams) -> UavState:
     state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
     if estimator_of(params) is not None:
         state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
+    if params.battery is not None:
+        state = state._replace(charge=params.battery.charge)
     return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
 
 
@@ -92,12 +95,31 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     return RotorCommands(demanded.thrust, rotors, demanded.bounded, demanded.integrals)
 
 
+class Turning(NamedTuple):
+    """The rotors at a time: as commanded, and as they turn at the voltage that they have, in their condition."""
+
+    commanded: RotorMotion
+    actual: RotorMotion
+    supply: Supply
+
+
+def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, commands: RotorCommands) -> Turning:
+    """The motion of the rotors, with the battery and with what events have made of them."""
+    commanded = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
+    actual = conditioned_motion(commanded, drive.condition)
+    if params.battery is None:
+        return Turning(commanded, actual, Supply(1.0, 0.0))
+    power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
+    supplied = supply(params.battery, state.charge, power)
+    return Turning(commanded, scaled_motion(actual, (supplied.voltage,) * len(actual.speeds)), supplied)
+
+
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    turning = rotor_motion(vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
-    motion = conditioned_motion(turning, drive.condition)
+    turning = turning_rotors(params, state, drive, commands)
+    motion = turning.actual
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     ground = params.ground
@@ -124,7 +146,8 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
     at_rest = jax.tree.map(lambda leaf: 0.0, state.error)
-    return UavState(*slope, commands.slope, turning.accelerations, at_rest)
+    discharge = () if params.battery is None else -turning.supply.current / params.battery.capacity
+    return UavState(*slope, commands.slope, turning.commanded.accelerations, at_rest, discharge)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -149,8 +172,10 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo | 
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    turning = rotor_motion(params.vehicle, commands.rotors.commanded, params.believed_coefficients, state.speeds)
-    body = state.attitude, state.rate, conditioned_motion(turning, drive.condition).speeds
+    turning = turning_rotors(params, state, drive, commands)
+    charge = 1.0 if params.battery is None else state.charge
+    voltage = turning.supply.voltage * voltage_of(drive.condition)
+    body = state.attitude, state.rate, turning.actual.speeds, voltage, charge
     wind = wind_at(drive.wind, state.position.z, drive.condition)
     info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
     if state.error == ():
@@ -186,7 +211,9 @@ def input_gain(params: UavParams) -> tuple[Scalar, ...]:
 
 
 def smoothness(params: UavParams) -> Smoothness:
-    """Where the vehicle has a derivative; a sampled inner loop and an estimator are not linearised."""
+    """Where the vehicle has a derivative; a sampled inner loop, an estimator and a battery are not linearised."""
+    if params.battery is not None:
+        return not_smooth("has a battery, which is never at rest; leave [plant.battery] out")
     if estimator_of(params) is not None:
         return not_smooth("has an estimator, which is not linearised; set plant.estimator.kind = 'none'")
     if isinstance(params.inner_loop, InnerGains):

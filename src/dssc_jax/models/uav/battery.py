@@ -1,0 +1,68 @@
+"""A battery: its voltage falls with its charge and with the current, and with it the speed of all rotors.
+
+At the share s of its charge Q the battery at rest has the voltage V_0 = V_e + (V_f - V_e) s, and V = V_0 - R I under
+the current I. The speeds w_i that are commanded are those at the full voltage V_f; the rotors turn at r w_i, r = V/V_f.
+They take the power V I = r^3 P, P = sum of c_tau,i k_T,i w_i^3/eta. Therefore R P r^2/V_f + V_f r - V_0 = 0, and
+s' = -I/Q.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity, extent
+from dssc_jax.core.signals import Scalar
+from dssc_jax.models.uav.vehicle import Vehicle
+
+
+class Battery(NamedTuple):
+    """A battery whose voltage at rest is linear in its charge. Below no charge the line goes on, down to 0 V."""
+
+    capacity: Annotated[Scalar, Quantity("A s", "charge Q of the full battery; 1 A h is 3600 A s", above=0.0)]
+    resistance: Annotated[Scalar, Quantity("ohm", "internal resistance R, with cables", at_least=0.0)]
+    full_voltage: Annotated[Scalar, Quantity("V", "voltage V_f at rest when full", above=0.0)]
+    empty_voltage: Annotated[Scalar, Quantity("V", "voltage V_e at rest when empty", above=0.0)]
+    efficiency: Annotated[Scalar, Quantity("1", "efficiency eta of motors and controllers", above=0.0, at_most=1.0)]
+    charge: Annotated[Scalar, Quantity("1", "charge at the start, relative to Q", above=0.0, at_most=1.0)] = 1.0
+
+
+class Supply(NamedTuple):
+    """What a battery gives: the voltage r relative to full, and the current I [A]."""
+
+    voltage: Scalar
+    current: Scalar
+
+
+def require_voltages(battery: Battery) -> Battery:
+    """Require that an empty battery has less voltage than a full one; raises ConfigError."""
+    empty = extent(battery.empty_voltage)[1]
+    full = extent(battery.full_voltage)[0]
+    if not empty < full:
+        raise ConfigError("battery.empty_voltage", f"must be below full_voltage = {full:g} V, got up to {empty:g} V")
+    return battery
+
+
+def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence[Scalar]) -> Scalar:
+    """Electrical power P of rotors that turn at the given speeds [rad/s] at full voltage [W]."""
+    coefficients = zip(vehicle.torque_coefficients, vehicle.thrust_coefficients, speeds, strict=True)
+    power: Scalar = 0.0
+    for torque, thrust, speed in coefficients:
+        power = power + jnp.abs(torque) * thrust * jnp.abs(speed) ** 3
+    return power / efficiency
+
+
+def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
+    """Voltage and current.
+
+    Args:
+        battery: The battery.
+        charge: Its charge s, relative to full.
+        power: Power P that the rotors would take at full voltage [W].
+    """
+    full = battery.full_voltage
+    rest = jnp.maximum(battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
+    load = battery.resistance * power / full
+    voltage = 2.0 * rest / (full + jnp.sqrt(full * full + 4.0 * load * rest))
+    return Supply(voltage, power * voltage * voltage / full)
