@@ -11,13 +11,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeAlias
 
 import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.frames import MICROSECOND
+
+if TYPE_CHECKING:
+    from pyulog import ULog
 
 HEADER = struct.Struct("<7sBQ")
 MAGIC = b"ULog\x01\x12\x35"
@@ -92,16 +95,23 @@ class LogTopics(NamedTuple):
     damaged: int | None
 
 
+class OpenedLog(NamedTuple):
+    """A ULog's file, and the class of pyulog that parses it."""
+
+    file: BinaryIO
+    parse: "type[ULog]"
+
+
 @contextmanager
-def readable_log(path: Path) -> Iterator[BinaryIO]:
+def opened_log(path: Path) -> Iterator[OpenedLog]:
     """An opened ULog; errors of its content, and of pyulog, become a ConfigError."""
     try:
-        import pyulog  # noqa: F401 - an optional extra
+        from pyulog import ULog  # an optional extra
     except ImportError as error:
         raise ConfigError("file", "a log of PX4 needs pyulog: pip install 'dssc_jax[ulog]'") from error
     try:
-        with files.opened(path) as file:
-            yield file
+        with files.opened(path) as file, redirect_stdout(StringIO()):  # pyulog prints warnings
+            yield OpenedLog(file, ULog)
     except ConfigError:
         raise
     except Exception as error:  # pyulog raises errors of many kinds
@@ -121,11 +131,8 @@ def read_topics(path: Path, names: Iterable[str]) -> tuple[TopicData, float]:
     Raises:
         ConfigError: the file cannot be read.
     """
-    with readable_log(path) as file:
-        from pyulog import ULog  # an optional extra
-
-        with redirect_stdout(StringIO()):  # it prints warnings
-            log = ULog(file, sorted(set(names)))
+    with opened_log(path) as opened:
+        log = opened.parse(opened.file, sorted(set(names)))
         topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
         return topics, float(log.start_timestamp)
 
@@ -150,15 +157,12 @@ def list_topics(path: Path) -> LogTopics:
     Raises:
         ConfigError: the file cannot be read.
     """
-    with readable_log(path) as file:
-        from pyulog import ULog  # an optional extra
-
-        begin = log_begin(file)
+    with opened_log(path) as opened:
+        begin = log_begin(opened.file)
         counted = Scan(begin)
-        damaged = counted.run(file)
-        file.seek(0)
-        with redirect_stdout(StringIO()):
-            log = ULog(file, parse_header_only=True)
+        damaged = counted.run(opened.file)
+        opened.file.seek(0)
+        log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
     parameters = {name: float(value) for name, value in numbers.items()}

@@ -144,7 +144,7 @@ def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monk
     kind = "hover"
     position = [0.3, 0.2, 1.0]
     """
-    head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n[plant]\nkind = "uav"\n'
+    head = 'name = "own"\n[loop]\nduration = 30.0\nsample_time = 0.01\n'
     requirement = '[[requirement]]\nmetric = "position_error_max"\nafter = 25.0\nmax = 0.05\n'
     (tmp_path / "own.toml").write_text(head + printed + tables + requirement)
     assert not dj.run(dj.Study.load(tmp_path / "own.toml")).failed.any()
