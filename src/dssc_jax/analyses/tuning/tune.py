@@ -96,7 +96,8 @@ def tune(
         counterexamples=tuple(hunts),
         seconds=time.perf_counter() - began,
     )
-    values = {name: float(value) for name, value in plan.mirror.tuned(outcome.best.z).items()}
+    searched = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
+    values = {name: float(numbers.get(name, value)) for name, value in searched.items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
     start_values = dict(plan.mirror.start)
