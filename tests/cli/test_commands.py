@@ -303,7 +303,7 @@ def test_a_terminal_that_is_gone_is_not_written_to(study, wait):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["run", "--until-width", "0.2"], r"small stopped early after 1,024 of at most 100,000 draws: the rule is met"),
+        (["run", "--until-width", "0.2"], r"small stopped early after 100 of at most 100,000 draws: the rule is met"),
         (
             ["margin", "--over", "controller.k_p=0.5:2"],
             r"small stopped early after \d+ of at most 620 simulations: every critical value is found",

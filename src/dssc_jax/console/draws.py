@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
@@ -13,15 +13,18 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import Verification
 
 
-def show_draw(attributes: Mapping[str, str | float], files: list[Path]) -> None:
-    """Print how one draw ended, its drawn numbers and its metrics."""
+def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
+    """Print how one draw ended, its drawn numbers, its metrics and its events."""
     study = escape(str(attributes["study"]))
     verdict = escape(str(attributes["verdict"]))
     output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {verdict}")
     skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
     if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
         skipped.add("failed_at")
+    skipped |= {"event_kinds", "event_times"}
     rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
+    events = zip(attributes.get("event_kinds", ()), attributes.get("event_times", ()), strict=True)
+    rows += [(f"event: {kind}", f"at {time:.6g} s") for kind, time in events]
     show_table(("number", "value"), rows)
     if "agreement" in attributes:
         agreement = VERDICTS[str(attributes["agreement"])].format(attributes["deviation"])

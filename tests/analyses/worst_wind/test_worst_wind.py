@@ -1,5 +1,7 @@
 """The worst wind: flights against trajectories, the extreme wind against its optimality, the search against theory."""
 
+import re
+
 import jax
 import numpy as np
 import pytest
@@ -41,8 +43,7 @@ def peaks(flight):
         found[f"error_max_{channel}"] = largest(flight, f"{channel}_e")
         found[f"error_rate_max_{channel}"] = float(np.abs(rate).max())
         found[f"sigma_max_{channel}"] = largest(flight, f"{channel}_sigma")
-    thrusts = np.stack([flight[name].values for name in flight if str(name).startswith("rotor_") and
-                        str(name)[-1].isdigit()])  # fmt: skip
+    thrusts = np.stack([flight[name].values for name in flight if re.fullmatch(r"rotor_\d+", str(name))])
     found["rotor_thrust_max"] = float(thrusts.max())
     found["rotor_thrust_min"] = float(thrusts.min())
     found["tilt_max"] = largest(flight, "tilt")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import Condition, share_of
 from dssc_jax.core.signals import Outcome
@@ -185,3 +186,13 @@ def test_take_off_landing_and_a_flight_into_the_ground():
     assert z[750] == pytest.approx(4.0, abs=0.4)  # the integral overshoots
     assert 0.17 < z[-1] < 0.2  # on its feet
     assert abs(run["z_y_dot"].values[-1]) < 0.02
+
+
+def test_commands_on_one_draw_name_its_events(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = ["--set", "loop.duration=8.0", "--set", "draws=4"]
+    assert guarded(["simulate", "rotor_loss", "--draw", "1", "--csv", "draw.csv", *settings]) == 0
+    assert "event: rotor" in capsys.readouterr().out
+    assert guarded(["run", "rotor_loss", "--out", "r", *settings]) == 0
+    assert guarded(["replay", "r", "--draw", "1"]) == 0
+    assert "event: rotor" in capsys.readouterr().out

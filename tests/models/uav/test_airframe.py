@@ -151,3 +151,20 @@ def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monk
     (tmp_path / "other").write_text("nothing")
     assert guarded(["airframe", "other"]) == 2
     assert "other: sets no parameter" in capsys.readouterr().err
+
+
+def test_malformed_values_and_missing_places_are_refused():
+    broken = QUAD.replace("CA_ROTOR0_PX 0.1", "CA_ROTOR0_PX O.1")
+    assert broken != QUAD
+    with pytest.raises(dj.ConfigError, match=r"CA_ROTOR0_PX: must be a number, got 'O\.1'"):
+        read_airframe(broken, mass=2.0)
+    lines = [line for line in QUAD.splitlines() if "CA_ROTOR1_P" not in line and "CA_ROTOR2_P" not in line]
+    with pytest.raises(dj.ConfigError, match="CA_ROTOR1_PX, _PY, CA_ROTOR2_PX, _PY: must be set"):
+        read_airframe("\n".join(lines), mass=2.0)
+
+
+def test_a_stated_length_multiplies_positions_and_gains_without_counterpart_are_named():
+    plain = read_airframe(QUAD, mass=2.0)
+    doubled = read_airframe(QUAD + "\nparam set-default MC_ROLLRATE_P 0.2", mass=2.0, arm=2.0)
+    assert doubled.vehicle["arm"] == pytest.approx(2.0 * plain.vehicle["arm"])
+    assert "left out, without a counterpart here: MC_ROLLRATE_P" in doubled.notes

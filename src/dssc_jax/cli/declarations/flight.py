@@ -25,7 +25,8 @@ class Airframe:
         float | None, typer.Option("--mass", metavar="KG", min=1e-3, help="Mass, if the file has no SIH_MASS [kg].")
     ] = None
     arm: Annotated[
-        float | None, typer.Option("--arm", metavar="M", min=1e-3, help="Length that relative positions refer to [m].")
+        float | None,
+        typer.Option("--arm", metavar="M", min=1e-3, help="Length that multiplies relative positions [m]."),
     ] = None
     as_json: Json = False
 

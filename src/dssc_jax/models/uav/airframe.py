@@ -64,6 +64,9 @@ REFUSED = {
 """Parameters that the model has no part for, if they are not 0."""
 
 
+TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
+
+
 class Airframe(NamedTuple):
     """A vehicle as a study's table.
 
@@ -90,14 +93,16 @@ def parameters_in(text: str) -> dict[str, float]:
     """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts.
 
     Raises:
-        ConfigError: one that is read is not finite, or too large.
+        ConfigError: the value of a parameter that is read is no number.
     """
     values: dict[str, float] = {}
     for line in LINE.finditer(text):
         name, value = (line["set"], line["to"]) if line["set"] else (line["name"], line["value"])
         try:
             values[name] = float(value)
-        except ValueError:  # a variable of the shell
+        except ValueError:
+            if name.startswith(READ) and not value.startswith("$"):  # a variable of the shell is not known
+                raise ConfigError(name, f"must be a number, got {value!r}") from None
             values.pop(name, None)
     return values
 
@@ -133,6 +138,10 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
         if parameters.get(name, 0.0):
             raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
     rotors = []
+    unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
+    if 1 < len(unplaced) < count:
+        names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
+        raise ConfigError(names, f"must be set: CA_ROTOR_COUNT is {count:g}, and these rotors have no place")
     for i in range(int(count)):
         ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
         px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
@@ -178,6 +187,13 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
+def left_out(known: Mapping[str, float], notes: list[str]) -> None:
+    """Add a note that names the gains which the file sets and the model has no counterpart of."""
+    gains = [name for name in known if name.startswith(("MC_", "MPC_")) and name not in TAKEN_GAINS]
+    if gains:
+        notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
+
+
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
     """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
     values = [value for rotor in rotors for value in rotor.place[:2]]
@@ -199,11 +215,8 @@ def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None
         raise ConfigError("SIH_MASS" if "SIH_MASS" not in known else "CA_ROTORi_PX, _PY", "; ".join(missing))
 
 
-def scaled(rotors: list[PlacedRotor], known: Mapping[str, float], notes: list[str]) -> list[PlacedRotor]:
+def scaled(rotors: list[PlacedRotor], known: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
-    if not are_ratios(rotors):
-        return rotors
-    notes.append("positions are ratios, and became metres by SIH_L_PITCH and SIH_L_ROLL")
     forward, left = known["SIH_L_PITCH"], known["SIH_L_ROLL"]
     return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * left, 0.0)) for rotor in rotors]
 
@@ -284,7 +297,8 @@ def read_airframe(file: str | Mapping[str, float], mass: float | None = None, ar
     Args:
         file: The file's text, or parameters by name.
         mass: Mass of the vehicle [kg]; None: that of the file.
-        arm: What positions that are ratios are ratios of [m]; None: SIH_L_PITCH and SIH_L_ROLL of the file.
+        arm: Length by which positions that are ratios are multiplied [m]; None: positions that are those of PX4's
+            generic airframes are multiplied by SIH_L_PITCH and SIH_L_ROLL of the file, others are metres.
 
     Raises:
         ConfigError: the file gives no mass, or has something that the model has no part for.
@@ -302,10 +316,16 @@ def read_airframe(file: str | Mapping[str, float], mass: float | None = None, ar
     chosen = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
     parameters |= {name: value for name, value in chosen.items() if value is not None}
     rotors = placed_rotors(parameters)
+    relative = arm is not None or are_ratios(rotors)
     require_sizes(rotors, parameters)
-    geometry = geometry_of(scaled(rotors, parameters, notes))
+    if relative:
+        rotors = scaled(rotors, parameters)
+        notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
+    geometry = geometry_of(rotors)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
-    return Airframe(vehicle, tuple(notes), control_of(parameters, notes))
+    control = control_of(parameters, notes)
+    left_out(parameters, notes)
+    return Airframe(vehicle, tuple(notes), control)
