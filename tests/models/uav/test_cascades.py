@@ -6,9 +6,11 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.smoothness import declared_smoothness
+from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.design.certification import Ends, NotCovered
 from dssc_jax.models.uav import UAV
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains, gains_from
+from dssc_jax.models.uav.inner_loops.sampled import Readings
 from dssc_jax.proofs.vehicle_coverage import require_inner_loop
 from tests.models.uav.cascades_by_hand import Craft, Crazyflie, Px4, flight
 
@@ -95,3 +97,16 @@ def test_what_assumes_the_article_s_inner_loop_refuses():
         require_inner_loop(Ends(study.template.plant, study.template.plant))
     meaning = declared_smoothness(UAV, study.template.plant).meaning
     assert "sampled inner loop" in meaning
+
+
+def test_an_inverted_vehicle_is_turned_back():
+    """Body z opposite to the desired one: all of the error is one half turn, here about roll."""
+    study = study_of("px4", STEPS["small"])
+    params = study.template.plant
+    loop = params.inner_loop
+    level = Readings(Vec3(0.0, 0.0, 0.0), Quaternion(1.0, 0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
+    state = loop.init(params.craft, level)
+    for tilt in (0.0, 1e-3, -1e-3):
+        rates = loop.rate_for(state, Quaternion(np.sin(tilt), np.cos(tilt), 0.0, 0.0))
+        assert abs(float(rates.x)) == pytest.approx(2.0 * loop.attitude_p[0], rel=1e-5)
+        np.testing.assert_allclose([float(rates.y), float(rates.z)], 0.0, atol=1e-3)

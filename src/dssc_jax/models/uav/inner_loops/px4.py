@@ -50,6 +50,8 @@ from dssc_jax.models.uav.vehicle import GRAVITY
 
 RATE_OF_LESS_INTEGRAL = math.radians(400.0)
 """Rate error at which the rate integral stops growing: PX4's reduction of bounce-back after a flip."""
+OPPOSITE = -1.0 + 4e-5
+"""Cosine of the angle between body z and the desired one, below which they count as opposite."""
 SMALLEST_WEIGHT = 1e-4
 """Smallest yaw weight whose effect on the yaw gain is compensated."""
 LEAST_MISSING = 2.0**-23
@@ -225,7 +227,9 @@ class Px4Gains(NamedTuple):
         reduced = Quaternion(cosine, -y * half, x * half, 0.0)
         yaw = canonical(product(conjugate(reduced), error))
         turn = self.yaw_weight * atan2(yaw.z, yaw.w)
-        weighted = canonical(product(reduced, Quaternion(jnp.cos(turn), 0.0, 0.0, jnp.sin(turn))))
+        mixed = product(reduced, Quaternion(jnp.cos(turn), 0.0, 0.0, jnp.sin(turn)))
+        opposite = z < OPPOSITE  # no shortest rotation of the tilt: all of the error at once, as in PX4
+        weighted = canonical(Quaternion(*(jnp.where(opposite, w, m) for w, m in zip(error, mixed, strict=True))))
         roll_p, pitch_p, yaw_p = self.attitude_p
         yaw_p = yaw_p / jnp.where(self.yaw_weight > SMALLEST_WEIGHT, self.yaw_weight, 1.0)
         turned = Vec3(weighted.x, weighted.y, weighted.z).scale(Vec3(2.0 * roll_p, 2.0 * pitch_p, 2.0 * yaw_p))
