@@ -15,7 +15,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.flight_logs.contents import log_contents
 from dssc_jax.flight_logs.frames import field_values
 from dssc_jax.flight_logs.reader import nearest_values
-from dssc_jax.flight_logs.ulog import Segment, chosen_segment, list_topics, read_topics, segments_of, stamps
+from dssc_jax.flight_logs.ulog import LogWarning, Segment, chosen_segment, list_topics, read_topics, segments_of, stamps
 from tests.cli.conftest import last_json
 
 pyulog = pytest.importorskip("pyulog")
@@ -241,3 +241,15 @@ def test_a_cut_and_a_damaged_log(tmp_path):
     (tmp_path / "damaged.ulg").write_bytes(damaged)
     assert list_topics(tmp_path / "damaged.ulg").damaged == len(content)
     assert json.dumps(log_contents(tmp_path / "damaged.ulg").summary()["damaged"]) == str(len(content))
+
+
+def test_a_log_with_a_hole_warns_and_is_listed_up_to_it(tmp_path):
+    content = TAKEOFF.read_bytes()
+    place = int(0.74 * len(content))
+    (tmp_path / "hole.ulg").write_bytes(content[:place] + content[place + 9000 :])
+    listed = list_topics(tmp_path / "hole.ulg")
+    assert listed.damaged is not None
+    assert place - 300 < listed.damaged < place + 1000
+    assert 0.5 * list_topics(TAKEOFF).duration < listed.duration < list_topics(TAKEOFF).duration
+    with pytest.warns(LogWarning, match=r"hole\.ulg is damaged: messages are lost"):
+        read_topics(tmp_path / "hole.ulg", ["vehicle_attitude"])

@@ -7,6 +7,7 @@ Source: PX4 user guide, "ULog file format".
 """
 
 import struct
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from io import StringIO
@@ -95,6 +96,10 @@ class LogTopics(NamedTuple):
     damaged: int | None
 
 
+class LogWarning(UserWarning):
+    """A log is damaged."""
+
+
 class OpenedLog(NamedTuple):
     """A ULog's file, and the class of pyulog that parses it."""
 
@@ -130,9 +135,17 @@ def read_topics(path: Path, names: Iterable[str]) -> tuple[TopicData, float]:
 
     Raises:
         ConfigError: the file cannot be read.
+
+    Warns:
+        LogWarning: The log is damaged.
     """
     with opened_log(path) as opened:
         log = opened.parse(opened.file, sorted(set(names)))
+        if log.file_corruption:
+            text = (
+                f"{path.name} is damaged: messages are lost, so that its signals have gaps; what is fitted may mislead"
+            )
+            warnings.warn(text, LogWarning, stacklevel=2)
         topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
         return topics, float(log.start_timestamp)
 
@@ -206,22 +219,24 @@ class Scan:
             body = read(size)
             if len(body) < size:
                 return None  # the log was cut off while it was written
-            if kind == data:
-                self._count(body)
-            elif kind not in KINDS:
+            if kind == data and self._count(body):
+                continue
+            if kind == data or kind not in KINDS:
                 return file.tell() - size - MESSAGE.size
-            else:
-                self._note(kind, body)
+            self._note(kind, body)
 
-    def _count(self, body: bytes) -> None:
-        """Count a message of a topic, whose first field is its stamp."""
+    def _count(self, body: bytes) -> bool:
+        """Count a message of a topic, whose first field is its stamp; False: there is no such topic."""
         if len(body) < STAMPED.size:
-            return
+            return False
         number, stamp = STAMPED.unpack_from(body)
+        if number not in self._names:
+            return False
         self._counts[number] = self._counts.get(number, 0) + 1
         if stamp:
             self._first.setdefault(number, stamp)
             self._last[number] = stamp
+        return True
 
     def _note(self, kind: int, body: bytes) -> None:
         """Note a topic or a dropout."""
@@ -238,7 +253,7 @@ class Scan:
         for number, messages in self._counts.items():
             spans = (self._first.get(number), self._last.get(number))
             first, last = (np.nan if stamp is None else MICROSECOND * (stamp - self._begin) for stamp in spans)
-            yield LogTopic(self._names.get(number, f"topic {number}"), messages, first, last)
+            yield LogTopic(self._names[number], messages, first, last)
 
 
 def segments_of(topics: TopicData, begin: float) -> list[Segment]:
