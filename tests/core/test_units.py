@@ -111,7 +111,7 @@ def test_everything_follows_the_plants_units(shaft, tmp_path):
     assert run["u"].attrs == {"units": "V", "long_name": "robust armature voltage u"}
     labels = [ax.get_ylabel() for ax in dj.plot.trajectory(run).axes]
     assert labels[0] == "shaft speed [rad/s]"
-    assert labels[2] == "armature voltage [V]"
+    assert "armature voltage [V]" in labels
     result.save(tmp_path / "out")
     dj.export(dj.load(tmp_path / "out"), "csv", tmp_path / "draws.csv")
     (about,) = (file for file in tmp_path.glob("draws*") if file.suffix == ".json")

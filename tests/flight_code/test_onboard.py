@@ -35,6 +35,8 @@ def test_same_bits_as_the_analysis(kind, precision, tmp_path):
         }
     )
     folder_of(study, tmp_path)
+    readme = (tmp_path / "README.md").read_text()
+    assert "`rotor_0`, rotor 1 of trajectories, is at (" in readme
     output = made(tmp_path, "check")
     assert "inner loop: 0 of " in output
     assert ", 2 flights" in output

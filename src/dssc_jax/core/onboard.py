@@ -10,6 +10,12 @@ WHOLE = 1e-9
 """Relative deviation of a ratio that counts as a whole number."""
 
 
+def no_sentences(params: Params) -> tuple[str, ...]:
+    """Nothing to tell."""
+    del params
+    return ()
+
+
 class Onboard(NamedTuple):
     """Sampled software that is part of a plant, such as the inner loops of an autopilot.
 
@@ -24,6 +30,7 @@ class Onboard(NamedTuple):
         sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
         tick: ``(params, state, dt) -> state`` at each tick, dt apart.
         frequency: Name of the plant's number that gives the period, dotted, for messages.
+        outputs: ``(params) -> sentences`` of the generated documentation on what its results drive.
     """
 
     period: Callable[[Params], float | None]
@@ -33,6 +40,7 @@ class Onboard(NamedTuple):
     sample: Callable[[Params, State, PlantInput, float], State]
     tick: Callable[[Params, State, float], State]
     frequency: str = ""
+    outputs: Callable[[Params], tuple[str, ...]] = no_sentences
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
         """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""

@@ -39,6 +39,7 @@ class TracedSoftware:
         ticks: Ticks in a sample.
         period: Time between two ticks [s].
         precision: Bits of a number.
+        outputs: Sentences on what its results drive.
     """
 
     prefix: str
@@ -52,6 +53,7 @@ class TracedSoftware:
     ticks: int
     period: float
     precision: int
+    outputs: tuple[str, ...]
 
     @property
     def real(self) -> np.dtype:
@@ -133,6 +135,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         round(loop.sample_time / period),
         period,
         study.config.loop.precision,
+        software.outputs(study.template.plant),
     )
 
 

@@ -165,6 +165,8 @@ def readme_lines(files: SoftwareFiles) -> list[str]:
         f"`{name}.h`, `{name}.c`: call `{name}_init` once with the first readings. At every sample, after the "
         f"controllers, call `{name}_sample` with their commands. Call `{name}_tick` every {software.period:g} s, "
         f"{software.ticks} times in a sample; the first one follows `{name}_sample`. The members `rotor_..` are the "
-        "commanded thrusts [N].",
+        "commanded thrusts [N]. `inner_loop_bench.c` compares every bit with the recording; `make` builds and runs it.",
+        "",
+        *(f"* {sentence}" for sentence in software.outputs),
         "",
     ]

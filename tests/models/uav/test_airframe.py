@@ -168,3 +168,15 @@ def test_a_stated_length_multiplies_positions_and_gains_without_counterpart_are_
     doubled = read_airframe(QUAD + "\nparam set-default MC_ROLLRATE_P 0.2", mass=2.0, arm=2.0)
     assert doubled.vehicle["arm"] == pytest.approx(2.0 * plain.vehicle["arm"])
     assert "left out, without a counterpart here: MC_ROLLRATE_P" in doubled.notes
+
+
+def test_the_cascade_takes_the_gains_of_the_file():
+    text = QUAD + "\nparam set-default MC_ROLLRATE_P 0.2\nparam set-default MPC_XY_P 0.9"
+    found = read_airframe(text, mass=2.0, cascade=True)
+    assert found.plant["inner_loop"]["kind"] == "px4"
+    assert found.plant["inner_loop"]["rate_p"][0] == 0.2
+    assert "left out, without a counterpart here: MPC_XY_P" in found.notes
+    table = {"name": "cascade", "loop": {"duration": 1.0, "sample_time": 0.01, "substeps": 8}}
+    plant = {"kind": "uav", **found.plant, "vehicle": found.vehicle}
+    study = dj.Study.from_table(table | {"plant": plant, "controller": {"kind": "pid", "k_p": 1.0}})
+    assert study.template.plant.inner_loop.rate_p[0] == 0.2

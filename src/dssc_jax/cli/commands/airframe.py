@@ -16,7 +16,7 @@ def run(options: Airframe) -> int:
     with errors_under(str(options.file)):
         is_log = options.file.suffix == ".ulg"
         content = logged_parameters(options.file) if is_log else files.read_text(options.file, errors="replace")
-        vehicle, notes, entries = read_airframe(content, options.mass, options.arm)
+        vehicle, notes, entries = read_airframe(content, options.mass, options.arm, options.cascade)
     plant = {"kind": "uav", **entries}
     if options.as_json:
         print(json.dumps({"vehicle": vehicle, "notes": notes, "plant": plant}))

@@ -28,6 +28,9 @@ class Airframe:
         float | None,
         typer.Option("--arm", metavar="M", min=1e-3, help="Length that multiplies relative positions [m]."),
     ] = None
+    cascade: Annotated[
+        bool, typer.Option("--cascade", help="PX4's cascade as inner loop, with the file's gains, for the article's.")
+    ] = False
     as_json: Json = False
 
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.desaturation import Desaturation
+from dssc_jax.models.uav.inner_loops.px4 import GAIN_PARAMETERS, gains_from
 from dssc_jax.models.uav.vehicle import GRAVITY, ROUNDED_TO_ZERO
 
 LINE = re.compile(
@@ -23,6 +24,7 @@ LINE = re.compile(
     r"|\d+\s+\d+\s+(?P<name>\w+)\s+(?P<value>\S+)\s+\d+\s*$)",  # a ground station's file: vehicle, component, .., type
     re.MULTILINE,
 )
+GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
 SIMILAR = 0.01  # relative difference of rotors that count as equal
 RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
 """Positions of generic airframes, which are ratios."""
@@ -65,6 +67,8 @@ REFUSED = {
 
 
 TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
+TAKEN_BY_CASCADE = ("MC_AIRMODE", *GAIN_PARAMETERS)
+"""Parameters that the inner loop takes: the article's, and PX4's cascade."""
 
 
 class Airframe(NamedTuple):
@@ -187,9 +191,9 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
-def left_out(known: Mapping[str, float], notes: list[str]) -> None:
+def left_out(known: Mapping[str, float], taken: tuple[str, ...], notes: list[str]) -> None:
     """Add a note that names the gains which the file sets and the model has no counterpart of."""
-    gains = [name for name in known if name.startswith(("MC_", "MPC_")) and name not in TAKEN_GAINS]
+    gains = [name for name in known if GAIN.fullmatch(name) and name not in taken]
     if gains:
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
@@ -265,7 +269,7 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
     return properties
 
 
-def control_of(known: Mapping[str, float], notes: list[str]) -> TomlTable:
+def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
     """Desaturation from MC_AIRMODE, and gains of the inner loops from MC_ and MPC_, as far as the file sets them.
 
     MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
@@ -280,6 +284,9 @@ def control_of(known: Mapping[str, float], notes: list[str]) -> TomlTable:
         if mode not in range(len(AIRMODES)):
             raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
         control["desaturation"] = AIRMODES[int(mode)].value
+    if cascade:
+        notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
+        return control | {"inner_loop": gains_from(known)}
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in known:
         gains["kd_velocity"] = known["MPC_XY_VEL_P_ACC"]
@@ -291,7 +298,9 @@ def control_of(known: Mapping[str, float], notes: list[str]) -> TomlTable:
     return control | ({"inner_loop": gains} if gains else {})
 
 
-def read_airframe(file: str | Mapping[str, float], mass: float | None = None, arm: float | None = None) -> Airframe:
+def read_airframe(
+    file: str | Mapping[str, float], mass: float | None = None, arm: float | None = None, cascade: bool = False
+) -> Airframe:
     """The vehicle of a PX4 airframe script, of a parameter file saved by a ground station, or of a log's parameters.
 
     Args:
@@ -299,6 +308,8 @@ def read_airframe(file: str | Mapping[str, float], mass: float | None = None, ar
         mass: Mass of the vehicle [kg]; None: that of the file.
         arm: Length by which positions that are ratios are multiplied [m]; None: positions that are those of PX4's
             generic airframes are multiplied by SIH_L_PITCH and SIH_L_ROLL of the file, others are metres.
+
+        cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
 
     Raises:
         ConfigError: the file gives no mass, or has something that the model has no part for.
@@ -326,6 +337,6 @@ def read_airframe(file: str | Mapping[str, float], mass: float | None = None, ar
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
-    control = control_of(parameters, notes)
-    left_out(parameters, notes)
+    control = control_of(parameters, notes, cascade)
+    left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     return Airframe(vehicle, tuple(notes), control)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.models.uav.allocation import allocate
@@ -175,3 +176,23 @@ def software_tick(params: UavParams, state: UavState, dt: float) -> UavState:
     software = software._replace(unallocated=unallocated)
     limited = jnp.where(thrusts.limited, 1.0, 0.0)
     return state._replace(inner=HeldLoop(software, demand.thrust, thrusts.commanded, limited))
+
+
+def rotor_sentences(params: UavParams) -> tuple[str, ...]:
+    """A sentence on each rotor of the generated code: its place and the sense in which it turns."""
+    vehicle = params.vehicle
+    if vehicle.rotor:
+        places = [tuple(map(nominal, rotor.position)) for rotor in vehicle.rotor]
+        senses = [rotor.direction for rotor in vehicle.rotor]
+    else:
+        arm = nominal(vehicle.arm)
+        x, y = vehicle.directions()
+        places = [(arm * a, arm * b, 0.0) for a, b in zip(x, y, strict=True)]
+        senses = list(vehicle.spins)
+    sentences = ["Places are in metres from the centre of mass: x forward, y left, z up."]
+    for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
+        at = ", ".join(f"{value:.4g}" for value in place)
+        turning = "clockwise" if nominal(sense) > 0.0 else "counter-clockwise"
+        named = f"`rotor_{index}`, rotor {index + 1} of trajectories"
+        sentences.append(f"{named}, is at ({at}) and turns {turning} as seen from above.")
+    return tuple(sentences)

@@ -31,6 +31,7 @@ from dssc_jax.models.uav.onboard import (
     estimator_of,
     readings_of,
     renew_estimate,
+    rotor_sentences,
     sampled_loop,
     seen_state,
     software_period,
@@ -252,6 +253,7 @@ UAV = Plant(
         sample=software_sample,
         tick=software_tick,
         frequency="inner_loop.frequency",
+        outputs=rotor_sentences,
     ),
     estimation=Estimation(
         chosen=lambda params: estimator_of(params) is not None,

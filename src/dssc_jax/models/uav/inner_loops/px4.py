@@ -16,6 +16,7 @@ References:
     L. Rundqwist, Anti-reset windup for PID controllers (1990).
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Annotated, NamedTuple
@@ -341,6 +342,9 @@ DEGREES = {"rate_max": ("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX")
 FACTORS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
 """PX4's factors of the gains P, I and D of the rate loops."""
 FACTORED = ("rate_p", "rate_i", "rate_d")
+TILT = "MPC_TILTMAX_AIR"
+GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
+"""All parameters of PX4 that :func:`gains_from` takes."""
 
 
 def gains_from(parameters: Mapping[str, float]) -> TomlTable:
@@ -360,6 +364,6 @@ def gains_from(parameters: Mapping[str, float]) -> TomlTable:
             value = math.radians(value) if field in DEGREES else value
             values.append(value * parameters.get(FACTORS[place], 1.0) if field in FACTORED else value)
         table[field] = values
-    if "MPC_TILTMAX_AIR" in parameters:
-        table["tilt_max"] = math.radians(parameters["MPC_TILTMAX_AIR"])
+    if TILT in parameters:
+        table["tilt_max"] = math.radians(parameters[TILT])
     return table
