@@ -22,11 +22,17 @@ def folder_of(study, folder):
     return code
 
 
-@pytest.mark.parametrize(("kind", "precision"), [("px4", 64), ("crazyflie", 32)])
-def test_same_bits_as_the_analysis(kind, precision, tmp_path):
+FORWARD = (1.0, 0.0, 1.0, 0.0)
+"""With commands of exactly 0, so that signs of zeros count."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "precision", "commands"), [("px4", 64, FLIGHT), ("crazyflie", 32, FLIGHT), ("px4", 64, FORWARD)]
+)
+def test_same_bits_as_the_analysis(kind, precision, commands, tmp_path):
     """Controllers, cascade and mixer; the world is uncertain and its wind too, the code's numbers are not."""
     require("make", "gcc")
-    study = study_of(kind, FLIGHT, frequency=200.0, substeps=2, draws=2).override(
+    study = study_of(kind, commands, frequency=200.0, substeps=2, draws=2).override(
         {
             "plant.vehicle.motor_lag": {"uniform": [0.015, 0.03]},
             "plant.vehicle.structure_drag": [{"uniform": [0.0, 0.1]}, 0.05, 0.05],

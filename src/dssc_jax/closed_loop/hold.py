@@ -378,7 +378,8 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
             if observe is not None:
                 observe(earlier, drive, ticked)
             first = tick * steps_per_tick
-            return repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
+            plant, states = repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
+            return software.holding(plant, software.held(ticked)), states  # to the bit: x + 0 changes the sign of -0
 
         carry = (software.sample(params, plant, drive, parts.sample_time), states)
         if observe is None:
