@@ -232,6 +232,19 @@ def test_signals_without_spread_are_left_out_of_the_rank():
     assert np.isnan(alone).all()
 
 
+def test_a_signal_of_rounding_is_left_out_of_the_rank():
+    """All draws stand still in one signal up to rounding: the log's motion there has no rank, that in the other has."""
+    rng = np.random.default_rng(0)
+    still = 1e-15 * rng.standard_normal((40, 1, 30))
+    moving = rng.standard_normal((40, 1, 30))
+    tested = np.stack([np.full(30, 0.3), rng.standard_normal(30)])
+    statistics, departures = largest_departures(np.concatenate([still, moving], axis=1), tested)
+    assert np.isnan(departures[0]).all()
+    assert np.isfinite(departures[1]).all()
+    alone, _ = largest_departures(moving, tested[1:])
+    np.testing.assert_array_equal(statistics, alone)
+
+
 def test_few_draws_differ_from_a_median_of_zero():
     """The median absolute deviation is 0 where most draws are 0; departures stay finite."""
     curves = np.zeros((19, 1, 3))

@@ -12,13 +12,15 @@ import numpy as np
 
 FLOOR = 0.05  # of the root mean square over time of a signal's spread: least spread by which departures are measured
 LEAST_SPREAD = 1e-6  # of a signal's size: curves that differ by less are the same
+ROUNDING = 1e-12  # of the largest signal's size: a signal that is no larger is rounding
 
 
 def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
     """Signals in which at least two of all n + 1 curves differ from their pointwise median.
 
     In the other signals the curves are the same but for one. A rank there tells nothing: rounding alone would decide
-    it. Which signals these are does not depend on the order of the curves, so the test remains exact.
+    it. Nor does a signal tell anything whose curves are rounding beside the other signals. Which signals these are does
+    not depend on the order of the curves, so the test remains exact.
 
     Args:
         curves: Shape (n, signals, times). NaN: the curve has ended.
@@ -28,11 +30,19 @@ def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
         Shape (signals,).
     """
     spread = np.zeros(len(tested), bool)
+    rounding = ROUNDING * usual_sizes(np.concatenate([curves, tested[None]])).max()
     for signal, known in enumerate(np.isfinite(tested)):
         if known.any():
             distance, size = distances(curves[:, signal, known], tested[signal, known])
-            spread[signal] = np.count_nonzero(distance.max(axis=1) > LEAST_SPREAD * size) >= 2
+            least = max(LEAST_SPREAD * size, rounding)
+            spread[signal] = np.count_nonzero(distance.max(axis=1) > least) >= 2
     return spread
+
+
+def usual_sizes(curves: np.ndarray) -> np.ndarray:
+    """The median over all curves of their largest absolute value, by signal; shapes (n, signals, times), (signals,)."""
+    finite = np.where(np.isfinite(curves), np.abs(curves), 0.0)
+    return np.median(finite.max(axis=2), axis=0)
 
 
 def distances(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, float]:
@@ -119,7 +129,8 @@ class Yardstick(NamedTuple):
         size = np.abs(middle).max(axis=1, keepdims=True)
         floor = FLOOR * np.sqrt(np.mean(spread**2, axis=1, keepdims=True))
         spread = np.maximum(spread, np.maximum(floor, LEAST_SPREAD * size))
-        constant = np.nanmax(distance, axis=(0, 2)) <= LEAST_SPREAD * size[:, 0]
+        least = np.maximum(LEAST_SPREAD * size[:, 0], ROUNDING * usual_sizes(curves).max())
+        constant = np.nanmax(distance, axis=(0, 2)) <= least
         spread[constant] = np.nan
         return cls(middle, spread)
 
