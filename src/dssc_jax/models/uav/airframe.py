@@ -257,13 +257,15 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
             properties["torque_coefficient"] = known["SIH_Q_MAX"] / known["SIH_T_MAX"]
     elif known.get("MPC_THR_HOVER"):
         properties["max_thrust"] = lift / known["MPC_THR_HOVER"]
-        notes.append("max_thrust follows from MPC_THR_HOVER, the share of it that hovers: the file sets no SIH_T_MAX")
+        notes.append(
+            "max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX"
+        )
     else:
         notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
     if "SIH_T_TAU" in known:
         properties["motor_lag"] = known["SIH_T_TAU"]
     else:
-        notes.append("motor_lag is left out: the file does not set SIH_T_TAU")
+        notes.append("motor_lag is left out, so that rotors follow at once: the file does not set SIH_T_TAU")
     if any(known.get(name, 0.0) for name in PRODUCTS):
         notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
     return properties
@@ -285,7 +287,8 @@ def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> T
             raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
         control["desaturation"] = AIRMODES[int(mode)].value
     if cascade:
-        notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
+        notes.append("PX4's defaults hold for gains of its cascade that the file does not set; frequency is 400 Hz")
+        notes.append("MPC_XY_P, MPC_Z_P and MC_YAW_P are k_p of [controller], of its .z and of its .psi")
         return control | {"inner_loop": gains_from(known)}
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in known:

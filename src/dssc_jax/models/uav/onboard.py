@@ -189,7 +189,13 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
         x, y = vehicle.directions()
         places = [(arm * a, arm * b, 0.0) for a, b in zip(x, y, strict=True)]
         senses = list(vehicle.spins)
-    sentences = ["Places are in metres from the centre of mass: x forward, y left, z up."]
+    sentences = [
+        "Commands are `u_p` of each channel: velocities along x, y, z [m/s] and the rate of yaw [rad/s].",
+        "World axes are x, y, z up, body axes forward, left, up. From NED and FRD: (x, y, z) = (east, north, -down), "
+        "a body vector (a, b, c) becomes (a, -b, -c), and yaw counts counter-clockwise from x.",
+        f"A rotor gives at most {params.rotor_limit:.6g} N as the mixer knows it; thrust over that is its share.",
+        "Places of rotors are in metres from the centre of mass.",
+    ]
     for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
         at = ", ".join(f"{value:.4g}" for value in place)
         turning = "clockwise" if nominal(sense) > 0.0 else "counter-clockwise"
