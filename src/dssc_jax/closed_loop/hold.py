@@ -19,7 +19,7 @@ from dssc_jax.closed_loop.averaged import Averaged, average_output
 from dssc_jax.core.contracts import LinearDynamics, Moments, Mover, Plant, Unmodelled, Variation
 from dssc_jax.core.integrators import INTEGRATORS, ORDERS, Integrator
 from dssc_jax.core.numerics import as_arrays, dot, is_zero
-from dssc_jax.core.onboard import ticks_in_sample
+from dssc_jax.core.onboard import Onboard, ticks_in_sample
 from dssc_jax.core.sampled_linear import Forcing, HeldSystem, LinearSystem, Rows, hold, scale_column
 from dssc_jax.core.signals import Measurements, Params, PlantInput, Scalar, Signals, State
 
@@ -367,19 +367,19 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
         if software is None or period is None:
             return repeat_substeps(substep, (plant, states), parts.substeps)
 
-        run_tick = software.tick
+        on_board: Onboard = software
         tick_time: float = period
         received = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
         drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in received), t)
 
         def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
             earlier, states = at
-            ticked = run_tick(params, earlier, tick_time)
+            ticked = on_board.tick(params, earlier, tick_time)
             if observe is not None:
                 observe(earlier, drive, ticked)
             first = tick * steps_per_tick
             plant, states = repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
-            return software.holding(plant, software.held(ticked)), states  # to the bit: x + 0 changes the sign of -0
+            return on_board.holding(plant, on_board.held(ticked)), states  # to the bit: x + 0 changes the sign of -0
 
         carry = (software.sample(params, plant, drive, parts.sample_time), states)
         if observe is None:
