@@ -180,3 +180,16 @@ def test_the_cascade_takes_the_gains_of_the_file():
     plant = {"kind": "uav", **found.plant, "vehicle": found.vehicle}
     study = dj.Study.from_table(table | {"plant": plant, "controller": {"kind": "pid", "k_p": 1.0}})
     assert study.template.plant.inner_loop.rate_p[0] == 0.2
+
+
+def test_rate_of_the_loops_is_that_of_the_file_and_unused_limits_are_named():
+    """IMU_GYRO_RATEMAX is the cascade's frequency; what no field takes stands in a note with its value."""
+    text = QUAD + "\nparam set-default IMU_GYRO_RATEMAX 800\nparam set-default THR_MDL_FAC 0.3\n"
+    cascade = read_airframe(text, mass=2.0, cascade=True)
+    assert cascade.plant["inner_loop"]["frequency"] == 800.0
+    assert any(note == "not used: THR_MDL_FAC = 0.3" for note in cascade.notes)
+    plain = read_airframe(text, mass=2.0)
+    assert any(note == "not used: THR_MDL_FAC = 0.3, IMU_GYRO_RATEMAX = 800" for note in plain.notes)
+    silent = read_airframe(QUAD, mass=2.0, cascade=True)
+    assert "frequency" not in silent.plant["inner_loop"]
+    assert any("400 Hz" in note for note in silent.notes)

@@ -30,7 +30,7 @@ RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.86602
 """Positions of generic airframes, which are ratios."""
 MULTIROTOR = 0  # of CA_AIRFRAME
 MOST_ROTORS = 12  # that PX4's control allocation takes
-READ = ("CA_", "SIH_", "MC_", "MPC_")
+READ = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
 LARGEST_PARAMETER = 1e6
 """Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
 MOMENT_COEFFICIENT = 0.05
@@ -69,6 +69,13 @@ REFUSED = {
 TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
 TAKEN_BY_CASCADE = ("MC_AIRMODE", *GAIN_PARAMETERS)
 """Parameters that the inner loop takes: the article's, and PX4's cascade."""
+
+LOOP_RATE = "IMU_GYRO_RATEMAX"
+"""Rate of PX4's attitude and rate loops [Hz]."""
+LIMITS = ("THR_MDL_FAC", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_XY_CRUISE", "MPC_YAWRAUTO_MAX")
+"""Parameters that shape a flight and that no field of ``[plant]`` takes; the velocity limits belong to a controller."""
+CASCADE_LIMITS = (LOOP_RATE, "MPC_TILTMAX_AIR", "MPC_THR_MIN", "MPC_THR_MAX", "MPC_THR_XY_MARG", "IMU_GYRO_CUTOFF")
+"""Parameters that only PX4's cascade takes."""
 
 
 class Airframe(NamedTuple):
@@ -198,6 +205,14 @@ def left_out(known: Mapping[str, float], taken: tuple[str, ...], notes: list[str
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
 
+def unused(known: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
+    """Add a note of the limits that the file sets and the table does not take, with their values."""
+    names = LIMITS if cascade else LIMITS + CASCADE_LIMITS
+    settings = [f"{name} = {known[name]:g}" for name in names if name in known]
+    if settings:
+        notes.append(f"not used: {', '.join(settings)}")
+
+
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
     """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
     values = [value for rotor in rotors for value in rotor.place[:2]]
@@ -287,9 +302,15 @@ def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> T
             raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
         control["desaturation"] = AIRMODES[int(mode)].value
     if cascade:
-        notes.append("PX4's defaults hold for gains of its cascade that the file does not set; frequency is 400 Hz")
+        inner = gains_from(known)
+        if known.get(LOOP_RATE, 0.0) > 0.0:
+            inner["frequency"] = known[LOOP_RATE]
+            notes.append(f"frequency is {LOOP_RATE}; frequency times loop.sample_time must be a whole number")
+        else:
+            notes.append(f"frequency is 400 Hz: the file does not set {LOOP_RATE}")
+        notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
         notes.append("MPC_XY_P, MPC_Z_P and MC_YAW_P are k_p of [controller], of its .z and of its .psi")
-        return control | {"inner_loop": gains_from(known)}
+        return control | {"inner_loop": inner}
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in known:
         gains["kd_velocity"] = known["MPC_XY_VEL_P_ACC"]
@@ -342,4 +363,5 @@ def read_airframe(
             entry.pop("torque_coefficient")
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
+    unused(parameters, cascade, notes)
     return Airframe(vehicle, tuple(notes), control)
