@@ -171,7 +171,11 @@ PX4_COLUMNS: dict[str, dict[str, tuple[str, ...]]] = {
         "y_dot": ("vehicle_attitude.psi_dot",),
         "y_ref": ("vehicle_local_position_setpoint.psi", "trajectory_setpoint.psi"),
         "y_ref_dot": ("vehicle_local_position_setpoint.psi_dot", "trajectory_setpoint.psi_dot"),
+        "u_total": ("vehicle_rates_setpoint.r",),
     }
 }
-"""The columns of a multirotor's channels in a ULog, the first that the log has; u_total is the velocity setpoint of
-PX4's position controller."""
+"""The columns of a multirotor's channels in a ULog, the first that the log has.
+
+u_total is the velocity setpoint of PX4's position controller; that of psi is the rate about body z which PX4's attitude
+controller sets, psi' of a level vehicle.
+"""

@@ -13,6 +13,9 @@ from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.engine import kernels
+from dssc_jax.engine.evaluation import DIRECTION
+from dssc_jax.engine.kernels import Start
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.replay import median_values
@@ -22,9 +25,9 @@ from dssc_jax.study import Study
 RANDOM = ("std", "turbulence")
 """Fields of disturbances and winds that scale what is random."""
 
-Outputs: TypeAlias = Callable[[jax.Array, jax.Array, jax.Array | int], jax.Array]
-"""(Values of the numbers, shape (n,); commands, shape (channels, samples); index of the draw) -> outputs, shape
-(channels, samples)."""
+Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[jax.Array, ...]]
+"""(Values of the numbers; commands, shape (channels, samples); index of the draw) -> outputs of each channel, shape
+(samples,)."""
 
 Prediction: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(Values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
@@ -64,7 +67,7 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     fixed = quiet_values(study) if quiet else median_values(study)
     sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
 
-    def outputs(values: jax.Array, commands: jax.Array, index: jax.Array | int) -> jax.Array:
+    def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[jax.Array, ...]:
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
         loop = replace(study.loop, settled=None, sensor=sensors, controller=tuple(controllers))
         params = study.params({**fixed, **dict(zip(names, values, strict=True))})
@@ -81,7 +84,7 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
 
         initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32))
         _, readings = jax.lax.scan(sample, initial, length=samples)
-        return jnp.stack(as_arrays(readings))
+        return as_arrays(readings)
 
     return outputs
 
@@ -92,11 +95,13 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
 
     def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
         def slope(direction: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return jax.jvp(lambda x: outputs(x, commands, 0), (values,), (direction,))
+            return jax.jvp(lambda x: jnp.stack(outputs(list(x), commands, 0)), (values,), (direction,))
 
         predicted, slopes = jax.vmap(slope)(jnp.eye(len(names)))
         return predicted[0], slopes
 
+    if len(study.loop.channels) > 1:
+        return native_prediction(study, names, samples)
     compiled = jax.jit(with_slopes, compiler_options=plain_options())
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,6 +109,40 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
             real = jnp.result_type(float)
             predicted, slopes = compiled(jnp.asarray(values, real), jnp.asarray(commands, real))
             return np.asarray(predicted, float), np.asarray(slopes, float)
+
+    return predict
+
+
+def native_prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
+    """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
+
+    A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants
+    of the program, which is compiled again for others.
+    """
+    outputs = simulated_outputs(study, names, samples, quiet=True)
+    programs: dict[bytes, Start] = {}
+
+    def program(commands: np.ndarray) -> Start:
+        def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[jax.Array, ...]:
+            numbers = [values[name] for name in names]
+            tangent = [jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i in range(len(names))]
+            predicted, slopes = jax.jvp(lambda x: outputs(x, jnp.asarray(commands), 0), (numbers,), (tangent,))
+            return (*predicted, *slopes)
+
+        return kernels.compiled(kernels.requested(), lane, [*names, DIRECTION], len(names), None, None)
+
+    def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with arithmetic(study.config.loop.precision):
+            key = commands.tobytes()
+            if key not in programs:
+                programs[key] = program(commands)
+            columns = {name: np.full(len(names), value) for name, value in zip(names, values, strict=True)}
+            columns[DIRECTION] = np.arange(len(names), dtype=float)
+            results, _ = programs[key](columns, np.zeros(len(names), np.uint32))()
+        channels = len(study.loop.channels)
+        predicted = np.array([results[i][0] for i in range(channels)], float)
+        slopes = np.array([results[channels + i] for i in range(channels)], float)
+        return predicted, np.moveaxis(slopes, 1, 0)
 
     return predict
 
@@ -117,8 +156,9 @@ def study_noise(
     noisy = simulated_outputs(study, names, samples, quiet=False)
 
     def noise(values: jax.Array, commands: jax.Array) -> jax.Array:
-        readings = jax.vmap(lambda index: noisy(values, commands, index))(jnp.arange(replicates))
-        return readings - quiet(values, commands, 0)
+        numbers = list(values)
+        readings = jax.vmap(lambda index: jnp.stack(noisy(numbers, commands, index)))(jnp.arange(replicates))
+        return readings - jnp.stack(quiet(numbers, commands, 0))
 
     with arithmetic(study.config.loop.precision):
         real = jnp.result_type(float)
