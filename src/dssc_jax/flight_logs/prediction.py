@@ -155,12 +155,14 @@ def study_noise(
     quiet = simulated_outputs(study, names, samples, quiet=True)
     noisy = simulated_outputs(study, names, samples, quiet=False)
 
-    def noise(values: jax.Array, commands: jax.Array) -> jax.Array:
-        numbers = list(values)
-        readings = jax.vmap(lambda index: jnp.stack(noisy(numbers, commands, index)))(jnp.arange(replicates))
-        return readings - jnp.stack(quiet(numbers, commands, 0))
+    def lane(drawn: dict[str, jax.Array], index: jax.Array) -> tuple[jax.Array, ...]:
+        numbers = [drawn[name] for name in names]
+        logged = jnp.asarray(commands)
+        pairs = zip(noisy(numbers, logged, index), quiet(numbers, logged, 0), strict=True)
+        return tuple(jnp.asarray(reading - output) for reading, output in pairs)
 
     with arithmetic(study.config.loop.precision):
-        real = jnp.result_type(float)
-        compiled = jax.jit(noise, compiler_options=plain_options())
-        return np.asarray(compiled(jnp.asarray(values, real), jnp.asarray(commands, real)), float)
+        columns = {name: np.full(replicates, value) for name, value in zip(names, values, strict=True)}
+        start = kernels.compiled(kernels.requested(), lane, list(names), replicates, None, None)
+        results, _ = start(columns, np.arange(replicates, dtype=np.uint32))()
+    return np.stack([np.asarray(result, float) for result in results], axis=1)

@@ -1,8 +1,6 @@
 """Parsing of a study file's tables into models and parameters.
 
-The parameter types of the models are the schema: their annotations give each field's quantity or slot and its
-default. A validated table becomes the chosen model and an instance of its parameter type, whose leaves are numbers
-and laws.
+The parameter types of the models are the schema: their annotations give each field's quantity or slot and its default.
 """
 
 import inspect
@@ -33,10 +31,7 @@ from dssc_jax.study.tables import merged
 
 @dataclass(frozen=True)
 class Component:
-    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each number.
-
-    Those of a chain of actuators are tuples, one for each of its ``elements``.
-    """
+    """A chosen model, its parameters with numbers and laws as leaves, a record of each, and a chain's elements."""
 
     kind: str
     model: Any
@@ -378,9 +373,9 @@ def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tupl
                     raise ConfigError("", str(error)) from None
                 items[name] = leaves_of(number)
                 numbers.append(Number.of(name, spec.mark, number, name))
-            else:
-                items[name], inner = parse_params(as_table(value), spec.named)
-                numbers += [number.under(name, name) for number in inner]
+                continue
+            items[name], inner = parse_params(as_table(value), spec.named)
+            numbers += [number.under(name, name) for number in inner]
     return items, tuple(numbers)
 
 
@@ -392,8 +387,8 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     """
     specs = field_specs(params)
     model = table_model(params)
-    given_defaults = {name: defaults[name] for name in model.model_fields if name in defaults}
-    values = {name: value.value if isinstance(value, Enum) else value for name, value in given_defaults.items()}
+    usual = {name: defaults[name] for name in model.model_fields if name in defaults}
+    values = {name: value.value if isinstance(value, Enum) else value for name, value in usual.items()}
     try:
         checked = model.model_validate(values | table)
     except ValidationError as error:
