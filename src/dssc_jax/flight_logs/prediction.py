@@ -25,7 +25,7 @@ from dssc_jax.study import Study
 RANDOM = ("std", "turbulence")
 """Fields of disturbances and winds that scale what is random."""
 
-Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[jax.Array, ...]]
+Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[Scalar, ...]]
 """(Values of the numbers; commands, shape (channels, samples); index of the draw) -> outputs of each channel, shape
 (samples,)."""
 
@@ -67,7 +67,7 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     fixed = quiet_values(study) if quiet else median_values(study)
     sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
 
-    def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[jax.Array, ...]:
+    def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
         loop = replace(study.loop, settled=None, sensor=sensors, controller=tuple(controllers))
         params = study.params({**fixed, **dict(zip(names, values, strict=True))})
@@ -123,7 +123,7 @@ def native_prediction(study: Study, names: Sequence[str], samples: int) -> Predi
     programs: dict[bytes, Start] = {}
 
     def program(commands: np.ndarray) -> Start:
-        def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[jax.Array, ...]:
+        def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
             numbers = [values[name] for name in names]
             tangent = [jnp.where(values[DIRECTION] == i, 1.0, 0.0) for i in range(len(names))]
             predicted, slopes = jax.jvp(lambda x: outputs(x, jnp.asarray(commands), 0), (numbers,), (tangent,))
@@ -155,14 +155,15 @@ def study_noise(
     quiet = simulated_outputs(study, names, samples, quiet=True)
     noisy = simulated_outputs(study, names, samples, quiet=False)
 
-    def lane(drawn: dict[str, jax.Array], index: jax.Array) -> tuple[jax.Array, ...]:
+    def lane(drawn: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
         numbers = [drawn[name] for name in names]
         logged = jnp.asarray(commands)
-        pairs = zip(noisy(numbers, logged, index), quiet(numbers, logged, 0), strict=True)
-        return tuple(jnp.asarray(reading - output) for reading, output in pairs)
+        return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
 
     with arithmetic(study.config.loop.precision):
         columns = {name: np.full(replicates, value) for name, value in zip(names, values, strict=True)}
         start = kernels.compiled(kernels.requested(), lane, list(names), replicates, None, None)
         results, _ = start(columns, np.arange(replicates, dtype=np.uint32))()
-    return np.stack([np.asarray(result, float) for result in results], axis=1)
+    channels = len(study.loop.channels)
+    readings = np.stack([np.asarray(result, float) for result in results], axis=1)
+    return readings[:, :channels] - readings[:, channels:]
