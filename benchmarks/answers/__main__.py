@@ -48,10 +48,16 @@ PEERS = ("OpenTURNS", "UQpy", "SALib", "Monaco")
 
 
 def answers(command: list[str]) -> list[JsonObject]:
-    """The answers of a process, as far as it came within the limit."""
+    """The answers of a process, as far as it came within the limit.
+
+    Raises:
+        RuntimeError: The process failed; that is no slow answer.
+    """
     try:
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT)
         printed = done.stdout
+        if done.returncode:
+            raise RuntimeError(f"{' '.join(command)} failed: {done.stderr}")
     except subprocess.TimeoutExpired as stopped:
         printed = stopped.stdout.decode() if isinstance(stopped.stdout, bytes) else stopped.stdout or ""
     return [json.loads(line) for line in printed.splitlines() if line.startswith("{")]

@@ -68,3 +68,12 @@ def test_a_machine_without_a_driver_says_so(form, remedy, monkeypatch):
 def test_what_a_kernel_cannot_express_is_refused(monkeypatch):
     with emulated(monkeypatch), pytest.raises(ConfigError, match="a kernel cannot express 'sort' in sorts"):
         kernels.compiled("gpu", sorts, ["a"], LANES, None, None)
+
+
+def test_a_batch_for_which_the_gpu_has_no_memory_is_refused(monkeypatch):
+    study = loop("axis")
+    with (
+        emulated(monkeypatch, memory=500),
+        pytest.raises(ConfigError, match=r"kernel: cuMemAlloc_v2 .*OUT_OF_MEMORY; run smaller blocks"),
+    ):
+        batch(study, "gpu")

@@ -34,7 +34,13 @@ def require_writable(options: Simulate | Replay) -> None:
 
 
 def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_files: Sequence[Path] = ()) -> None:
-    """Write the requested files of a trajectory, and show how the draw ended, with all files and ``others``."""
+    """Write the requested files of a trajectory, and show how the draw ended.
+
+    Args:
+        trajectory: The trajectory.
+        options: The files to write.
+        flight_files: Files that are written already, and shown with the others.
+    """
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
         (options.csv, lambda path: write_table(trajectory, path)),
         (options.parquet, lambda path: write_parquet(trajectory, path)),

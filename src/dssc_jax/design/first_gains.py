@@ -1,8 +1,7 @@
 """First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
 
 The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly, with
-the command held. All three rules then work with numbers
-of that plant alone, whatever its units:
+the command held. All three rules then work with numbers of that plant alone, whatever its units:
 
 * PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it.
 * LQG: y weighted with 1; the weight of u is that at which the regulator's loop crosses 1 at the bandwidth, and the

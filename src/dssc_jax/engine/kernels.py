@@ -65,8 +65,10 @@ def requested(choice: str = "") -> str:
     if not choice:
         return Form.LANES if jax.default_backend() == "cpu" else Form.SCAN
     if choice not in tuple(Form):
-        known = "lanes, strict, scan, gpu or gpu-strict"
-        raise ConfigError("kernel", f"must be {known}, got '{choice}'; {nearest(choice, tuple(Form))}")
+        *others, last = tuple(Form)
+        raise ConfigError(
+            "kernel", f"must be {', '.join(others)} or {last}, got '{choice}'; {nearest(choice, tuple(Form))}"
+        )
     if choice in GPU_FORMS:
         gpu_name(choice)
     return choice

@@ -10,14 +10,18 @@ from dssc_jax.flight_code.controller import FlightCode, SampledController, sampl
 from dssc_jax.flight_code.cost import parameter_bytes, program_cost, state_bytes, step_cost
 from dssc_jax.flight_code.fmu import ControllerFmu, controller_fmu
 from dssc_jax.flight_code.header import header_text, readme_text
-from dssc_jax.flight_code.monitor_recording import monitor_recording, recorded_flights
-from dssc_jax.flight_code.monitor_text import monitor_texts, readme_lines
+from dssc_jax.flight_code.monitor_recording import recorded_flights
+from dssc_jax.flight_code.monitor_text import LABEL as MONITOR
+from dssc_jax.flight_code.monitor_text import monitor_texts
+from dssc_jax.flight_code.monitor_text import readme_lines as monitor_lines
 from dssc_jax.flight_code.onboard import traced_software
-from dssc_jax.flight_code.onboard_recording import recorded_ticks, software_recording
+from dssc_jax.flight_code.onboard_recording import recorded_ticks
+from dssc_jax.flight_code.onboard_text import LABEL as SOFTWARE
 from dssc_jax.flight_code.onboard_text import readme_lines as software_lines
 from dssc_jax.flight_code.onboard_text import software_files, software_texts
 from dssc_jax.flight_code.premises import Premises
 from dssc_jax.flight_code.recording import recorded_draws, recording
+from dssc_jax.flight_code.replay_bench import recording_bytes
 from dssc_jax.flight_code.source import source_text
 from dssc_jax.flight_code.template_files import fill, template_text
 from dssc_jax.flight_code.traced_monitor import TracedMonitor, traced_monitor
@@ -61,26 +65,21 @@ class FlightFolder:
     def texts(self) -> dict[str, str]:
         """Content of the text files by name."""
         name = self.code.name
-        monitor = {} if self.monitor is None else monitor_texts(self.monitor, self.code.study.name)
-        section = [] if self.monitor is None else readme_lines(self.monitor)
-        software = {} if self.software is None else software_texts(self.software, self.code.study.name)
-        if self.software is not None:
-            section = software_lines(self.software) + section
-        makefiles = [name for name in ("inner_loop.mk", "monitor.mk") if name in software | monitor]
-        return (
-            software
-            | monitor
-            | {
-                f"{name}_controller.h": header_text(self.code),
-                f"{name}_controller.c": source_text(self.code),
-                "bench.c": template_text("bench.c"),
-                "bench_channels.h": channels_text(self.code),
-                "Makefile": fill(
-                    "Makefile", name=name, monitor="\n".join(f"include {makefile}" for makefile in makefiles)
-                ),
-                "README.md": readme_text(self.code, section),
-            }
-        )
+        study = self.code.study.name
+        software = {} if self.software is None else software_texts(self.software, study)
+        monitor = {} if self.monitor is None else monitor_texts(self.monitor, study)
+        sections = [] if self.software is None else software_lines(self.software)
+        sections += [] if self.monitor is None else monitor_lines(self.monitor)
+        beside = software | monitor
+        includes = [f"include {file}" for file in beside if file.endswith(".mk")]
+        return beside | {
+            f"{name}_controller.h": header_text(self.code),
+            f"{name}_controller.c": source_text(self.code),
+            "bench.c": template_text("bench.c"),
+            "bench_channels.h": channels_text(self.code),
+            "Makefile": fill("Makefile", name=name, includes=includes),
+            "README.md": readme_text(self.code, sections),
+        }
 
     def fmu(self) -> ControllerFmu:
         """The controllers as an FMU."""
@@ -105,14 +104,14 @@ class FlightFolder:
         assert self.monitor is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_flights(self.code.study, self.monitor, draws, count)
-        return self._guarded(monitor_recording(flights, self.code.precision))
+        return self._guarded(recording_bytes(MONITOR, flights, self.code.precision))
 
     def software_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the recording of software on board; arguments and errors as for :meth:`recording`."""
         assert self.software is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_ticks(self.code.study, self.software.software, draws, count)
-        return self._guarded(software_recording(flights, self.code.precision))
+        return self._guarded(recording_bytes(SOFTWARE, flights, self.code.precision))
 
     def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
         for name, count in (("draws", draws), ("samples", samples or 1)):

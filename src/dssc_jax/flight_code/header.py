@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from dssc_jax.core.signals import ReferencePoint
+from dssc_jax.flight_code.c_files import header_file
 from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.text import comment
@@ -15,12 +16,8 @@ ANGLE_NOTE = """
 
 def header_text(code: FlightCode) -> str:
     """The header: structures and functions of every channel."""
-    return fill(
-        "controller.h",
-        comment=file_comment(code),
-        guard=f"{code.name.upper()}_CONTROLLER_H",
-        channels="\n".join(declarations(code.study, controller) for controller in code.controllers),
-    )
+    channels = "\n".join(declarations(code.study, controller) for controller in code.controllers)
+    return header_file(f"{code.name}_controller", file_comment(code), channels)
 
 
 def file_comment(code: FlightCode) -> list[str]:

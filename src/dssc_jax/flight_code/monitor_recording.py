@@ -12,18 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.sample import LoopState, Recorded, held_between_samples, initial_state, step
-from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
-from dssc_jax.engine.compiled_lanes import compiled_lanes
-from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.monitor import ChannelSample, MonitorSample, MonitorState, initial_monitor, monitor
 from dssc_jax.flight_code.premises import Premises
+from dssc_jax.flight_code.replay_bench import recorded_columns
 from dssc_jax.flight_code.traced_monitor import TracedMonitor, typed
-from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
-MAGIC = b"dssc-jax monitor 1"
 GROWTH = 0.25
 """Growth of the deviations from sample to sample, as a share of those of the flight."""
 MISSING_EVERY = 61
@@ -100,23 +96,7 @@ def watched(premises: Premises, state: MonitorState, seen: MonitorSample) -> tup
 
 def recorded_flights(study: Study, traced: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
     """The rows of both flights of the first draws of a study, shape (samples, members of a row) each."""
-    with arithmetic(traced.precision):
-        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-        index = jax.ShapeDtypeStruct((), jnp.uint32)
-        lane = recording_lane(study, traced.premises, samples)
-        lanes = compiled_lanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
-        width = lanes.signature.width
-        for first in range(0, draws, width):
-            indices = np.arange(first, min(first + width, draws))
-            flights = lanes.start((draw_values(study, indices), indices), len(indices), usable_cores())()
-            for place in range(len(indices)):
-                for columns in flights:
-                    yield np.stack([column[place] for column in columns], axis=1)
-
-
-def monitor_recording(flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:
-    """The bytes of recorded flights for the bench: little-endian, each with its number of samples."""
-    real = np.dtype(f"<f{precision // 8}")
-    yield MAGIC + bytes([precision]) + bytes(1)
-    for rows in flights:
-        yield np.array([len(rows)], "<u4").tobytes() + np.ascontiguousarray(rows, real).tobytes()
+    lane = recording_lane(study, traced.premises, samples)
+    for flights in recorded_columns(study, lane, draws, traced.precision):
+        for columns in flights:
+            yield np.stack(columns, axis=1)

@@ -1,13 +1,16 @@
 """The files of a monitor: header and source in C99 that is C++ as well, its bench, and what the README says of it."""
 
+from dssc_jax.flight_code.c_files import header_file, joined_definitions, source_file
 from dssc_jax.flight_code.premises import Premises
+from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.flight_code.traced_monitor import TracedMonitor
-from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.c.text import CText, comment
 from dssc_jax.lanes.program import Value
 
+LABEL = "monitor"
+RECORDING = "monitored.bin"
 LOCAL_NAMES = {"monitor", "seen", "before", "memory", "current", "latched", "sample", "first"}
 """Names in the template files, which no computed variable may have."""
 INPUT_MEANINGS = {
@@ -33,8 +36,7 @@ def monitor_texts(traced: TracedMonitor, study: str) -> dict[str, str]:
     return {
         f"{traced.prefix}.h": header_text(traced, study),
         f"{traced.prefix}.c": source_text(traced, study),
-        "monitor_bench.c": bench_text(traced),
-        "monitor.mk": fill("monitor.mk", name=traced.prefix),
+        **bench_files(replay_bench(traced), RECORDING),
     }
 
 
@@ -64,17 +66,16 @@ def header_text(traced: TracedMonitor, study: str) -> str:
     for bit, flag in enumerate(flags):
         lines += comment(flag.sentence)
         lines.append(f"#define {flag_name(traced, flag.name)} 0x{1 << bit:x}u")
-    return fill(
+    declarations = fill(
         "monitor.h",
         name=traced.prefix,
-        comment=file_comment(traced, study),
-        guard=f"{traced.prefix.upper()}_H",
         flags=lines,
         flag_count=flag_name(traced, "flags"),
         count=str(len(flags)),
         inputs=[f"{real} {name};  /* {input_meaning(name)} */" for name in traced.inputs],
         memories=[f"{real} {name};" for name in traced.memories],
     )
+    return header_file(traced.prefix, file_comment(traced, study), declarations)
 
 
 def input_meaning(name: str) -> str:
@@ -97,31 +98,33 @@ def source_text(traced: TracedMonitor, study: str) -> str:
     for member, output in zip([*members, "current"], outputs, strict=True):
         function.line(f"monitor->{member} = {function.read(output)};")
     definitions = [*function.tables, *function.notation.helpers(), *function.functions.values()]
-    return fill(
+    body = fill(
         "monitor.c",
         name=traced.prefix,
-        comment=file_comment(traced, study),
-        definitions="".join(f"{definition}\n\n" for definition in definitions),
+        definitions=joined_definitions(definitions),
         flag_count=flag_name(traced, "flags"),
         begin=[f"monitor->{memory} = 0;" for memory in memories],
         computation=function.lines,
     )
+    return source_file(LABEL, f"{traced.prefix}.h", file_comment(traced, study), body)
 
 
-def bench_text(traced: TracedMonitor) -> str:
-    """The bench."""
-    results = ["current", "latched", *traced.memories]
-    return fill(
-        "monitor_bench.c",
-        name=traced.prefix,
-        real=c_type(traced.real),
-        precision=str(traced.precision),
-        inputs_count=str(len(traced.inputs)),
-        results_count=str(len(results)),
-        names=", ".join(c_string(name) for name in results),
-        give=[f"seen.{name} = row[{place}];" for place, name in enumerate(traced.inputs)],
-        take=[f"results[{place}] = monitor->memory.{name};" for place, name in enumerate(traced.memories, start=2)],
-    )
+def replay_bench(traced: TracedMonitor) -> ReplayBench:
+    """The bench, whose rows are samples."""
+    name = traced.prefix
+    advance = [
+        f"{name}_sample seen;",
+        *(f"seen.{member} = row[{place}];" for place, member in enumerate(traced.inputs)),
+        "if (k == 0) {",
+        f"    {name}_init(held);",
+        "}",
+        f"results[0] = (real){name}_step(held, &seen);",
+        "results[1] = (real)held->latched;",
+        *(f"results[{place}] = held->memory.{memory};" for place, memory in enumerate(traced.memories, start=2)),
+        "return held->latched;",
+    ]
+    results = ("current", "latched", *traced.memories)
+    return ReplayBench(LABEL, name, traced.precision, "sample", len(traced.inputs), results, advance)
 
 
 def readme_lines(traced: TracedMonitor) -> list[str]:

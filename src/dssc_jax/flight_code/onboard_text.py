@@ -5,14 +5,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_code.c_files import finite, finite_function, header_file, joined_definitions, source_file
 from dssc_jax.flight_code.controller import TracedFunction
 from dssc_jax.flight_code.onboard import TracedSoftware
+from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
-from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.c.text import CText, comment
 from dssc_jax.lanes.program import Value
 
+LABEL = "inner loop"
+RECORDING = "inner_loop.bin"
 LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept"}
 """Names in the template files, which no computed variable may have."""
 LAW = "law_"
@@ -96,63 +99,60 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
     definitions = dict.fromkeys([*files.start.definitions, *files.sample.definitions, *files.tick.definitions])
     readings = [f"seen->{reading}" for reading in files.readings]
     commands = [f"wanted->{command}" for command in software.commands]
-    header = fill(
+    declarations = fill(
         "inner_loop.h",
         name=name,
-        comment=remarks,
-        guard=f"{name.upper()}_H",
         readings=[f"{real} {reading};" for reading in files.readings],
         commands=[f"{real} {command};" for command in software.commands],
         held=[f"{real} {held};" for held in software.held],
         ticks=str(software.ticks),
     )
-    source = fill(
+    body = fill(
         "inner_loop.c",
         name=name,
-        comment=remarks,
-        real=real,
-        fabs="fabsf" if software.precision == 32 else "fabs",
-        largest="FLT_MAX" if software.precision == 32 else "DBL_MAX",
-        definitions="".join(f"{definition}\n\n" for definition in definitions),
-        readings_finite=conjunction(readings),
-        commands_finite=conjunction(commands),
-        held_finite=conjunction([f"updated.{held}" for held in software.held]),
+        is_finite=finite_function(software.real),
+        definitions=joined_definitions(definitions),
+        readings_finite=finite(readings),
+        commands_finite=finite(commands),
+        held_finite=finite([f"updated.{held}" for held in software.held]),
         start=files.start.lines,
         sample=files.sample.lines,
         tick=files.tick.lines,
         unread="" if files.start.readings else "(void)seen;",
     )
     return {
-        f"{name}.h": header,
-        f"{name}.c": source,
-        "inner_loop_bench.c": bench_text(files),
-        "inner_loop.mk": fill("inner_loop.mk", name=name),
+        f"{name}.h": header_file(name, remarks, declarations),
+        f"{name}.c": source_file(LABEL, f"{name}.h", remarks, body),
+        **bench_files(replay_bench(files), RECORDING),
     }
 
 
-def conjunction(members: Sequence[str]) -> str:
-    """The condition that numbers are finite."""
-    return "\n        && ".join(f"is_finite({member})" for member in members)
-
-
-def bench_text(files: SoftwareFiles) -> str:
-    """The bench."""
+def replay_bench(files: SoftwareFiles) -> ReplayBench:
+    """The bench, whose rows are ticks; a row has all readings, also those that no function needs."""
     software = files.software
-    give = [f"seen.{name} = row[{place}];" for place, name in enumerate(software.readings) if name in files.readings]
-    first = len(software.readings)
-    return fill(
-        "inner_loop_bench.c",
-        name=software.prefix,
-        real=c_type(software.real),
-        precision=str(software.precision),
-        inputs_count=str(first + len(software.commands)),
-        results_count=str(len(software.held)),
-        names=", ".join(c_string(name) for name in software.held),
-        ticks=str(software.ticks),
-        give=give,
-        command=[f"wanted.{name} = row[{first + place}];" for place, name in enumerate(software.commands)],
-        take=[f"results[{place}] = inner_loop->{name};" for place, name in enumerate(software.held)],
-    )
+    name = software.prefix
+    count = len(software.readings)
+    needed = [(place, reading) for place, reading in enumerate(software.readings) if reading in files.readings]
+    give = [f"seen.{reading} = row[{place}];" for place, reading in needed]
+    advance = [
+        f"{name}_readings seen;",
+        f"{name}_commands wanted;",
+        "uint32_t flags = 0;",
+        *give,
+        *(f"wanted.{command} = row[{place}];" for place, command in enumerate(software.commands, start=count)),
+        "if (k == 0) {",
+        f"    flags |= {name}_init(held, &seen);",
+        "}",
+        f"if (k % {software.ticks} == 0) {{",
+        f"    flags |= {name}_sample(held, &seen, &wanted);",
+        "}",
+        f"flags |= {name}_tick(held, &seen);",
+        "results[0] = (real)flags;",
+        *(f"results[{place}] = held->{member};" for place, member in enumerate(software.held, start=1)),
+        "return flags;",
+    ]
+    inputs = count + len(software.commands)
+    return ReplayBench(LABEL, name, software.precision, "tick", inputs, ("flags", *software.held), advance)
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dssc_jax.flight_code.c_files import absolute_value, finite, finite_function, joined_definitions, source_file
 from dssc_jax.flight_code.controller import (
     COMMAND,
     FlightCode,
@@ -75,27 +76,14 @@ def source_text(code: FlightCode) -> str:
     if any("T_s" in function for function in functions):
         sample_time = c_literal(first.real.type(code.study.loop.sample_time), first.real)
         definitions.insert(0, f"static const {first.c_real} T_s = {sample_time};  /* s */")
-    return fill(
+    body = fill(
         "controller.c",
-        comment=file_comment(code),
-        study=code.name,
-        definitions="".join(f"{definition}\n\n" for definition in definitions),
-        real=first.c_real,
-        fabs=absolute_value(first),
-        largest="FLT_MAX" if first.precision == 32 else "DBL_MAX",
+        definitions=joined_definitions(definitions),
+        is_finite=finite_function(first.real),
         functions="\n".join(functions),
         description=description_text(code),
     )
-
-
-def absolute_value(controller: SampledController) -> str:
-    """C's function for an absolute value."""
-    return "fabsf" if controller.precision == 32 else "fabs"
-
-
-def finite(members: Sequence[str]) -> str:
-    """The condition that numbers are finite."""
-    return "\n        && ".join(f"is_finite({member})" for member in members)
+    return source_file("controller", f"{code.name}_controller.h", file_comment(code), body)
 
 
 def init_functions(controller: SampledController) -> str:
@@ -204,7 +192,7 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         parameters=parameter_pointer(controller, function),
         computation=function.lines,
         results_finite=finite([*updated, *COMPUTED]),
-        fabs=absolute_value(controller),
+        fabs=absolute_value(controller.real),
         tolerance=c_literal(tolerance, controller.real),
     )
     return function

@@ -15,10 +15,12 @@ from dssc_jax.flight_logs.ulog import (
     Segment,
     TopicData,
     chosen_segment,
+    is_ulog,
     list_topics,
     read_topics,
     segments_of,
     stamps,
+    topic_place,
 )
 from dssc_jax.study.recorded import TIME, recorded_frame
 
@@ -86,7 +88,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
         ConfigError: the file cannot be read, or there is no such topic.
     """
     with errors_under(str(path)):
-        if path.suffix.lower() != ".ulg":
+        if not is_ulog(path):
             if topics:
                 raise ConfigError("topic", "is for a ULog of PX4; a table has columns, which are shown")
             return table_contents(path)
@@ -95,7 +97,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
         for name in topics:
             if name.removesuffix(":0") not in known:
                 raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, known)}")
-        names = [name.partition(":")[0] for name in topics]
+        names = [topic_place(name)[0] for name in topics]
         data, begin = read_topics(path, [*names, *SEGMENT_TOPICS])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
@@ -112,8 +114,8 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
 
 def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValues]:
     """The fields of a topic, those in the model's axes first."""
-    topic, _, instance = name.partition(":")
-    signals = data.get(f"{topic}:{instance or 0}", {})
+    topic, key = topic_place(name)
+    signals = data.get(key, {})
     if not signals:
         return
     label = name.removesuffix(":0")
@@ -162,9 +164,9 @@ def topic_table(
         ConfigError: the file cannot be read, or it lacks the topic or the segment.
     """
     with errors_under(str(path)):
-        name, _, instance = topic.partition(":")
+        name, key = topic_place(topic)
         data, begin = read_topics(path, [name, *SEGMENT_TOPICS])
-        signals = data.get(f"{name}:{instance or 0}")
+        signals = data.get(key)
         if signals is None:
             known = [topic.name for topic in list_topics(path).topics]
             raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")

@@ -10,15 +10,17 @@ from dssc_jax.flight_logs.ulog import opened_log
 def logged_parameters(path: Path) -> dict[str, float]:
     """The parameters of a ULog by name; of one that changed in flight, its last value.
 
+    What a damaged log holds in place of a number is left out.
+
     Raises:
         ConfigError: pyulog is missing, or the file cannot be read.
     """
     with opened_log(path) as opened:
         log = opened.parse(opened.file, [])
-    parameters = {name: shortest(value) for name, value in log.initial_parameters.items()}
+    parameters = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
-        parameters[name] = shortest(value)
-    return parameters
+        parameters[name] = value
+    return {name: shortest(value) for name, value in parameters.items() if isinstance(value, int | float)}
 
 
 def shortest(value: float) -> float:

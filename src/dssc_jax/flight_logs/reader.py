@@ -14,9 +14,11 @@ from dssc_jax.flight_logs.ulog import (
     Segment,
     TopicData,
     chosen_segment,
+    is_ulog,
     read_topics,
     segments_of,
     stamps,
+    topic_place,
 )
 from dssc_jax.study import Study
 from dssc_jax.study.recorded import TIME, recorded_frame
@@ -156,12 +158,14 @@ def read_log(
     file = Path(path)
     columns = column_map(table or {}, channels)
     with errors_under(str(file)):
-        is_ulog = file.suffix.lower() == ".ulg"
-        if columns.segment is not None and not is_ulog:
+        logged = is_ulog(file)
+        if columns.segment is not None and not logged:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
-        raw, begin = (
-            ulog_columns(file, columns, channels) if is_ulog else (table_columns(file, columns, channels), None)
-        )
+        begin = None
+        if logged:
+            raw, begin = ulog_columns(file, columns, channels)
+        else:
+            raw = table_columns(file, columns, channels)
         if not any(name.endswith(("y", "u_total")) for name in raw):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
             raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
@@ -241,8 +245,8 @@ class ColumnPlace(NamedTuple):
 def column_place(column: str) -> ColumnPlace:
     """Topic and field of a column."""
     label, _, field = column.partition(".")
-    topic, _, instance = label.partition(":")
-    return ColumnPlace(topic, f"{topic}:{instance or 0}", field)
+    topic, key = topic_place(label)
+    return ColumnPlace(topic, key, field)
 
 
 def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:

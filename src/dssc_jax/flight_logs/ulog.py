@@ -27,7 +27,6 @@ HEADER = struct.Struct("<7sBQ")
 MAGIC = b"ULog\x01\x12\x35"
 MESSAGE = struct.Struct("<HB")  # size and kind
 ADDED = struct.Struct("<BH")  # instance and number of a topic
-NUMBERED = struct.Struct("<H")
 STAMPED = struct.Struct("<HQ")
 DROPOUT = struct.Struct("<H")
 KINDS = frozenset(b"BFIMPQALCDRSO")
@@ -81,7 +80,6 @@ class LogTopics(NamedTuple):
 
     Args:
         system: What it says of its system: hardware, software and so on, by PX4's names.
-        parameters: The parameters that it begins with.
         duration: From its beginning to its last stamp [s].
         topics: Its topics, by name.
         dropouts: Number of gaps in writing, and their sum [s].
@@ -89,7 +87,6 @@ class LogTopics(NamedTuple):
     """
 
     system: dict[str, str]
-    parameters: dict[str, float]
     duration: float
     topics: tuple[LogTopic, ...]
     dropouts: tuple[int, float]
@@ -98,6 +95,17 @@ class LogTopics(NamedTuple):
 
 class LogWarning(UserWarning):
     """A log is damaged."""
+
+
+def is_ulog(path: Path) -> bool:
+    """Whether a file is a ULog, by the end of its name."""
+    return path.suffix.lower() == ".ulg"
+
+
+def topic_place(name: str) -> tuple[str, str]:
+    """The topic of ``topic`` or ``topic:1``, and its key in :data:`TopicData`, which always has the instance."""
+    topic, _, instance = name.partition(":")
+    return topic, f"{topic}:{instance or 0}"
 
 
 class OpenedLog(NamedTuple):
@@ -177,11 +185,9 @@ def list_topics(path: Path) -> LogTopics:
         opened.file.seek(0)
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
-    numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
-    parameters = {name: float(value) for name, value in numbers.items()}
     topics = tuple(sorted(counted.topics(), key=lambda topic: topic.name))
     duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
-    return LogTopics(system, parameters, duration, topics, counted.dropouts, damaged)
+    return LogTopics(system, duration, topics, counted.dropouts, damaged)
 
 
 def log_begin(file: BinaryIO) -> int:
@@ -219,11 +225,9 @@ class Scan:
             body = read(size)
             if len(body) < size:
                 return None  # the log was cut off while it was written
-            if kind == data and self._count(body):
-                continue
-            if kind == data or kind not in KINDS:
+            known = self._count(body) if kind == data else kind in KINDS and self._note(kind, body)
+            if not known:
                 return file.tell() - size - MESSAGE.size
-            self._note(kind, body)
 
     def _count(self, body: bytes) -> bool:
         """Count a message of a topic, whose first field is its stamp; False: there is no such topic."""
@@ -238,15 +242,20 @@ class Scan:
             self._last[number] = stamp
         return True
 
-    def _note(self, kind: int, body: bytes) -> None:
-        """Note a topic or a dropout."""
+    def _note(self, kind: int, body: bytes) -> bool:
+        """Note a topic or a dropout; False: the message is too short for one."""
         if kind == ord("A"):
+            if len(body) < ADDED.size:
+                return False
             instance, number = ADDED.unpack_from(body)
             name = body[ADDED.size :].decode("utf-8", "replace")
             self._names[number] = f"{name}:{instance}" if instance else name
         elif kind == ord("O"):
+            if len(body) < DROPOUT.size:
+                return False
             count, lost = self.dropouts
             self.dropouts = (count + 1, lost + 1e-3 * DROPOUT.unpack_from(body)[0])
+        return True
 
     def topics(self) -> Iterator[LogTopic]:
         """The topics that have messages."""

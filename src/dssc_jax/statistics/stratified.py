@@ -85,7 +85,7 @@ def allocation(
     Args:
         weights: Probability of each stratum, shape (strata,).
         shares: Expected share of failures in each stratum, in (0, 1), shape (strata,).
-        width: Upper minus lower limit.
+        width: Upper minus lower limit; a large one is reached by :data:`LEAST_DRAWS` of each stratum.
         most: Largest number of all draws, which may leave the interval wider.
         confidence: Coverage, in (0, 1).
 
@@ -107,5 +107,8 @@ def allocation(
         total = numbers[chosen].sum()
         return 1.0 if length > width and total < most else -1.0
 
-    found = optimize.root_scalar(excess, bracket=(-20.0, 80.0), method="bisect", xtol=1e-3).root
+    cheapest, narrowest = -20.0, 80.0
+    if excess(cheapest) < 0.0:
+        return numbers[best(cheapest)].astype(int)
+    found = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
     return numbers[best(found)].astype(int)

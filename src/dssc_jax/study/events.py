@@ -57,11 +57,19 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Hap
     return found
 
 
-def require_rest(happening: Happening, mass: Scalar) -> None:
-    """Require that a dropped mass leaves some; raises ConfigError."""
-    dropped = extent(getattr(happening.part.params, "mass", 0.0))[0]
-    if extent(mass)[0] + dropped <= 0.0:
-        raise ConfigError(f"{happening.path}.mass", f"must leave some of the vehicle's mass, got {dropped:g} kg")
+def require_remaining_mass(happenings: list[Happening], mass: Scalar) -> None:
+    """Require that all that is dropped leaves some of a mass.
+
+    Raises:
+        ConfigError: what is dropped, taken together, may be the whole mass.
+    """
+    remaining = extent(mass)[0]
+    for happening in happenings:
+        dropped = min(0.0, extent(getattr(happening.part.params, "mass", 0.0))[0])
+        remaining += dropped
+        if dropped < 0.0 and remaining <= 0.0:
+            rule = f"must leave some of the vehicle's mass, got {dropped:g} kg and {remaining:g} kg of all"
+            raise ConfigError(f"{happening.path}.mass", rule)
 
 
 def vehicle_events(events: list[Happening], vehicle: Vehicle) -> tuple[Component, ...]:
@@ -71,14 +79,13 @@ def vehicle_events(events: list[Happening], vehicle: Vehicle) -> tuple[Component
         ConfigError: a rotor does not exist, or nothing remains of the mass.
     """
     found: list[Component] = []
-    for happening in events:
+    of_vehicle = [happening for happening in events if isinstance(happening.part.model, VehicleEvent)]
+    require_remaining_mass(of_vehicle, vehicle.mass)
+    for happening in of_vehicle:
         part = happening.part
-        if not isinstance(part.model, VehicleEvent):
-            continue
         rotor = getattr(part.params, "rotor", None)
         if rotor is not None and extent(rotor)[1] > vehicle.rotors:
             raise ConfigError(f"{happening.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
-        require_rest(happening, vehicle.mass)
         numbers = tuple(number.under(f"events.{len(found)}", happening.path) for number in part.numbers)
         found.append(replace(part, numbers=numbers))
     return tuple(found)

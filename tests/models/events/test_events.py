@@ -132,6 +132,8 @@ def test_what_cannot_happen_is_refused():
     assert "rotor: must be <= 6" in refused(event=[{"rotor": 7, "at": 1.0}])
     assert "whole number" in refused(event=[{"rotor": 1.5, "at": 1.0}])
     assert "must leave some" in refused(event=[{"kind": "payload", "mass": -10.0, "at": 1.0}])
+    twice = [{"kind": "payload", "mass": -6.0, "at": at} for at in (1.0, 2.0)]
+    assert "event.1.mass: must leave some of the vehicle's mass, got -6 kg and -2 kg of all" in refused(event=twice)
     assert "unknown kind 'meteor'" in refused(event=[{"kind": "meteor", "at": 1.0}])
     assert "channel" in refused(event=[{"kind": "sensor_outage", "at": 1.0, "duration": 1.0, "channel": "w"}])
     plant = {"kind": "normal_form", "k_p": 1.0, "a_p": 1.0}

@@ -68,7 +68,7 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
     study = resting.study
     places = resting.places
     indices = np.arange(draws)
-    values = draw(study, np.arange(draws))
+    values = draw(study, indices)
     states, matrices, settled, felt = resting.settle(values, indices)
     if not settled.any():
         raise ConfigError(
@@ -100,7 +100,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
         rule = f"must ascend within [0, {study.config.loop.duration:g}) s, got {', '.join(f'{t:g}' for t in times)}"
         raise ConfigError("times", rule)
     indices = np.arange(study.config.draws)
-    values = draw(study, np.arange(study.config.draws))
+    values = draw(study, indices)
     flown = flown_states(study, values, indices, samples)
     linearise = linearisation(study, places, resting=False)
     examine = examination(lane_loop(study, places, resting=False), places)

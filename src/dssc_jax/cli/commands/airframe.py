@@ -7,6 +7,7 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.core import files
 from dssc_jax.core.errors import errors_under
 from dssc_jax.flight_logs.parameters import logged_parameters
+from dssc_jax.flight_logs.ulog import is_ulog
 from dssc_jax.models.uav.airframe import read_airframe
 from dssc_jax.study.tables import to_toml
 
@@ -14,8 +15,8 @@ from dssc_jax.study.tables import to_toml
 def run(options: Airframe) -> int:
     """Read the airframe and print its table."""
     with errors_under(str(options.file)):
-        is_log = options.file.suffix == ".ulg"
-        content = logged_parameters(options.file) if is_log else files.read_text(options.file, errors="replace")
+        logged = is_ulog(options.file)
+        content = logged_parameters(options.file) if logged else files.read_text(options.file, errors="replace")
         vehicle, notes, entries = read_airframe(content, options.mass, options.arm, options.cascade)
     plant = {"kind": "uav", **entries}
     if options.as_json:

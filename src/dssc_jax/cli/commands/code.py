@@ -10,6 +10,7 @@ from dssc_jax.cli.fmu_library import built_library
 from dssc_jax.cli.loading import read_json, study_of
 from dssc_jax.console.flight import show_code
 from dssc_jax.core import files
+from dssc_jax.flight_code import monitor_text, onboard_text
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.premises import Premises
 from dssc_jax.study import Study
@@ -37,12 +38,12 @@ def run(options: Code) -> int:
     attempt(path, lambda: files.write_parts(path, parts))
     written = [*texts, path.name]
     if folder.software is not None:
-        ticks = out / "inner_loop.bin"
+        ticks = out / onboard_text.RECORDING
         recorded = folder.software_recording(options.draws, options.samples)
         attempt(ticks, lambda: files.write_parts(ticks, recorded))
         written.append(ticks.name)
     if folder.monitor is not None:
-        monitored = out / "monitored.bin"
+        monitored = out / monitor_text.RECORDING
         flights = folder.monitor_recording(options.draws, options.samples)
         attempt(monitored, lambda: files.write_parts(monitored, flights))
         written.append(monitored.name)

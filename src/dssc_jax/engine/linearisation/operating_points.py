@@ -1,4 +1,4 @@
-"""Linearise every draw's sampled loop at its operating points: its equilibrium, or places along its flight."""
+"""Linearise every draw's sampled loop at an operating point, and find its equilibrium."""
 
 from collections.abc import Callable
 from dataclasses import replace

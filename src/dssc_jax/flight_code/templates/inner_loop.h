@@ -1,12 +1,3 @@
-@{comment}
-
-#ifndef @{guard}
-#define @{guard}
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* What it measures: velocity [m/s] and attitude (a unit quaternion, body to inertial) in an inertial frame with z up,
  * and the body rate [rad/s] along axes that point forward, left and up. */
 typedef struct {
@@ -31,9 +22,3 @@ unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const
 
 /* One tick: the commands of the rotors. Returns 0; or 1 or 2, and keeps the state. */
 unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen);
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif

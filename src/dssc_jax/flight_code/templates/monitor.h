@@ -1,14 +1,3 @@
-@{comment}
-
-#ifndef @{guard}
-#define @{guard}
-
-#include <stdint.h>
-
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 @{flags}
 #define @{flag_count} @{count}
 
@@ -33,9 +22,3 @@ void @{name}_init(@{name} *monitor);
 
 /* One sample, once the controllers have made theirs. Returns the flags that it raises. */
 uint32_t @{name}_step(@{name} *monitor, const @{name}_sample *seen);
-
-#ifdef __cplusplus
-}
-#endif
-
-#endif

@@ -4,12 +4,13 @@
 #define @{guard}
 
 #include <stdbool.h>
+#include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-@{channels}
+@{declarations}
 
 #ifdef __cplusplus
 }

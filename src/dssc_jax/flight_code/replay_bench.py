@@ -1,0 +1,124 @@
+"""The bench of software that runs beside the controllers, such as the monitor: its files, and its recording.
+
+The bench replays recorded flights, row by row. A row has the inputs of one call and the results that are expected after
+it: the flags first, then the numbers of the state.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.compiled_lanes import compiled_lanes
+from dssc_jax.engine.sampling import draw as draw_values
+from dssc_jax.flight_code.template_files import fill
+from dssc_jax.lanes.c.names import c_string
+from dssc_jax.lanes.c.operations import c_type
+from dssc_jax.lanes.llvm.machine import usable_cores
+from dssc_jax.study import Study
+
+
+class ReplayBench(NamedTuple):
+    """A bench.
+
+    Args:
+        label: What is compared, in words, such as ``inner loop``; names of files and targets follow from it.
+        prefix: Of its functions and types in C.
+        precision: Bits of a number.
+        row: What a row belongs to: ``sample`` or ``tick``.
+        inputs: Number of inputs in a row.
+        results: Names of the results in a row.
+        advance: Statements in C that give the inputs ``row`` to the state ``held``, fill ``results`` and return the
+            flags; ``k`` is the number of the row.
+    """
+
+    label: str
+    prefix: str
+    precision: int
+    row: str
+    inputs: int
+    results: Sequence[str]
+    advance: Sequence[str]
+
+
+def magic(label: str) -> str:
+    """The text with which a recording begins."""
+    return f"dssc-jax {label} 1"
+
+
+def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
+    """Content of the bench's source and of its part of the makefile, by name.
+
+    Args:
+        bench: The bench.
+        recording: Name of the file of its recording.
+    """
+    stem = bench.label.replace(" ", "_")
+    target = bench.label.replace(" ", "-")
+    source = fill(
+        "replay_bench.c",
+        label=bench.label,
+        target=target,
+        name=bench.prefix,
+        real=c_type(np.dtype(f"float{bench.precision}")),
+        precision=str(bench.precision),
+        inputs_count=str(bench.inputs),
+        results_count=str(len(bench.results)),
+        magic=magic(bench.label),
+        names=", ".join(c_string(name) for name in bench.results),
+        advance=bench.advance,
+        row=bench.row,
+    )
+    makefile = fill(
+        "replay_bench.mk",
+        label=bench.label,
+        target=target,
+        stem=stem,
+        variable=stem.upper(),
+        name=bench.prefix,
+        recording=recording,
+    )
+    return {f"{stem}_bench.c": source, f"{stem}.mk": makefile}
+
+
+def recorded_columns(
+    study: Study, lane: Callable[[dict[str, Any], jax.Array], Any], draws: int, precision: int
+) -> Iterator[Any]:
+    """What a lane records of the first draws of a study, in strict arithmetic: for each draw a tree of columns.
+
+    Args:
+        study: The study.
+        lane: (numbers by name, draw index) -> a tree of columns.
+        draws: How many draws.
+        precision: Bits of a number.
+
+    Raises:
+        Unsupported: The lane has no strict machine code.
+    """
+    with arithmetic(precision):
+        number = jax.ShapeDtypeStruct((), jnp.result_type(float))
+        index = jax.ShapeDtypeStruct((), jnp.uint32)
+        lanes = compiled_lanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
+        width = lanes.signature.width
+        for first in range(0, draws, width):
+            indices = np.arange(first, min(first + width, draws))
+            recorded = lanes.start((draw_values(study, indices), indices), len(indices), usable_cores())()
+            for place in range(len(indices)):
+                yield jax.tree.map(lambda column, place=place: column[place], recorded)
+
+
+def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:
+    """The bytes of recorded flights for the bench: little-endian, each with its number of rows.
+
+    Args:
+        label: As of :class:`ReplayBench`.
+        flights: The rows of each flight, shape (rows, inputs and results).
+        precision: Bits of a number.
+    """
+    real = np.dtype(f"<f{precision // 8}")
+    yield magic(label).encode() + bytes([precision])
+    for rows in flights:
+        yield np.array([len(rows)], "<u4").tobytes() + np.ascontiguousarray(rows, real).tobytes()

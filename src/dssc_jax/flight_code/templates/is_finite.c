@@ -1,0 +1,4 @@
+static bool is_finite(@{real} x)
+{
+    return @{fabs}(x) <= @{largest};
+}
