@@ -39,6 +39,7 @@ LANGUAGES = {"sh", "python", "toml", "c"}
 FIRST, *OTHERS = sorted(PAGES, key=lambda page: page != "README.md")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pages", [[FIRST], OTHERS[::2], OTHERS[1::2]], ids=["README.md", "half", "other half"])
 def test_examples_run(pages, tmp_path):
     """README's each in a process of its own, as their reader runs them; those of other pages in two for all."""
@@ -233,6 +234,7 @@ def test_every_page_is_in_the_sites_contents():
     assert site["strict"] is True
 
 
+@pytest.mark.long
 def test_the_site_builds_without_warning(tmp_path):
     """And nothing in it is loaded from elsewhere; links of the theme to its makers are all there is."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
