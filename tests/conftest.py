@@ -15,6 +15,11 @@ gc.freeze()  # compiled programs are many long-lived objects, and a full collect
 gc.set_threshold(50_000, 20, 50)
 
 
+def pytest_collection_modifyitems(items):
+    """The tests marked as long come first, so that no process is left alone with one at the end."""
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def compiled_by_xla(tmp_path_factory):
     """Plain programs that several tests compile are compiled once, for all processes of a session."""

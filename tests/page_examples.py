@@ -2,8 +2,7 @@
 
 Each page has a folder of its own there. Files named in their first line are written, then every shell and Python
 block runs; a page's Python blocks share their names. Commands run in this process, which imports the package once for
-all of them; those that are not ours, or use the shell, run in a shell. With ``--apart`` before the pages, each block
-runs in a process of its own.
+all of them; those that are not ours, or use the shell, run in a shell.
 """
 
 import os
@@ -33,10 +32,10 @@ def examples(page: Path) -> Iterator[tuple[str, str]]:
                     yield language, line
 
 
-def run(command: str, apart: bool) -> int:
+def run(command: str) -> int:
     """The exit code of a line of a shell block."""
     words = shlex.split(command, comments=True)
-    if apart or words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
+    if words[:1] != ["dssc-jax"] or SHELL & set("".join(words)):
         return subprocess.run(["bash", "-euc", command], check=False).returncode
     from dssc_jax.cli.main import guarded
 
@@ -54,7 +53,7 @@ def enter(folder: Path) -> None:
     sys.path[0] = str(folder)
 
 
-def run_page(page: Path, apart: bool) -> None:
+def run_page(page: Path) -> None:
     """Run all examples of a page; end with the first that fails. The files of the page's own folder are at hand."""
     for file in sorted(page.with_suffix("").glob("*")):
         shutil.copy(file, file.name)
@@ -63,9 +62,7 @@ def run_page(page: Path, apart: bool) -> None:
         print(f"--- {page.name}: {text}", flush=True)
         code = 0
         if language == "sh":
-            code = run(text, apart)
-        elif apart:
-            code = subprocess.run([sys.executable, "-c", text], check=False).returncode
+            code = run(text)
         else:
             exec(compile(text, f"example {number}", "exec"), namespace)
         if code:
@@ -73,7 +70,7 @@ def run_page(page: Path, apart: bool) -> None:
 
 
 if __name__ == "__main__":
-    here, apart = Path.cwd(), sys.argv[1] == "--apart"
-    for page in [Path(name).resolve() for name in sys.argv[1 + apart :]]:
+    here = Path.cwd()
+    for page in [Path(name).resolve() for name in sys.argv[1:]]:
         enter(here / page.stem)
-        run_page(page, apart)
+        run_page(page)

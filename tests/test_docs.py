@@ -36,16 +36,12 @@ WITH_EXAMPLES = sorted(
 LANGUAGES = {"sh", "python", "toml", "c"}
 
 
-FIRST, *OTHERS = sorted(PAGES, key=lambda page: page != "README.md")
-
-
-@pytest.mark.parametrize("pages", [[FIRST], OTHERS[::2], OTHERS[1::2]], ids=["README.md", "half", "other half"])
+@pytest.mark.long
+@pytest.mark.parametrize("pages", [PAGES[i::4] for i in range(4)], ids=["first", "second", "third", "fourth"])
 def test_examples_run(pages, tmp_path):
-    """README's each in a process of its own, as their reader runs them; those of other pages in two for all."""
+    """A quarter of the pages in a process that imports the package once."""
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    apart = ["--apart"] if pages == ["README.md"] else []
-    script = [sys.executable, str(ROOT / "tests" / "page_examples.py")]
-    command = [*script, *apart, *(str(ROOT / page) for page in pages)]
+    command = [sys.executable, str(ROOT / "tests" / "page_examples.py"), *(str(ROOT / page) for page in pages)]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     for page in pages:
@@ -233,6 +229,7 @@ def test_every_page_is_in_the_sites_contents():
     assert site["strict"] is True
 
 
+@pytest.mark.long
 def test_the_site_builds_without_warning(tmp_path):
     """And nothing in it is loaded from elsewhere; links of the theme to its makers are all there is."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]

@@ -55,6 +55,7 @@ def test_there_are_notebooks():
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("default")  # of the notebook machinery, not of this package
 def test_a_notebook_prints_and_plots_what_is_stored_in_it(path, manager):

@@ -48,17 +48,20 @@ def flown(member, gains, sigma, dt):
 @pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
 def test_the_law_is_what_22_synthesises(kind):
     """phi_1' = 1/(k_o tau_av) by automatic differentiation, and phi_2 what is then left of (22)."""
+
+    def phi_1(sigma, e, row, l0):
+        return row.law(sigma, e, row.at(sigma, e, l0)).gain * sigma
+
+    @jax.jit
+    def synthesised(sigma, e, row, l0):
+        at = row.at(sigma, e, l0)
+        return at, row.law(sigma, e, at), jax.grad(phi_1, (0, 1))(sigma, e, row, l0)
+
     rng = np.random.default_rng(5)
     for _ in range(20):
         row, l0 = random_functions(kind, rng), float(rng.uniform(0.2, 2.0))
         sigma, e = (float(s * 10 ** rng.uniform(-4, 1)) for s in rng.choice([-1.0, 1.0], 2))
-
-        def phi_1(sigma, e, row=row, l0=l0):
-            return row.law(sigma, e, row.at(sigma, e, l0)).gain * sigma
-
-        at = jax.tree.map(float, row.at(sigma, e, l0))
-        law = jax.tree.map(float, row.law(sigma, e, at))
-        by_sigma, by_e = (float(slope) for slope in jax.grad(phi_1, (0, 1))(sigma, e))
+        at, law, (by_sigma, by_e) = jax.tree.map(float, synthesised(sigma, e, row, l0))
         assert by_sigma == pytest.approx(1.0 / (at.k_o * at.tau_av), rel=1e-9)
         left = by_sigma * sigma / at.tau_m - by_e * (sigma - l0 * e)
         assert law.rate * law.gain * sigma == pytest.approx(left, rel=1e-7, abs=1e-9 * abs(by_e * (sigma - l0 * e)))
@@ -89,7 +92,7 @@ def test_noise_does_not_drive_a_saturated_loop(kind):
     dt, runs = 2e-3, 24
     sigma = 0.2 * np.random.default_rng(8).standard_normal((runs, 5_000))
     wide = DsscGains(1.0, row, ConstantModulation(1e9))
-    rho = 0.02 * float(np.abs(flown(CONSERVATIVE, wide, sigma[0], dt)[-1].u_0).mean())
+    rho = 0.02 * float(np.abs(flights(CONSERVATIVE, wide, sigma, dt)[-1].u_0[0]).mean())
     gains = DsscGains(1.0, row, ConstantModulation(rho))
     u_av, _, _, _, info = flights(CONSERVATIVE, gains, sigma, dt)
     assert np.mean(np.asarray(info.sliding_margin) < 0.0) > 0.5
@@ -123,16 +126,21 @@ def test_the_predictor_is_phi_1_of_sigma_hat(kind):
 @pytest.mark.parametrize("kind", GAIN_FUNCTIONS)
 def test_the_smoothed_sign_holds_for_the_predictors_lag(kind):
     """u_0 = rho x/(|x| + w) with x = (phi_1(sigma) - w+)/g, to first order sigma_tilde."""
+
+    @jax.jit
+    def after_one_sample(gains, sigma):
+        state = CONSERVATIVE.init(gains, Measurement(0.0, 0.0), AT_REST)
+        after, _, info = CONSERVATIVE.step(gains, state, Measurement(0.0, sigma), AT_REST, 0.01)
+        at = gains.functions.at(sigma, 0.0, 1.0)
+        phi_1 = gains.functions.law(sigma, 0.0, at).gain * sigma
+        return (phi_1 - after.predictor) * at.k_o * at.tau_av, info.u_0
+
     rng = np.random.default_rng(4)
     for _ in range(50):
         row, width = random_functions(kind, rng), float(10 ** rng.uniform(-3, 0))
         gains = DsscGains(1.0, row, ConstantModulation(0.5), sign_width=width)
-        state = CONSERVATIVE.init(gains, Measurement(0.0, 0.0), AT_REST)
-        sigma = float(rng.normal())
-        after, _, info = CONSERVATIVE.step(gains, state, Measurement(0.0, sigma), AT_REST, 0.01)
-        at = row.at(sigma, 0.0, 1.0)
-        x = float((row.law(sigma, 0.0, at).gain * sigma - after.predictor) * at.k_o * at.tau_av)
-        assert float(info.u_0) == pytest.approx(0.5 * x / (abs(x) + width), rel=1e-5, abs=1e-8)
+        x, u_0 = map(float, after_one_sample(gains, float(rng.normal())))
+        assert u_0 == pytest.approx(0.5 * x / (abs(x) + width), rel=1e-5, abs=1e-8)
 
 
 @pytest.mark.parametrize("kind", OF_SIGMA)
