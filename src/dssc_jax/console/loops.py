@@ -9,11 +9,14 @@ from rich.markup import escape
 from dssc_jax.analyses.loop_margins import LoopMargins
 from dssc_jax.analyses.loop_margins.result import LoopStatistics, MultiloopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
-from dssc_jax.analyses.worst_loop.result import LoopWorst
+from dssc_jax.analyses.worst_loop.result import LoopWorst, MultiloopWorst
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM
 from dssc_jax.statistics import wilks_draws
 from dssc_jax.study import Described, Study
+
+POINTS_SPENT = 0.9
+"""Share of the points from which on more of them are suggested."""
 
 
 def decibels(factor: float) -> str:
@@ -127,12 +130,38 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
         head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
         console.print(growth_text(loop), markup=False, soft_wrap=True)
+    for name, joint in answer.multiloop.items():
+        console.print(worst_multiloop_text(name, joint, answer.draws), markup=False, soft_wrap=True)
+    used = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
+    if answer.points >= POINTS_SPENT * answer.most_points:
+        used += "; --points raises the number, and may find worse values and nearer bounds"
+    console.print(used, markup=False, soft_wrap=True)
     cut = [name for name, side in answer.box.items() if side.cut]
     ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut)}" if cut else ""
     ranges = ", ".join(f"{name} in [{side.low:.6g}, {side.high:.6g}]" for name, side in answer.box.items())
     console.print(f"box: {ranges}{ends}", markup=False, soft_wrap=True)
     console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
     show_files(files)
+
+
+def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
+    """The worst disk margin of all commands at once, in words."""
+    form = MARGIN_ROWS["disk"][1]
+    bound = (
+        f"bounded by {form(worst.bounded)}" if math.isfinite(worst.bounded) else f"no bound after {worst.cells} cells"
+    )
+    numbers = ", ".join(f"{number} = {value:.6g}" for number, value in worst.numbers.items())
+    text = (
+        f"{name} at once: disk margin {form(worst.drawn)} in the worst of {draws} draws, worst found "
+        f"{form(worst.found)}, {bound}; found at {numbers}"
+    )
+    if worst.found == 0.0:
+        return f"{text}, where a loop is unstable"
+    factors = ", ".join(
+        f"{channel} {gain:.3g} at {math.degrees(worst.phases[channel]):.3g} deg"
+        for channel, gain in worst.factors.items()
+    )
+    return f"{text}; there the loop oscillates at {worst.frequency:.3g} rad/s with {factors}"
 
 
 def growth_text(loop: LoopWorst) -> str:
