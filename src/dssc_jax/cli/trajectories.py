@@ -1,7 +1,7 @@
 """What the commands simulate and replay share: the files of a trajectory."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +33,9 @@ def require_writable(options: Simulate | Replay) -> None:
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
-def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_files: Sequence[Path] = ()) -> None:
+def print_trajectory(
+    trajectory: xr.Dataset, options: Simulate | Replay, units: Mapping[str, str], flight_files: Sequence[Path] = ()
+) -> None:
     """Write the requested files of a trajectory, and show how the draw ended, with all files and ``others``."""
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
         (options.csv, lambda path: write_table(trajectory, path)),
@@ -49,7 +51,7 @@ def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(trajectory.attrs, written)
+        show_draw(trajectory.attrs, units, written)
 
 
 def write_table(trajectory: xr.Dataset, path: Path) -> None:

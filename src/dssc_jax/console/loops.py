@@ -1,9 +1,10 @@
 """Print classical margins: those of the draws, and their worst case."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
@@ -15,6 +16,8 @@ from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM
 from dssc_jax.statistics import wilks_draws
 from dssc_jax.study import Described, Study
 
+SAME = 1e-6
+"""Relative difference of margins of two break points that counts as rounding."""
 POINTS_SPENT = 0.9
 """Share of the points from which on more of them are suggested."""
 
@@ -49,7 +52,8 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     needed = wilks_draws(answer.share, answer.confidence)
     for point, loops in answer.operating_points.items():
         place = "at the equilibrium" if point == EQUILIBRIUM else f"at {point}"
-        for broken_at, statistics in loops.items():
+        for names, statistics in distinct(loops).items():
+            broken_at = " and ".join(names)
             rows = []
             for name, (text, form) in MARGIN_ROWS.items():
                 margin = statistics.margins[name]
@@ -69,6 +73,29 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
+
+
+def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
+    """The statistics under the names of all break points that share them, as where a controller takes y alone."""
+    gathered: list[tuple[list[str], LoopStatistics]] = []
+    for name, statistics in loops.items():
+        same = next((names for names, known in gathered if same_margins(known, statistics)), None)
+        if same is None:
+            gathered.append(([name], statistics))
+        else:
+            same.append(name)
+    return {tuple(names): statistics for names, statistics in gathered}
+
+
+def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
+    """Whether two break points have the same numbers of all draws, up to rounding."""
+    if (first.stable, first.no_operating_point) != (second.stable, second.no_operating_point):
+        return False
+    numbers = []
+    for statistics in (first, second):
+        margins = statistics.margins.values()
+        numbers.append([(margin.median, margin.tolerance_limit, margin.worst) for margin in margins])
+    return bool(np.allclose(*numbers, rtol=SAME, atol=0.0, equal_nan=True))
 
 
 def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:

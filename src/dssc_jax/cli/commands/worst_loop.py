@@ -10,7 +10,7 @@ from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core import files
 from dssc_jax.study.tables import to_toml
 
-EARLY = "the bounds are near enough to the worst case"
+EARLY = "the searches and the bounds have ended"
 
 
 def run(options: WorstLoop) -> int:
