@@ -126,7 +126,7 @@ def cover(
     channels = readout.channels
     needed = len(pattern(len(ends[0])))
     if left() < needed:
-        return Covered(np.full(readout.count, np.inf), 0)
+        return Covered(np.full(readout.size, np.inf), 0)
     centre = evaluate(0.5 * (ends[0] + ends[1])[None])[0]
     angles = first_angles(np.linalg.eigvals(centre[:-channels, :-channels]))
     count = len(angles) - 1

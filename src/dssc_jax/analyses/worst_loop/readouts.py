@@ -38,14 +38,14 @@ class Readout(NamedTuple):
 
     Args:
         channels: Channels in which the loop is broken.
-        count: Number of gains.
+        size: Number of gains.
         scales: (responses, shape (n, channels, channels)) -> positive weights of the channels, shape (n, channels).
-        gains: (enclosure, goals) -> an upper bound of each gain on each cell, shape (n, count). A bound may be looser
+        gains: (enclosure, goals) -> an upper bound of each gain on each cell, shape (n, size). A bound may be looser
             than need be once it is below its goal.
     """
 
     channels: int
-    count: int
+    size: int
     scales: Callable[[np.ndarray], np.ndarray]
     gains: Callable[[Enclosure, np.ndarray], np.ndarray]
 
