@@ -187,3 +187,35 @@ def test_a_figure_library_that_does_not_load_ends_a_command_before_it_computes(s
     assert done.returncode != 0
     assert "nonsense" in done.stderr
     assert not Path("kept").exists()
+
+
+def test_a_warning_of_the_library_is_a_plain_line(tmp_path):
+    """As a program of its own, because Python's own form has the file, the line and the class."""
+    script = "import sys, warnings; from dssc_jax.cli import main; import dssc_jax.cli.main as m;"
+    script += "m.guarded = lambda arguments: warnings.warn('the log is damaged', UserWarning) or 0; m.main()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stderr == "warning: the log is damaged\n"
+
+
+def test_simulate_names_units(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert guarded(["simulate", "motor", "--draw", "3", "--no-check"]) == 0
+    rows = {line.split()[0]: line.split()[-1] for line in capsys.readouterr().out.splitlines() if line.split()}
+    assert rows["disturbance.value"] == rows["command_max"] == "V"
+    assert rows["error_rms"] == "rad/s"
+    assert rows["rise_time"] == "s"
+
+
+def test_loop_prints_one_table_for_two_places_with_the_same_margins(tmp_path, monkeypatch, capsys):
+    """PID takes y alone, so that command and measurement are one signal; state feedback takes y' too."""
+    monkeypatch.chdir(tmp_path)
+    assert guarded(["loop", "motor", "--draws", "4"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("gain margin") == 2  # with the lower one
+    assert "input and output, at the equilibrium" in printed
+    feedback = "controller={ kind = 'state_feedback', k_1 = 50.0, k_2 = 5.0 }"
+    assert guarded(["loop", "motor", "--draws", "4", "--set", feedback]) == 0
+    printed = capsys.readouterr().out
+    assert "input and output" not in printed
+    assert "output, at the equilibrium" in printed

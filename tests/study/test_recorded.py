@@ -145,3 +145,32 @@ def test_a_pipe_is_no_record(tmp_path):
     os.mkfifo(tmp_path / "log.csv")
     with pytest.raises(ConfigError, match="it is no file"):
         recorded_columns(tmp_path / "log.csv", ["t"])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "t,y\n0,1\n0.1,nan\n0.2,3\n",
+            r"reference.column: 'log.csv' must hold numbers or empty cells; line 3 has 'nan'",
+        ),
+        ("# a road\nt,y\n\n0,1\n0.2,2\n0.1,3\n", r"time_column: .* rising times; 0.1 s comes after 0.2 s in line 6"),
+        ("t,y\n0,1\n0,2\n", r"rising times; 0 s comes after 0 s in line 3"),
+        ("t,y\n0,1\n0.1,inf\n", r"must hold finite numbers; line 3 does not"),
+        ("t,y\n0,1\n0.1,two\n", r"must hold numbers there; line 3 has 'two'"),
+        ("t,y\n", r"reference.file: 'log.csv' has no row with numbers in 't', 'y'"),
+        ("", r"reference.file: '.*log.csv' cannot be read"),
+        ("t,z\n0,1\n", r"reference.column: 'log.csv' has no column 'y'"),
+        ("t,y\n0,1\n", r"reference.time: must hold 2 to"),
+    ],
+)
+def test_a_fault_of_a_record_is_named_with_its_line(folder, text, complaint):
+    (folder / "log.csv").write_text(text)
+    (folder / "study.toml").write_text(to_toml(TABLE | {"reference": TABLE["reference"] | {"column": "y"}}))
+    with pytest.raises(ConfigError, match=complaint):
+        dj.Study.load(folder / "study.toml")
+
+
+def test_rows_with_an_empty_cell_are_left_out(tmp_path):
+    (tmp_path / "log.csv").write_text("t,y,z\n0,1,\n0.1,,5\n0.2,3,\n")
+    assert recorded_columns(tmp_path / "log.csv", ["t", "y"]) == [[0.0, 0.2], [1.0, 3.0]]

@@ -7,6 +7,7 @@ import re
 import shlex
 import signal
 import sys
+import warnings
 from contextlib import suppress
 from dataclasses import fields
 from types import FrameType
@@ -14,7 +15,7 @@ from typing import NoReturn
 
 from dssc_jax.cli.application import COMMANDS, MEANT, app
 from dssc_jax.cli.exit_codes import BAD_INPUT, DONE
-from dssc_jax.cli.output import say
+from dssc_jax.cli.output import say, show_warning
 from dssc_jax.core.errors import ConfigError
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -31,6 +32,7 @@ YOUNG = 1_000_000  # objects between two garbage collections: imports and traces
 def main() -> None:
     """Run the command line; bad input gives a one-line message without a traceback."""
     gc.set_threshold(YOUNG)
+    warnings.showwarning = show_warning
     codes = [CRASHED]
     atexit.register(lambda: leave(codes[-1]))  # libraries' own callbacks are registered later and come first
     for number in ENDING:

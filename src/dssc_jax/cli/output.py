@@ -1,8 +1,21 @@
 """What commands say beside their results: lines on standard error."""
 
 import sys
+from typing import TextIO
 
 LONGEST = 1000  # characters of a message
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print a warning of the library as one line, without the place in the source; for ``warnings.showwarning``."""
+    say(f"warning: {message}")
 
 
 def say(text: str) -> None:

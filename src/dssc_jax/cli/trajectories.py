@@ -1,7 +1,7 @@
 """What the commands simulate and replay share: the files of a trajectory."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -33,12 +33,15 @@ def require_writable(options: Simulate | Replay) -> None:
             raise ConfigError(str(file), "cannot be written: there is no such folder")
 
 
-def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_files: Sequence[Path] = ()) -> None:
+def print_trajectory(
+    trajectory: xr.Dataset, options: Simulate | Replay, units: Mapping[str, str], flight_files: Sequence[Path] = ()
+) -> None:
     """Write the requested files of a trajectory, and show how the draw ended.
 
     Args:
         trajectory: The trajectory.
         options: The files to write.
+        units: Unit of each number that is printed, by name.
         flight_files: Files that are written already, and shown with the others.
     """
     writers: list[tuple[Path | None, Callable[[Path], object]]] = [
@@ -55,7 +58,7 @@ def print_trajectory(trajectory: xr.Dataset, options: Simulate | Replay, flight_
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(trajectory.attrs, written)
+        show_draw(trajectory.attrs, units, written)
 
 
 def write_table(trajectory: xr.Dataset, path: Path) -> None:

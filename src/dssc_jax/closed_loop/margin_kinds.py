@@ -36,6 +36,7 @@ class MarginKind:
         units: Units of a bound, each with its conversion to the first one, in which the margin is.
         good: ``large`` or ``small``: the side that is good.
         neutral: The value at the limit of stability, which an unstable loop has, too; NaN: there is none.
+        most: The largest value that a loop can have.
     """
 
     field: str
@@ -44,6 +45,7 @@ class MarginKind:
     units: Mapping[str, Callable[[float], float]]
     good: str
     neutral: float
+    most: float = math.inf
 
     @property
     def unit(self) -> str:
@@ -54,7 +56,7 @@ class MarginKind:
 MARGIN_KINDS = {
     "gain": MarginKind("gain_upper", "gain_margin", "gain margin", RATIO, "large", 1.0),
     "gain_lower": MarginKind("gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", 1.0),
-    "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", 0.0),
+    "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", 0.0, math.pi),
     "delay": MarginKind("delay", "delay_margin", "delay margin", TIME, "large", 0.0),
     "disk": MarginKind("disk", "disk_margin", "disk margin alpha", RATIO, "large", 0.0),
     "modulus": MarginKind("modulus", "modulus_margin", "modulus margin", RATIO, "large", 0.0),

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from dssc_jax.runs.verify import Verification
 
 
-def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
-    """Print how one draw ended, its drawn numbers, its metrics and its events."""
+def show_draw(attributes: Mapping[str, Any], units: Mapping[str, str], files: list[Path]) -> None:
+    """Print how one draw ended, its drawn numbers, its metrics and its events, each with its unit."""
     study = escape(str(attributes["study"]))
     verdict = escape(str(attributes["verdict"]))
     output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {verdict}")
@@ -22,10 +22,10 @@ def show_draw(attributes: Mapping[str, Any], files: list[Path]) -> None:
     if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
         skipped.add("failed_at")
     skipped |= {"event_kinds", "event_times"}
-    rows = [(name, f"{value:.6g}") for name, value in attributes.items() if name not in skipped]
+    rows = [(name, f"{value:.6g}", units.get(name, "")) for name, value in attributes.items() if name not in skipped]
     events = zip(attributes.get("event_kinds", ()), attributes.get("event_times", ()), strict=True)
-    rows += [(f"event: {kind}", f"at {time:.6g} s") for kind, time in events]
-    show_table(("number", "value"), rows)
+    rows += [(f"event: {kind}", f"at {time:.6g}", "s") for kind, time in events]
+    show_table(("number", "value", "unit"), rows)
     if "agreement" in attributes:
         agreement = VERDICTS[str(attributes["agreement"])].format(attributes["deviation"])
         output().print(f"computed again by the plain program, the draw {agreement}")

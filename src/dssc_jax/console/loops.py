@@ -1,19 +1,25 @@
 """Print classical margins: those of the draws, and their worst case."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
 from dssc_jax.analyses.loop_margins.result import LoopStatistics, MultiloopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
-from dssc_jax.analyses.worst_loop.result import LoopWorst
+from dssc_jax.analyses.worst_loop.result import LoopWorst, MultiloopWorst
 from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.engine.linearisation.operating_points import EQUILIBRIUM
 from dssc_jax.statistics import wilks_draws
 from dssc_jax.study import Described, Study
+
+SAME = 1e-6
+"""Relative difference of margins of two break points that counts as rounding."""
+POINTS_SPENT = 0.9
+"""Share of the points from which on more of them are suggested."""
 
 
 def decibels(factor: float) -> str:
@@ -46,7 +52,8 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     needed = wilks_draws(answer.share, answer.confidence)
     for point, loops in answer.operating_points.items():
         place = "at the equilibrium" if point == EQUILIBRIUM else f"at {point}"
-        for broken_at, statistics in loops.items():
+        for names, statistics in distinct(loops).items():
+            broken_at = " and ".join(names)
             rows = []
             for name, (text, form) in MARGIN_ROWS.items():
                 margin = statistics.margins[name]
@@ -66,6 +73,29 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     if draws < needed:
         console.print(f"a limit needs at least {needed} draws", markup=False)
     show_files(files)
+
+
+def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
+    """The statistics under the names of all break points that share them, as where a controller takes y alone."""
+    gathered: list[tuple[list[str], LoopStatistics]] = []
+    for name, statistics in loops.items():
+        same = next((names for names, known in gathered if same_margins(known, statistics)), None)
+        if same is None:
+            gathered.append(([name], statistics))
+        else:
+            same.append(name)
+    return {tuple(names): statistics for names, statistics in gathered}
+
+
+def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
+    """Whether two break points have the same numbers of all draws, up to rounding."""
+    if (first.stable, first.no_operating_point) != (second.stable, second.no_operating_point):
+        return False
+    numbers = []
+    for statistics in (first, second):
+        margins = statistics.margins.values()
+        numbers.append([(margin.median, margin.tolerance_limit, margin.worst) for margin in margins])
+    return bool(np.allclose(*numbers, rtol=SAME, atol=0.0, equal_nan=True))
 
 
 def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:
@@ -127,12 +157,38 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
         head = (broken_at, f"worst of {answer.draws} draws", "worst found", "bounded", "found at")
         show_table(head, rows)
         console.print(growth_text(loop), markup=False, soft_wrap=True)
+    for name, joint in answer.multiloop.items():
+        console.print(worst_multiloop_text(name, joint, answer.draws), markup=False, soft_wrap=True)
+    used = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
+    if answer.points >= POINTS_SPENT * answer.most_points:
+        used += "; --points raises the number, and may find worse values and nearer bounds"
+    console.print(used, markup=False, soft_wrap=True)
     cut = [name for name, side in answer.box.items() if side.cut]
     ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut)}" if cut else ""
     ranges = ", ".join(f"{name} in [{side.low:.6g}, {side.high:.6g}]" for name, side in answer.box.items())
     console.print(f"box: {ranges}{ends}", markup=False, soft_wrap=True)
     console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
     show_files(files)
+
+
+def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
+    """The worst disk margin of all commands at once, in words."""
+    form = MARGIN_ROWS["disk"][1]
+    bound = (
+        f"bounded by {form(worst.bounded)}" if math.isfinite(worst.bounded) else f"no bound after {worst.cells} cells"
+    )
+    numbers = ", ".join(f"{number} = {value:.6g}" for number, value in worst.numbers.items())
+    text = (
+        f"{name} at once: disk margin {form(worst.drawn)} in the worst of {draws} draws, worst found "
+        f"{form(worst.found)}, {bound}; found at {numbers}"
+    )
+    if worst.found == 0.0:
+        return f"{text}, where a loop is unstable"
+    factors = ", ".join(
+        f"{channel} {gain:.3g} at {math.degrees(worst.phases[channel]):.3g} deg"
+        for channel, gain in worst.factors.items()
+    )
+    return f"{text}; there the loop oscillates at {worst.frequency:.3g} rad/s with {factors}"
 
 
 def growth_text(loop: LoopWorst) -> str:

@@ -83,6 +83,14 @@ def variables(study: Study) -> dict[str, Variable]:
     return described
 
 
+def units_of(study: Study) -> dict[str, str]:
+    """Unit of each number of a draw by name; those without a unit are left out."""
+    described = variables(study) | coordinates(study)
+    return {
+        name: variable.attributes["units"] for name, variable in described.items() if "units" in variable.attributes
+    }
+
+
 def coordinates(study: Study) -> dict[str, Variable]:
     """The dataset's coordinates: one per axis, and the draw index."""
     described = {}

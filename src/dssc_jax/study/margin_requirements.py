@@ -1,5 +1,6 @@
 """The requirement that a margin of the linearised loop is large enough, or a peak small enough."""
 
+import math
 import re
 
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
@@ -38,6 +39,7 @@ def margin_requirement(table: RequirementTable, place: str, channels: tuple[str,
     stated = table.max if table.max is not None else table.min
     assert stated is not None  # held by the table
     value = bound_value(kind, stated, f"{place}.{side}")
+    require_attainable(kind, value, stated, f"{place}.{side}")
     require_stable(kind, value, side, f"{place}.{side}")
     written = number_text(stated)
     if side == "max":
@@ -65,6 +67,33 @@ def bound_value(kind: MarginKind, stated: float | str, place: str) -> float:
         rule = f"must be a number [{kind.unit}], or a text of a number and one of {units}"
         raise ConfigError(place, f"{rule}; got {stated!r}")
     return kind.units[unit](float(match["number"]))
+
+
+def require_attainable(kind: MarginKind, value: float, stated: float | str, place: str) -> None:
+    """Require that a loop can have the bound as its margin.
+
+    Args:
+        kind: The margin.
+        value: The bound in its unit.
+        stated: The bound as the study has it.
+        place: Its place.
+
+    Raises:
+        ConfigError: it is not finite, negative, or beyond the largest margin; a plain number gets a unit as hint.
+    """
+    if not math.isfinite(value):
+        raise ConfigError(place, f"must be a finite number [{kind.unit}], got {value:g}")
+    written = number_text(stated) or f"{value:g}"
+    if value < 0.0:
+        raise ConfigError(place, f"must be >= 0 {kind.unit}, as every {kind.meaning} is; got {written}")
+    if value <= kind.most:
+        return
+    rule = f"must be <= {kind.most:.6g} {kind.unit}, the largest {kind.meaning} there is; got {written}"
+    if not isinstance(stated, str):
+        for unit, converted in kind.units.items():
+            if converted(stated) <= kind.most:
+                rule += f'; did you mean "{stated:g} {unit}"?'
+    raise ConfigError(place, rule)
 
 
 def require_stable(kind: MarginKind, value: float, side: str, place: str) -> None:

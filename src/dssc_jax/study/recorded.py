@@ -4,9 +4,12 @@ A results folder therefore contains the data that it was computed with, and read
 """
 
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
@@ -18,6 +21,7 @@ SLOTS = ("reference", "disturbance", "wind", "sensor")
 SEVERAL = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
 """The slots whose record has several columns, and what these become."""
 TIME = "t"
+PARQUET = (".parquet", ".pq")
 LARGEST_RECORD = 2**27  # bytes of a file
 MOST_COLUMNS = 10_000
 """Columns of a file; a table of more takes minutes to read."""
@@ -76,21 +80,107 @@ def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
 
 
 def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
-    """Columns of a CSV or Parquet file, as numbers; rows in which one of them is missing are left out.
+    """Columns of a CSV or Parquet file, as numbers; rows in which a cell is empty are left out.
+
+    Args:
+        path: The file.
+        names: Of the columns; the first one is the time's.
 
     Raises:
-        ConfigError: the file cannot be read, a column is absent, or its values are not numbers.
+        ConfigError: the file cannot be read, a column is absent, a cell is no finite number, the times do not rise, or
+            no row is left. The message has the line of a CSV file, or the row of a Parquet file.
     """
     frame = recorded_frame(path)
     for name in names:
         if name not in frame:
             field = "time_column" if name == names[0] else "column"
             raise ConfigError(field, f"'{path.name}' has no column '{name}'; {nearest(name, map(str, frame.columns))}")
-    frame = frame[names].dropna()
+    columns: dict[str, list[float]] = {}
+    for index, name in enumerate(names):
+        columns[name] = numbers_of(frame[name], path, "column" if index else "time_column")
+    table = np.array(list(columns.values()))
+    missing = np.flatnonzero(np.any(np.isnan(table), axis=0))
+    require_empty(path, [list(frame.columns).index(name) for name in names], missing, len(frame))
+    kept = np.setdiff1d(np.arange(len(frame)), missing)
+    if not kept.size:
+        raise ConfigError("file", f"'{path.name}' has no row with numbers in {', '.join(map(repr, names))}")
+    faulty = kept[np.any(np.isinf(table[:, kept]), axis=0)]
+    if faulty.size:
+        raise ConfigError(
+            "column", f"'{path.name}' must hold finite numbers; {place_of(path, int(faulty[0]))} does not"
+        )
+    times = table[0, kept]
+    falls = np.flatnonzero(np.diff(times) <= 0.0)
+    if falls.size:
+        first = int(falls[0])
+        rule = f"{times[first + 1]:g} s comes after {times[first]:g} s in {place_of(path, int(kept[first + 1]))}"
+        raise ConfigError("time_column", f"'{path.name}' must have rising times; {rule}")
+    return table[:, kept].tolist()
+
+
+def numbers_of(column: Any, path: Path, field: str) -> list[float]:
+    """The cells of a column as numbers, NaN for those that are missing.
+
+    Raises:
+        ConfigError: a cell is no number.
+    """
+    numbers = []
+    for row, cell in enumerate(column):
+        try:
+            numbers.append(float(cell))
+        except (TypeError, ValueError) as error:
+            text = f"'{path.name}' must hold numbers there; {place_of(path, row)} has {cell!r}"
+            raise ConfigError(field, text) from error
+    return numbers
+
+
+def data_lines(path: Path) -> list[int]:
+    """The line of each row of a CSV file, counted from 1; its header, comments and empty lines have none."""
+    lines = record_content(path).decode(errors="replace").splitlines()
+    filled = [number for number, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
+    return filled[1:]
+
+
+def place_of(path: Path, row: int) -> str:
+    """Where a row stands in a file, in words."""
+    if path.suffix.lower() in PARQUET:
+        return f"row {row + 1}"
+    lines = data_lines(path)
+    return f"line {lines[row]}" if row < len(lines) else f"row {row + 1}"
+
+
+def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -> None:
+    """Require that the missing cells of a CSV file are empty, and not written as no number.
+
+    Args:
+        path: The file; one of Parquet has missing cells of its own.
+        places: Indices of the columns.
+        rows: Rows with a missing cell.
+        count: Number of rows.
+
+    Raises:
+        ConfigError: one is written, as ``nan``.
+    """
+    if path.suffix.lower() in PARQUET or not rows.size:
+        return
+    lines = data_lines(path)
+    if len(lines) != count:  # a quoted cell spans several lines
+        return
+    texts = record_content(path).decode(errors="replace").splitlines()
+    for row in rows:
+        cells = [cell.strip().strip('"') for cell in texts[lines[row] - 1].split(",")]
+        for place in places:
+            if place < len(cells) and cells[place] and not is_number(cells[place]):
+                text = f"'{path.name}' must hold numbers or empty cells; line {lines[row]} has {cells[place]!r}"
+                raise ConfigError("column", text)
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number, NaN excepted."""
     try:
-        return [[float(value) for value in frame[name]] for name in names]
-    except (TypeError, ValueError) as error:
-        raise ConfigError("column", f"'{path.name}' must hold numbers there: {error}") from error
+        return not math.isnan(float(text))
+    except ValueError:
+        return False
 
 
 def record_content(path: Path) -> bytes:
@@ -134,7 +224,7 @@ def recorded_frame(path: Path) -> Any:
     """
     import pandas as pd  # slow to load, and few studies follow a record
 
-    parquet = path.suffix.lower() in (".parquet", ".pq")
+    parquet = path.suffix.lower() in PARQUET
     try:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")

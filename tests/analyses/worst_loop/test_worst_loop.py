@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
-from dssc_jax.analyses.worst_loop.cells import GAINS, cover
+from dssc_jax.analyses.worst_loop.cells import cover
+from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.search import nearest_instability
 
 SAMPLE_TIME = 0.05
@@ -118,7 +119,7 @@ def test_a_first_order_loop_has_its_closed_form():
     ends = (-np.ones(1), np.ones(1))
     exact = np.array([1.0 + 1.0 / 0.05, 1.0 / 0.05, 0.5 + 1.0 / 0.05])  # at z = 1 and u = 1
     wanted = np.array([*1.01 * exact, 1e300])
-    covered = cover(first_order, ends, wanted, 20_000, lambda computed: None)
+    covered = cover(first_order, ends, wanted, 20_000)
     assert covered.stable
     assert np.all(covered.gains[:3] >= exact)
     assert np.all(covered.gains[:3] <= 1.01 * exact)
@@ -127,7 +128,7 @@ def test_a_first_order_loop_has_its_closed_form():
 
 def test_no_bound_holds_where_a_loop_of_the_box_is_unstable():
     ends = (-2.5 * np.ones(1), 2.5 * np.ones(1))
-    covered = cover(first_order, ends, np.full(len(GAINS), 1e300), 3000, lambda computed: None)
+    covered = cover(first_order, ends, np.full(len(GAINS), 1e300), 3000)
     assert not covered.stable
 
 
@@ -149,6 +150,7 @@ def test_an_unstable_box_has_a_counterexample():
         ({"plant.b.1": 1.0, "plant.a.1.1": -1.0}, {}, "no uncertain number"),
         ({}, {"broken_at": ("inputs",)}, "no break point 'inputs'"),
         ({}, {"cells": 0}, "cells"),
+        ({}, {"points": 0}, "points"),
         ({}, {"sigma": 0.0}, "sigma"),
         ({"sensor": {"kind": "noisy", "jitter": 0.01}}, {}, "differs between draws with the same numbers"),
     ],

@@ -202,6 +202,21 @@ def test_derivatives_of_slacks_are_those_of_the_margins():
         ({"margin": "fase", "min": 1.0}, "unknown margin 'fase'; did you mean 'phase'?"),
         ({"margin": "phase", "min": "30 dB"}, "must be a number [rad], or a text of a number and one of rad, deg"),
         ({"margin": "gain", "min": 0.5}, "must be > 1, which loops at the limit of stability have; got 0.5"),
+        (
+            {"margin": "phase", "min": 30.0},
+            'must be <= 3.14159 rad, the largest phase margin there is; got 30; did you mean "30 deg"?',
+        ),
+        (
+            {"margin": "phase", "max": "181 deg"},
+            "must be <= 3.14159 rad, the largest phase margin there is; got 181 deg",
+        ),
+        ({"margin": "phase", "min": 700.0}, "must be <= 3.14159 rad, the largest phase margin there is; got 700"),
+        ({"margin": "bandwidth", "min": -1.0}, "must be >= 0 rad/s, as every bandwidth of T is; got -1"),
+        ({"margin": "gain_lower", "max": -0.5}, "must be >= 0 1, as every lower gain margin is; got -0.5"),
+        ({"margin": "phase", "min": float("nan")}, "finite"),
+        ({"margin": "sensitivity", "max": float("nan")}, "finite"),
+        ({"margin": "delay", "min": float("inf")}, "finite"),
+        ({"margin": "delay", "min": "1e400 s"}, "must be a finite number [s], got inf"),
         ({"margin": "gain"}, "needs exactly one of max and min"),
         (
             {"margin": "gain", "min": 2.0, "after": 1.0},

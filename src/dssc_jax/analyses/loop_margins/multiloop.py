@@ -8,18 +8,21 @@ Reference:
     P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
-from dssc_jax.engine.linearisation.operating_points import Operating, closure
+from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices, closure
 from dssc_jax.engine.linearisation.response import golden, grid_with_poles, own_grids
 
 MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened
 REFINED_PEAKS = 2  # of these, around which the largest bound is looked for
+
+Bound = Callable[[np.ndarray], np.ndarray]
+"""Matrices, shape (n, channels, channels) -> upper bounds of their structured singular values, shape (n,)."""
 
 
 class MultiloopMargins(NamedTuple):
@@ -64,18 +67,39 @@ class JointLoops:
         return np.stack(responses, axis=1) + 0.5 * np.eye(self.b.shape[-1])
 
 
-def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time: float) -> MultiloopMargins | None:
-    """The disk margins of all loops at once; None if fewer than two commands have an effect.
+class JointPlaces(NamedTuple):
+    """Where the commands with an effect enter the loop.
+
+    Args:
+        channels: Indices of these channels.
+        points: Their break points, shape (channels,).
+        states: Indices of the states between them.
+    """
+
+    channels: list[int]
+    points: np.ndarray
+    states: np.ndarray
+
+
+class JointMargins(NamedTuple):
+    """Disk margins of n loops: fields of :class:`MultiloopMargins` without the names, for stable loops alone."""
+
+    guaranteed: np.ndarray
+    found: np.ndarray
+    frequency: np.ndarray
+    factors: np.ndarray
+
+
+def joint_places(channels: Sequence[str], matrices: StateMatrices, reached: np.ndarray) -> JointPlaces | None:
+    """Where the commands with an effect enter the loop; None if they are fewer than two.
 
     Args:
         channels: Names of the channels.
-        operating: Matrices of all draws.
-        sample_time: T_s [s].
+        matrices: Of all draws.
+        reached: Which draws have an operating point, shape (draws,).
     """
     names = place_names(channels)
     places = np.array([names.index(f"{channel} {BreakPoint.INPUT}".strip()) for channel in channels])
-    matrices = operating.matrices
-    reached = operating.reached
     influences = np.any(matrices.a[reached] != 0.0, axis=0)
     forward = [closure(np.any(matrices.b[reached][:, :, p] != 0.0, axis=0), influences.T) for p in places]
     backward = [closure(np.any(matrices.c[reached][:, p] != 0.0, axis=0), influences) for p in places]
@@ -86,54 +110,86 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
     states = np.flatnonzero(
         np.any([forward[i] for i in effective], axis=0) & np.any([backward[i] for i in effective], axis=0)
     )
-    points = places[effective]
+    return JointPlaces(effective, places[effective], states)
+
+
+def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time: float) -> MultiloopMargins | None:
+    """The disk margins of all loops at once; None if fewer than two commands have an effect.
+
+    Args:
+        channels: Names of the channels.
+        operating: Matrices of all draws.
+        sample_time: T_s [s].
+    """
+    matrices = operating.matrices
+    reached = operating.reached
+    joint = joint_places(channels, matrices, reached)
+    if joint is None:
+        return None
     stable = np.flatnonzero(reached)
-    poles = np.linalg.eigvals(matrices.a[np.ix_(stable, states, states)])
+    poles = np.linalg.eigvals(matrices.a[np.ix_(stable, joint.states, joint.states)])
     inside = np.max(np.abs(poles), axis=1) < 1.0
     stable = stable[inside]
-    poles = poles[inside]
     draws = len(reached)
     margins = MultiloopMargins(
-        channels=tuple(channels[i] for i in effective),
+        channels=tuple(channels[i] for i in joint.channels),
         guaranteed=np.full(draws, np.nan),
         found=np.full(draws, np.nan),
         frequency=np.full(draws, np.nan),
-        factors=np.full((draws, len(effective)), np.nan, complex),
+        factors=np.full((draws, len(joint.channels)), np.nan, complex),
     )
-    if not stable.size:
-        return margins
-    loops = JointLoops(
-        matrices.a[np.ix_(stable, states, states)],
-        matrices.b[np.ix_(stable, states, points)],
-        matrices.c[np.ix_(stable, points, states)],
-    )
-    angles = grid_with_poles(own_grids(poles), poles)
-    place, largest = peak(loops, angles)
-    responses = loops.at(place[:, None])[:, 0]
-    lower, diagonals = lower_bounds(responses)
-    margins.guaranteed[stable] = 1.0 / largest
-    margins.found[stable] = 1.0 / lower
-    margins.frequency[stable] = place / sample_time
-    margins.factors[stable] = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)
+    if stable.size:
+        loops = JointLoops(
+            matrices.a[np.ix_(stable, joint.states, joint.states)],
+            matrices.b[np.ix_(stable, joint.states, joint.points)],
+            matrices.c[np.ix_(stable, joint.points, joint.states)],
+        )
+        found = joint_margins(loops, poles[inside], sample_time)
+        for name, values in found._asdict().items():
+            getattr(margins, name)[stable] = values
     return margins
 
 
-def peak(loops: JointLoops, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joint_margins(
+    loops: JointLoops, poles: np.ndarray, sample_time: float, bound: Bound = upper_bounds
+) -> JointMargins:
+    """The disk margins of stable loops.
+
+    Args:
+        loops: The loops.
+        poles: Eigenvalues of A, shape (n, states).
+        sample_time: T_s [s].
+        bound: The upper bound of mu whose peak is looked for.
+    """
+    angles = grid_with_poles(own_grids(poles), poles)
+    place, largest = peak(loops, angles, bound)
+    lower, diagonals = lower_bounds(loops.at(place[:, None])[:, 0])
+    factors = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)
+    return JointMargins(1.0 / largest, 1.0 / lower, place / sample_time, factors)
+
+
+def balanced_bounds(matrices: np.ndarray) -> np.ndarray:
+    """Upper bounds of mu by balancing, shape (n,): faster than :func:`upper_bounds`, and equal for two channels."""
+    return scaled_norms(matrices, balanced(matrices))[0]
+
+
+def peak(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> tuple[np.ndarray, np.ndarray]:
     """Angle and value of the largest upper bound of mu, each of shape (n,).
 
     Args:
         loops: The loops.
         angles: Ascending angles at which a peak is looked for, shape (n, m).
+        bound: The upper bound.
     """
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape
     flat = responses.reshape(-1, channels, channels)
-    rough = scaled_norms(flat, balanced(flat))[0].reshape(count, columns)
+    rough = balanced_bounds(flat).reshape(count, columns)
     padded = np.pad(rough, ((0, 0), (1, 1)), constant_values=-np.inf)
     is_top = (rough >= padded[:, :-2]) & (rough >= padded[:, 2:])
     tops = np.argsort(-np.where(is_top, rough, 0.0), axis=1)[:, :MOST_PEAKS]
     picked = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
-    sharp = upper_bounds(picked).reshape(count, -1)
+    sharp = bound(picked).reshape(count, -1)
     order = np.argsort(-sharp, axis=1)[:, :REFINED_PEAKS]
     candidates = np.take_along_axis(tops, order, 1)
     places = [np.take_along_axis(angles, candidates, 1)]
@@ -142,7 +198,7 @@ def peak(loops: JointLoops, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         at = column[:, None]
         low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)
         high = np.take_along_axis(angles, np.minimum(at + 1, columns - 1), 1)
-        place, value = golden(lambda theta: upper_bounds(loops.at(theta)[:, 0])[:, None], low, high)
+        place, value = golden(lambda theta: bound(loops.at(theta)[:, 0])[:, None], low, high)
         places.append(place)
         values.append(value)
     all_values = np.concatenate(values, axis=1)

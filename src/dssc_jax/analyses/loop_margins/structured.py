@@ -20,6 +20,7 @@ FIRST_RADIUS = 2.0  # of the search in log D, about the balanced one
 POWER_STEPS = 100
 STARTS = 8  # of the power iteration
 TINY = 1e-300
+ONE_WAY = 1e-8  # least ratio of row and column in a step, so that a coupling in one direction is scaled away
 
 
 def balanced(matrices: np.ndarray) -> np.ndarray:
@@ -36,8 +37,8 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
             scaled = squares * np.exp(2.0 * (logs[:, :, None] - logs[:, None, :]))
             row = np.sum(scaled[:, channel, :], axis=1)
             column = np.sum(scaled[:, :, channel], axis=1)
-            coupled = (row > TINY) & (column > TINY)
-            ratio = np.where(coupled, column, 1.0) / np.where(coupled, row, 1.0)
+            coupled = (row > TINY) | (column > TINY)
+            ratio = np.where(coupled, column + ONE_WAY * row, 1.0) / np.where(coupled, row + ONE_WAY * column, 1.0)
             logs[:, channel] += 0.25 * np.log(ratio)
     return logs
 
@@ -52,6 +53,15 @@ def scaled_norms(matrices: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np
 def upper_bounds(matrices: np.ndarray) -> np.ndarray:
     """Upper bounds of mu, shape (n,); equal to mu up to three channels.
 
+    Args:
+        matrices: M, shape (n, channels, channels).
+    """
+    return scaled_norms(matrices, best_scales(matrices))[0]
+
+
+def best_scales(matrices: np.ndarray) -> np.ndarray:
+    """log D of the least largest singular value of D M D^-1, shape (n, channels).
+
     The minimisation is by the ellipsoid method, which needs no smoothness: the two largest singular values often meet
     at the best D. Whatever it reaches is a bound.
 
@@ -59,10 +69,10 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
         matrices: M, shape (n, channels, channels).
     """
     logs = balanced(matrices)
-    best, slopes = scaled_norms(matrices, logs)
     free = matrices.shape[1] - 1
     if free < 2:
-        return best
+        return logs
+    best, slopes = scaled_norms(matrices, logs)
     count = len(matrices)
     shape = np.broadcast_to(FIRST_RADIUS**2 * np.eye(free), (count, free, free)).copy()
     centre = logs[:, 1:] - logs[:, :1]
@@ -75,9 +85,11 @@ def upper_bounds(matrices: np.ndarray) -> np.ndarray:
         outer = direction[:, :, None] * direction[:, None, :]
         shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)
         shape = np.where(moving[:, None, None], shrunk, shape)
-        norms, slopes = scaled_norms(matrices, np.concatenate([np.zeros((count, 1)), centre], axis=1))
+        trial = np.concatenate([np.zeros((count, 1)), centre], axis=1)
+        norms, slopes = scaled_norms(matrices, trial)
+        logs = np.where((norms < best)[:, None], trial, logs)
         best = np.minimum(best, norms)
-    return best
+    return logs
 
 
 def lower_bounds(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,7 @@
 """The linearised loop at any point of the box."""
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from dssc_jax.analyses.worst_loop.box import Box
@@ -12,6 +14,17 @@ KEYS = 8  # draws whose random keys are compared
 SAME = 1e-9  # relative difference of matrices that counts as none
 PROBES = 4  # points from which each number is moved
 DIGITS = 12  # of a coordinate, by which points are told apart
+UNLIMITED = 2**62
+
+Evaluate = Callable[[np.ndarray], np.ndarray]
+"""Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
+PointsLeft = Callable[[], int]
+"""The number of points that may still be evaluated."""
+
+
+def unlimited() -> int:
+    """No limit of points."""
+    return UNLIMITED
 
 
 class Family:
@@ -21,10 +34,12 @@ class Family:
         resting: The undisturbed loop.
         box: The box of the uncertain numbers.
         findings: What was found for each part at the operating points, the same for all draws, shape (parts,).
+        advance: Called with the number of points that were linearised.
     """
 
-    def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray) -> None:
+    def __init__(self, resting: RestingLoop, box: Box, findings: np.ndarray, advance: Callable[[int], None]) -> None:
         self.resting = resting
+        self.advance = advance
         self.box = box
         self.findings = findings
         self.places: dict[bytes, int] = {}
@@ -43,8 +58,18 @@ class Family:
             for row, point in enumerate(batch):
                 self.places[point.tobytes()] = len(self.rows)
                 self.rows.append(StateMatrices(*(part[row] for part in matrices)))
+            self.advance(len(self.rows))
         rows = [self.rows[self.places[key]] for key in keys]
         return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
+
+    def left(self, most: int) -> int:
+        """How many of a number of points have not been linearised."""
+        return max(0, most - len(self.rows))
+
+    def allowance(self, points: int) -> PointsLeft:
+        """What is left of a number of new points, from now on."""
+        last = len(self.rows) + points
+        return lambda: max(0, last - len(self.rows))
 
     def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Matrices at points, with the random keys of the draws ``indices``."""
@@ -74,18 +99,18 @@ class Family:
 
 
 class BrokenFamily:
-    """The loop broken at one place, as a function of those numbers of the box that it depends on.
+    """The loop broken at one place or at several at once, as a function of those numbers that it depends on.
 
     Args:
         family: The whole loop.
         kept: Its states that matter here.
-        point: Index of the break point.
+        places: Indices of the break points.
     """
 
-    def __init__(self, family: Family, kept: np.ndarray, point: int) -> None:
+    def __init__(self, family: Family, kept: np.ndarray, places: Sequence[int]) -> None:
         self.family = family
         self.kept = kept
-        self.point = point
+        self.places = list(places)
         self.sides = self._influential()
 
     @property
@@ -105,18 +130,19 @@ class BrokenFamily:
         return {name: numbers[name] for name in self.names}
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """[[A, b], [c, 0]] at points of shape (n, sides), shape (n, states + 1, states + 1)."""
+        """[[A, B], [C, 0]] at points of shape (n, sides), shape (n, states + places, states + places)."""
         return self._matrices(self.full(points))
 
     def _matrices(self, points: np.ndarray) -> np.ndarray:
         return self.broken(self.family.at(points))
 
     def broken(self, matrices: StateMatrices) -> np.ndarray:
-        """[[A, b], [c, 0]] of whole loops, broken at this place, shape (n, states + 1, states + 1)."""
+        """[[A, B], [C, 0]] of whole loops, broken here, shape (n, states + places, states + places)."""
         _, a, b, c = matrices
         kept = self.kept
-        top = np.concatenate([a[:, kept][:, :, kept], b[:, kept, self.point, None]], axis=2)
-        bottom = np.concatenate([c[:, None, self.point, kept], np.zeros((len(a), 1, 1))], axis=2)
+        places = self.places
+        top = np.concatenate([a[:, kept][:, :, kept], b[:, kept][:, :, places]], axis=2)
+        bottom = np.concatenate([c[:, places][:, :, kept], np.zeros((len(a), len(places), len(places)))], axis=2)
         return np.concatenate([top, bottom], axis=1)
 
     def _influential(self) -> list[int]:

@@ -11,11 +11,14 @@ from matplotlib.figure import Figure
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
 from dssc_jax.analyses.worst_loop.box import Box
+from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 
+ALL_COMMANDS = "all commands"
+"""The name under which the margin of all commands at once stands."""
 BEYOND = 0.02
 """How much farther from the middle of the box an unstable witness lies than the nearest unstable point found."""
 
@@ -83,6 +86,21 @@ class BoxSide:
 
 
 @dataclass(frozen=True)
+class MultiloopWorst:
+    """The worst case of the disk margin of all commands at once."""
+
+    drawn: Annotated[float, Quantity("1", "worst alpha of all draws; 0: a loop is unstable")]
+    found: Annotated[float, Quantity("1", "worst alpha found in the box; 0: a loop is unstable")]
+    bounded: Annotated[float, Quantity("1", "alpha that holds on all of the box; None: no bound was found")]
+    numbers: Annotated[dict[str, float], Quantity("that of the number", "the numbers that have the value found")]
+    frequency: Annotated[float, Quantity("rad/s", "frequency at which that loop oscillates")]
+    factors: Annotated[dict[str, float], Quantity("1", "gain in each channel with which it does")]
+    phases: Annotated[dict[str, float], Quantity("rad", "phase in each channel with which it does")]
+    depends_on: Annotated[tuple[str, ...], Quantity("", "the numbers that change these loops")]
+    cells: Annotated[int, Quantity("1", "parts of box and frequencies that were computed")]
+
+
+@dataclass(frozen=True)
 class WorstLoopAnswer:
     """Worst margins over the box of the laws, found and bounded, beside those of the draws."""
 
@@ -91,6 +109,12 @@ class WorstLoopAnswer:
     taken: Annotated[str, Quantity("", "what is taken for parts of the loop without a derivative")]
     box: Annotated[dict[str, BoxSide], Quantity("", "by uncertain number")]
     loops: Annotated[dict[str, LoopWorst], Quantity("", "by break point")]
+    multiloop: Annotated[
+        dict[str, MultiloopWorst],
+        Quantity("", "all commands perturbed at once; empty for a single command, or with stated break points"),
+    ]
+    points: Annotated[int, Quantity("1", "points of the box at which the loop was linearised")]
+    most_points: Annotated[int, Quantity("1", "largest number of these points")]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
 
@@ -99,11 +123,16 @@ class WorstLoop(Analysis):
     """Worst case of the linearised loop over the box of the laws.
 
     The dataset has along ``loop`` (the break point) and ``margin``: ``drawn``, ``found`` and ``bounded``, and the
-    ``perturbation`` (along ``number``) that has the value found.
+    ``perturbation`` (along ``number``) that has the value found. Where several commands have an effect,
+    ``multiloop_drawn``, ``multiloop_found`` and ``multiloop_bounded`` are the disk margin of all of them at once,
+    ``multiloop_perturbation`` (along ``number``) has the value found, and along ``channel`` the loop there oscillates
+    with ``multiloop_gain`` and ``multiloop_phase``.
 
     Args:
         sigma: Standard deviations at which laws without ends are cut.
         taken: What is taken for parts of the loop that have no derivative, in words.
+        points: Points of the box at which the loop was linearised.
+        most_points: Largest number of these points.
         seconds: Computing time.
     """
 
@@ -113,6 +142,8 @@ class WorstLoop(Analysis):
 
     sigma: float
     taken: tuple[str, ...]
+    points: int
+    most_points: int
     seconds: float
 
     def numbers(self, loop: str, margin: str) -> dict[str, float]:
@@ -150,6 +181,8 @@ class WorstLoop(Analysis):
             unstable = self.unstable_witness(loop)
             if unstable is not None:
                 studies[f"{name}-stability"] = unstable
+        for name, worst in self.multiloop.items():
+            studies[f"{name.replace(' ', '-')}-disk"] = self.study.override(worst.numbers)
         return studies
 
     @property
@@ -169,11 +202,16 @@ class WorstLoop(Analysis):
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
         known = np.isfinite(disk.bounded)
         least = f"a disk margin of at least {disk.bounded:.3g}" if known else "no bound of its margins"
-        return (
+        text = (
             f"broken at {loop}: stable on all of the box, with {least} "
             f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_bounded:.3g} "
             "times its size"
         )
+        for name, joint in self.multiloop.items():
+            known = np.isfinite(joint.bounded)
+            text += f"; {name}: " + (f"at least {joint.bounded:.3g}" if known else "no bound")
+            text += f" (worst found {joint.found:.3g})"
+        return text
 
     def figure(self) -> Figure:
         """Plot the answer."""
@@ -202,6 +240,28 @@ class WorstLoop(Analysis):
         return LoopWorst(stable, bounded, found, growable, unstable, names, int(data["cells"]), margins)
 
     @property
+    def multiloop(self) -> dict[str, MultiloopWorst]:
+        """The worst case of all commands at once, under its name; empty if it was not computed."""
+        if "multiloop_found" not in self.dataset:
+            return {}
+        data = self.dataset
+        channels = list(map(str, data["channel"].values))
+        numbers = present(data["multiloop_perturbation"])
+        return {
+            ALL_COMMANDS: MultiloopWorst(
+                drawn=float(data["multiloop_drawn"]),
+                found=float(data["multiloop_found"]),
+                bounded=float(data["multiloop_bounded"]),
+                numbers=numbers,
+                frequency=float(data["multiloop_frequency"]),
+                factors=dict(zip(channels, data["multiloop_gain"].values.tolist(), strict=True)),
+                phases=dict(zip(channels, data["multiloop_phase"].values.tolist(), strict=True)),
+                depends_on=tuple(numbers),
+                cells=int(data["multiloop_cells"]),
+            )
+        }
+
+    @property
     def answer(self) -> WorstLoopAnswer:
         """The numbers that summary.json holds."""
         box = {}
@@ -214,6 +274,9 @@ class WorstLoop(Analysis):
             taken="; ".join(self.taken) or "none; every part has a derivative",
             box=box,
             loops={loop: self.worst_of(loop) for loop in self.loops},
+            multiloop=self.multiloop,
+            points=self.points,
+            most_points=self.most_points,
             seconds=self.seconds,
         )
 
@@ -272,3 +335,24 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
         "number": ("number", np.array(names), {"long_name": "uncertain number"}),
     }
     return xr.Dataset(columns, coords=coords)
+
+
+def multiloop_dataset(box: Box, case: JointCase | None) -> xr.Dataset:
+    """The variables of all commands at once; empty if they were not computed."""
+    if case is None:
+        return xr.Dataset()
+    numbers = [case.numbers.get(side.name, np.nan) for side in box.sides]
+    columns = {
+        "drawn": ((), case.drawn, "1", "worst disk margin of all commands at once, of all draws"),
+        "found": ((), case.found, "1", "worst disk margin of all commands at once found in the box"),
+        "bounded": ((), case.bounded, "1", "disk margin of all commands at once that holds on all of the box"),
+        "frequency": ((), case.frequency, "rad/s", "frequency at which the worst loop found oscillates"),
+        "gain": ("channel", np.abs(case.factors), "1", "gain of each command with which it does"),
+        "phase": ("channel", np.angle(case.factors), "rad", "phase of each command with which it does"),
+        "perturbation": ("number", numbers, "that of the number", "numbers of the worst found"),
+        "cells": ((), case.cells, "1", "cells computed"),
+    }
+    variables = {}
+    for name, (dims, values, unit, meaning) in columns.items():
+        variables[f"multiloop_{name}"] = (dims, np.asarray(values), {"units": unit, "long_name": meaning})
+    return xr.Dataset(variables, coords={"channel": list(case.channels)})

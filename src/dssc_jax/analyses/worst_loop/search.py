@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS
+from dssc_jax.analyses.worst_loop.family import Evaluate, PointsLeft, unlimited
 from dssc_jax.engine.linearisation.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 
 MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_peak", "complementary_peak")
@@ -19,9 +20,6 @@ FIRST_STEP = 0.5  # of the search along each number
 SMALLEST_STEP = 1e-3
 RADII = 24  # at which stability is tested along a direction
 BISECTIONS = 16
-
-Evaluate = Callable[[np.ndarray], np.ndarray]
-"""Points of shape (n, sides) -> [[A, b], [c, 0]] there."""
 
 
 class Worst(NamedTuple):
@@ -47,12 +45,12 @@ def start_points(sides: int) -> np.ndarray:
     return np.concatenate([np.zeros((1, sides)), corners, rng.uniform(-1.0, 1.0, (RANDOM_POINTS, sides))])
 
 
-def radii_of(matrices: np.ndarray) -> np.ndarray:
-    """Spectral radius of A in each [[A, b], [c, 0]]; infinite where there is no equilibrium."""
+def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
+    """Spectral radius of A in each [[A, B], [C, 0]]; infinite where there is no equilibrium."""
     finite = np.all(np.isfinite(matrices), axis=(1, 2))
     radii = np.full(len(matrices), np.inf)
     if finite.any():
-        radii[finite] = np.abs(np.linalg.eigvals(matrices[finite][:, :-1, :-1])).max(axis=1)
+        radii[finite] = np.abs(np.linalg.eigvals(matrices[finite][:, :-channels, :-channels])).max(axis=1)
     return radii
 
 
@@ -82,25 +80,47 @@ def badness(margins: np.ndarray) -> np.ndarray:
     return margins * np.array([-1.0 if MARGIN_KINDS[name].side == "lower" else 1.0 for name in MARGINS])
 
 
-def worst_margins(evaluate: Evaluate, sides: int, common: np.ndarray, sample_time: float) -> list[Worst]:
-    """The worst value found of each margin: the worst of many points, improved by steps along each number."""
+def worst_margins(
+    evaluate: Evaluate, sides: int, common: np.ndarray, sample_time: float, left: PointsLeft = unlimited
+) -> list[Worst]:
+    """The worst value found of each margin of a loop that is broken in one channel."""
 
     def margins(points: np.ndarray) -> np.ndarray:
         return margins_at(evaluate(points), common, sample_time)
 
-    points = start_points(sides)
-    values = margins(points)
+    return worst_values(margins, badness, sides, left)
+
+
+def worst_values(
+    values_at: Callable[[np.ndarray], np.ndarray],
+    badness: Callable[[np.ndarray], np.ndarray],
+    sides: int,
+    left: PointsLeft = unlimited,
+) -> list[Worst]:
+    """The worst value found of each quantity: the worst of many points, improved by steps along each number.
+
+    Args:
+        values_at: (points, shape (n, sides)) -> values, shape (n, quantities).
+        badness: Values, shape (..., quantities) -> numbers of the same shape that are larger where they are worse.
+        sides: Number of coordinates.
+        left: Number of points that may still be evaluated.
+    """
+    points = start_points(sides)[: max(1, left())]
+    values = values_at(points)
     best = np.argmax(badness(values), axis=0)
     at = points[best]
-    worst = values[best, range(len(MARGINS))]
+    quantities = values.shape[1]
+    worst = values[best, range(quantities)]
     step = FIRST_STEP
     moves = np.concatenate([np.eye(sides), -np.eye(sides)])
     while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
         trials = np.clip(at[:, None] + step * moves, -1.0, 1.0)
-        found = margins(trials.reshape(-1, sides)).reshape(*trials.shape[:2], len(MARGINS))
+        if left() < len(moves) * quantities:
+            break
+        found = values_at(trials.reshape(-1, sides)).reshape(*trials.shape[:2], quantities)
         scores = badness(found)
         moved = False
-        for index in range(len(MARGINS)):
+        for index in range(quantities):
             k = int(np.argmax(scores[index, :, index]))
             if scores[index, k, index] > badness(worst)[index] + 1e-12:
                 worst[index] = found[index, k, index]
@@ -110,14 +130,16 @@ def worst_margins(evaluate: Evaluate, sides: int, common: np.ndarray, sample_tim
     return [Worst(float(value), point) for value, point in zip(worst, at, strict=True)]
 
 
-def nearest_instability(evaluate: Evaluate, sides: int, most: float) -> Instability:
+def nearest_instability(evaluate: Evaluate, sides: int, most: float, left: PointsLeft = unlimited) -> Instability:
     """The least growth of the box found that reaches an unstable loop.
 
     Args:
         evaluate: The loop at points.
         sides: Number of coordinates.
         most: Largest growth to try.
+        left: Number of points that may still be evaluated.
     """
+    along = RADII + 1 + BISECTIONS  # points on one direction
 
     def growths(directions: np.ndarray) -> np.ndarray:
         grid = np.linspace(0.0, most, RADII + 1)
@@ -134,7 +156,7 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float) -> Instabil
             low[reached] = np.where(beyond, low[reached], middle)
         return high
 
-    directions = start_points(sides)[1:]
+    directions = start_points(sides)[1:][: max(1, left() // along)]
     directions /= np.abs(directions).max(axis=1, keepdims=True)
     found = growths(directions)
     best = int(np.argmin(found))
@@ -146,6 +168,8 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float) -> Instabil
         trials = np.clip(direction + step * moves, -1.0, 1.0)
         trials = trials[np.abs(trials).max(axis=1) > 0.0]
         trials /= np.abs(trials).max(axis=1, keepdims=True)
+        if left() < len(trials) * along:
+            break
         found = growths(trials)
         best = int(np.argmin(found))
         if found[best] < growth * (1.0 - 1e-4):

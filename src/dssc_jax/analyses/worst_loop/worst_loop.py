@@ -1,18 +1,21 @@
 """Worst case of every loop of a study over the box of its laws: found perturbations beside bounds."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.defaults import CELLS, MOST_CELLS, SIGMA
+from dssc_jax.analyses.defaults import CELLS, LANES, MOST_CELLS, MOST_LINEARISED, SIGMA
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
+from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
 from dssc_jax.analyses.worst_loop.box import admissible_growth, box_of
-from dssc_jax.analyses.worst_loop.cells import GAINS, Covered, cover
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family
-from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, worst_dataset
+from dssc_jax.analyses.worst_loop.cells import Covered, cover
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
+from dssc_jax.analyses.worst_loop.joint import joint_case
+from dssc_jax.analyses.worst_loop.readouts import GAINS
+from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, multiloop_dataset, worst_dataset
 from dssc_jax.analyses.worst_loop.search import (
     MARGINS,
     Instability,
@@ -35,6 +38,8 @@ from dssc_jax.study import Study, takes_file
 GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
 """The growths that are tried for the guarantee, relative to the smallest one with an unstable loop."""
+SEARCHED = 0.25  # share of the points for each of the two searches
+TRIALS = 3  # covers among which the remaining points of the growth are shared
 LOOSEST = np.full(len(GAINS), 1e300)
 """Goals that any finite bounds meet."""
 
@@ -46,6 +51,7 @@ def worst_loop(
     broken_at: Sequence[str] = (),
     sigma: float = SIGMA,
     cells: int = CELLS,
+    points: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> WorstLoop:
     """Find the worst margins of the linearised loop over the box of the laws, and bounds that hold on all of it.
@@ -60,7 +66,9 @@ def worst_loop(
         broken_at: Names of break points; none: the command of each channel.
         sigma: Laws without ends are cut at so many standard deviations of a normal law.
         cells: Largest number of cells (parts of the box and of the frequencies) for each loop and kind of bound.
-        progress: Called with the number of cells computed.
+        points: Largest number of points of the box at which the loop is linearised, for all loops together; by
+            default as many as take 1,000,000 derivatives.
+        progress: Called with the number of points linearised, and the largest number.
 
     Raises:
         ConfigError: the study has no uncertain number, its loop cannot be linearised or differs between draws of the
@@ -77,6 +85,8 @@ def worst_loop(
     require_independent(study, "a sample of all draws")
     if not 0 < cells <= MOST_CELLS:
         raise ConfigError("cells", f"must be within [1, {MOST_CELLS}], got {cells}")
+    if points is not None and not 0 < points <= MOST_LINEARISED:
+        raise ConfigError("points", f"must be within [1, {MOST_LINEARISED}], got {points}")
     study = study.without_sweep()
     names = break_points(study.loop)
     selected = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
@@ -85,33 +95,51 @@ def worst_loop(
             raise ConfigError("broken_at", f"has no break point '{name}'; {nearest(name, names)}")
     box = box_of(study, sigma)
     places = declared_places(study, moving=False)
+    if progress:
+        progress(0, points)
     resting = RestingLoop(study, places)
     operating, findings = resting_operation(resting, study.config.draws)
     settled = findings[operating.reached]
     if np.any(settled != settled[0]):
         raise ConfigError(study.source, "lies at a corner of a part in some draws, and not in others")
-    family = Family(resting, box, settled[0])
-    family.require_no_other_uncertainty()
-    spent = 0
+    most = points or max(1, LANES // sum(operating.matrices.b.shape[1:]))
 
-    def advance(computed: int) -> None:
+    def advance(linearised: int) -> None:
         if progress:
-            progress(spent + computed, None)
+            progress(min(linearised, most), most)
 
-    cases = {}
+    family = Family(resting, box, settled[0], advance)
+    family.require_no_other_uncertainty()
+    broken_loops = {}
     for name in selected:
         kept = in_loop(operating.matrices, operating.reached, names.index(name))
-        if not kept.size:
-            continue
-        broken = BrokenFamily(family, kept, names.index(name))
+        if kept.size:
+            broken_loops[name] = BrokenFamily(family, kept, [names.index(name)])
+    if not broken_loops:
+        raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
+    joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
+    waiting = len(broken_loops) + (joint is not None)
+    cases = {}
+    for name, broken in broken_loops.items():
         if not broken.sides:
             raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
-        cases[name] = loop_case(study, broken, operating, cells, advance)
-        spent += cases[name].cells
-    if not cases:
-        raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
+        cases[name] = loop_case(study, broken, operating, cells, family.left(most) // waiting)
+        waiting -= 1
+    multiloop = None
+    if joint is not None:
+        broken = BrokenFamily(family, joint.states, joint.points.tolist())
+        channels = tuple(study.loop.channels[i] for i in joint.channels)
+        drawn = broken.broken(reached_matrices(operating))
+        sample_time = study.config.loop.sample_time
+        multiloop = joint_case(broken, channels, drawn, sample_time, GAP, cells, family.left(most))
     taken = (*stated(places), *operating.taken)
-    return WorstLoop(study, worst_dataset(box, cases), sigma, taken, time.perf_counter() - began)
+    dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
+    return WorstLoop(study, dataset, sigma, taken, len(family.rows), most, time.perf_counter() - began)
+
+
+def reached_matrices(operating: Operating) -> StateMatrices:
+    """Matrices of the draws that have an operating point."""
+    return StateMatrices(*(part[operating.reached] for part in operating.matrices))
 
 
 class Bounds(NamedTuple):
@@ -121,20 +149,21 @@ class Bounds(NamedTuple):
     growth: float
 
 
-def loop_case(
-    study: Study, broken: BrokenFamily, operating: Operating, cells: int, advance: Callable[[int], None]
-) -> LoopCase:
-    """The worst case of one broken loop."""
+def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: int, points: int) -> LoopCase:
+    """The worst case of one broken loop, from a number of cells and of points to linearise."""
+    family = broken.family
+    left = family.allowance(points)
+    searched = round(SEARCHED * points)
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
-    drawn = broken.broken(StateMatrices(*(part[operating.reached] for part in operating.matrices)))
+    drawn = broken.broken(reached_matrices(operating))
     common = common_grid(np.linalg.eigvals(drawn[:, :-1, :-1]))
     drawn_margins = margins_at(drawn, common, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
-    found = worst_margins(broken.at, sides, common, sample_time)
+    found = worst_margins(broken.at, sides, common, sample_time, family.allowance(searched))
     growable = admissible_growth(study, broken.family.box)
-    instability = nearest_instability(broken.at, sides, growable)
-    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, advance)
+    instability = nearest_instability(broken.at, sides, growable, family.allowance(searched))
+    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, left)
     return LoopCase(
         names=broken.names,
         drawn=worst_drawn,
@@ -156,7 +185,7 @@ def bounds_of(
     growable: float,
     sample_time: float,
     cells: int,
-    advance: Callable[[int], None],
+    left: PointsLeft,
 ) -> Bounds:
     """Bounds of the gains on the box, and the growth up to which the loop is shown to be stable."""
     sides = len(broken.sides)
@@ -174,7 +203,9 @@ def bounds_of(
             1.0 / worst["disk"],
             sample_time / worst["delay"] if np.isfinite(worst["delay"]) else 1e-3,
         )
-        covered = cover(broken.at, (-ones, ones), GAP * np.array(reached), cells, advance)
+        covered = cover(
+            broken.at, (-ones, ones), GAP * np.array(reached), cells, broken.family.allowance(2 * left() // TRIALS)
+        )
         growth = 1.0 if covered.stable else 0.0
     spent = covered.cells
     farthest = min(instability.growth, growable)
@@ -183,7 +214,7 @@ def bounds_of(
         if tried <= growth:
             break
         ends = (-tried * ones, tried * ones)
-        trial = cover(broken.at, ends, LOOSEST, cells // 4, lambda computed, before=spent: advance(before + computed))
+        trial = cover(broken.at, ends, LOOSEST, cells // 4, broken.family.allowance(left() // TRIALS))
         spent += trial.cells
         if trial.stable:
             growth = tried

@@ -6,6 +6,7 @@ from dssc_jax.cli.loading import stored_result
 from dssc_jax.cli.parsing import parse_point
 from dssc_jax.cli.trajectories import print_trajectory, require_writable
 from dssc_jax.console.terminal import announce_compiling
+from dssc_jax.results.schema import units_of
 from dssc_jax.runs import trajectory as trajectories
 from dssc_jax.study import Described
 
@@ -18,5 +19,5 @@ def run(options: Replay) -> int:
     trajectories.point_of(result, options.draw, point)
     announce_compiling(result.study, quiet=options.as_json or isinstance(result.study, Described))
     trajectory = trajectories.replay(result, options.draw, point=point or None, every=options.every)
-    print_trajectory(trajectory, options)
+    print_trajectory(trajectory, options, units_of(result.study))
     return FAILS if trajectory.attrs["agreement"] == "differs" else DONE

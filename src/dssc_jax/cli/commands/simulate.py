@@ -12,6 +12,7 @@ from dssc_jax.console.terminal import announce_compiling
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration import require_panel
+from dssc_jax.results.schema import units_of
 from dssc_jax.runs import trajectory as trajectories
 from dssc_jax.study import Study
 
@@ -34,7 +35,7 @@ def run(options: Simulate) -> int:
         text = flight_html(study, options)
         attempt(options.flight, partial(files.write_text, options.flight, text))
         written.append(options.flight)
-    print_trajectory(trajectory, options, written)
+    print_trajectory(trajectory, options, units_of(fixed), written)
     return DONE
 
 

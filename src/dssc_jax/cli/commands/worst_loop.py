@@ -10,7 +10,7 @@ from dssc_jax.console.terminal import progress_bar
 from dssc_jax.core import files
 from dssc_jax.study.tables import to_toml
 
-EARLY = "the bounds are near enough to the worst case"
+EARLY = "the searches and the bounds have ended"
 
 
 def run(options: WorstLoop) -> int:
@@ -27,13 +27,15 @@ def run(options: WorstLoop) -> int:
         options.broken_at,
         None if options.sigma == WorstLoop.sigma else options.sigma,
         None if options.cells == WorstLoop.cells else options.cells,
+        options.points,
     )
-    with progress_bar(study, quiet=options.as_json, of="cells", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, of="points", early=EARLY) as advance:
         worst = worst_loop(
             study,
             broken_at=options.broken_at or (),
             sigma=options.sigma,
             cells=options.cells,
+            points=options.points,
             progress=advance,
         )
     figures = save_analysis(worst, folder, options)

@@ -90,7 +90,8 @@ class WorstLoop(OutputOptions, DrawsOptions):
     Gain, phase, delay and disk margins, M_s and M_t: the worst drawn, the worst found, and what is bounded for all
     numbers between the ends of their laws, at all frequencies. Also the robust stability factor: how far the box may
     grow before a loop is unstable (1/mu). Prints the numbers of each worst case, and writes them as studies
-    (witnesses/LOOP-MARGIN.toml, for `loop` and `run`). The study's [sweep] is ignored.
+    (witnesses/LOOP-MARGIN.toml, for `loop` and `run`). A study of several commands also gets the disk margin of all of
+    them at once, unless --broken-at is given. The study's [sweep] is ignored.
     """
 
     also: ClassVar = ("mu", "mussv", "wcgain", "wcdiskmargin", "robstab", "robgain", "diskmargin")
@@ -107,6 +108,15 @@ class WorstLoop(OutputOptions, DrawsOptions):
     cells: Annotated[
         int, typer.Option("--cells", metavar="N", min=1, help="Largest number of cells of box and frequencies.")
     ] = CELLS
+    points: Annotated[
+        int | None,
+        typer.Option(
+            "--points",
+            metavar="N",
+            min=1,
+            help="Largest number of points of the box to linearise [as many as take 1,000,000 derivatives].",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,127 @@
+"""The worst disk margin of all commands at once over the box."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.analyses.loop_margins.multiloop import JointLoops, JointMargins, balanced_bounds, joint_margins
+from dssc_jax.analyses.worst_loop.cells import Covered, cover
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, PointsLeft
+from dssc_jax.analyses.worst_loop.readouts import joint
+from dssc_jax.analyses.worst_loop.search import Worst, radii_of, worst_values
+
+
+class JointCase(NamedTuple):
+    """The worst disk margin of all commands at once.
+
+    Args:
+        channels: Names of the channels whose commands are perturbed.
+        names: Numbers that it depends on.
+        drawn: Worst of the draws; 0: a loop is unstable.
+        found: Worst found in the box.
+        numbers: The numbers that have it, by name.
+        frequency: The critical frequency there [rad/s].
+        factors: The factors of the commands with which that loop oscillates, shape (channels,).
+        bounded: Margin that holds on all of the box; NaN: none.
+        cells: Cells computed.
+    """
+
+    channels: tuple[str, ...]
+    names: tuple[str, ...]
+    drawn: float
+    found: float
+    numbers: dict[str, float]
+    frequency: float
+    factors: np.ndarray
+    bounded: float
+    cells: int
+
+
+def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> JointMargins:
+    """The disk margins of loops, with the balanced bound; 0 where a loop is unstable.
+
+    Args:
+        matrices: [[A, B], [C, 0]], shape (n, states + channels, states + channels).
+        channels: Columns of B.
+        sample_time: T_s [s].
+    """
+    count = len(matrices)
+    result = JointMargins(
+        np.zeros(count), np.zeros(count), np.full(count, np.nan), np.full((count, channels), np.nan, complex)
+    )
+    stable = radii_of(matrices, channels) < 1.0
+    if stable.any():
+        a = matrices[stable, :-channels, :-channels]
+        loops = JointLoops(a, matrices[stable, :-channels, -channels:], matrices[stable, -channels:, :-channels])
+        found = joint_margins(loops, np.linalg.eigvals(a), sample_time, balanced_bounds)
+        for whole, part in zip(result, found, strict=True):
+            whole[stable] = part
+    return result
+
+
+def worst_joint_margin(evaluate: Evaluate, sides: int, channels: int, sample_time: float, left: PointsLeft) -> Worst:
+    """The worst margin found in the box, and its point."""
+
+    def values_at(points: np.ndarray) -> np.ndarray:
+        return margins_of(evaluate(points), channels, sample_time).found[:, None]
+
+    return worst_values(values_at, np.negative, sides, left)[0]
+
+
+def bounded_joint_margin(
+    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, left: PointsLeft
+) -> Covered:
+    """A bound of mu on all of the box.
+
+    Args:
+        evaluate: The loops; that in the middle of the box is stable.
+        sides: Number of coordinates.
+        channels: Number of commands.
+        goal: A bound that is good enough.
+        cells: Largest number of cells.
+        left: Number of points that may still be evaluated.
+    """
+    ones = np.ones(sides)
+    return cover(evaluate, (-ones, ones), np.array([goal]), cells, left, joint(channels))
+
+
+def joint_case(
+    broken: BrokenFamily,
+    channels: tuple[str, ...],
+    drawn: np.ndarray,
+    sample_time: float,
+    gap: float,
+    cells: int,
+    points: int,
+) -> JointCase:
+    """The worst disk margin of all commands at once.
+
+    Args:
+        broken: The loops, broken at these commands.
+        channels: Names of the channels.
+        drawn: Loops of the draws, shape (n, states + channels, states + channels).
+        sample_time: T_s [s].
+        gap: Ratio of bound and value found at which the search for a better bound ends.
+        cells: Largest number of cells.
+        points: Largest number of points to linearise.
+    """
+    sides = len(broken.sides)
+    count = len(channels)
+    left = broken.family.allowance(points)
+    worst = worst_joint_margin(broken.at, sides, count, sample_time, broken.family.allowance(points // 3))
+    at_worst = margins_of(broken.at(worst.point[None]), count, sample_time)
+    covered = Covered(np.array([np.inf]), 0)
+    if worst.value > 0.0:
+        covered = bounded_joint_margin(broken.at, sides, count, gap / worst.value, cells, left)
+    bounded = 1.0 / covered.gains[0] if covered.stable else np.nan
+    return JointCase(
+        channels=channels,
+        names=broken.names,
+        drawn=float(margins_of(drawn, count, sample_time).found.min()),
+        found=worst.value,
+        numbers=broken.numbers(worst.point),
+        frequency=float(at_worst.frequency[0]),
+        factors=at_worst.factors[0],
+        bounded=float(bounded),
+        cells=covered.cells,
+    )

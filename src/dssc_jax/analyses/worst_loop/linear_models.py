@@ -1,0 +1,117 @@
+"""The linearised loop on parts of the box as a linear function of its numbers, with a bound of the deviations."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import schur
+
+from dssc_jax.analyses.worst_loop.family import Evaluate
+
+WIDENED = 1.5
+"""Multiple of the measured deviations from a linear dependence, for those between the points of measurement."""
+CORNERED = 4  # numbers up to which the deviations are measured at all corners and edges
+RANDOM_CORNERS = 32  # of a box with more numbers
+MOST_PARALLEL = 1e6  # condition number of the modes
+
+
+class LinearModel(NamedTuple):
+    """[[A, B], [C, 0]] on a part of the box as centre + sum of u_i slopes_i, up to ``deviation`` entry by entry.
+
+    The states are the modes in the middle.
+
+    Args:
+        centre: [[A, B], [C, 0]] in the middle, shape (m, m).
+        slopes: Shape (sides, m, m).
+        deviation: Shape (m, m).
+        bends: The part of the deviation along each side, shape (sides, m, m).
+    """
+
+    centre: np.ndarray
+    slopes: np.ndarray
+    deviation: np.ndarray
+    bends: np.ndarray
+
+
+def pattern(sides: int) -> np.ndarray:
+    """Points of [-1, 1]^sides at which deviations are measured, shape (n, sides).
+
+    The centre, the middles of faces and the points halfway to them come first. With few sides all corners and edges
+    follow, else the corners of each pair of sides and random corners.
+    """
+    unit = np.eye(sides)
+    points = [np.zeros((1, sides)), unit, -unit, 0.5 * unit, -0.5 * unit]
+    if sides <= CORNERED:
+        steps = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=sides)))
+        points.append(steps[np.count_nonzero(steps, axis=1) >= max(2, sides - 1)])
+    else:
+        for i, j in itertools.combinations(range(sides), 2):
+            points += [unit[[i]] + unit[[j]], unit[[i]] - unit[[j]], unit[[j]] - unit[[i]], -unit[[i]] - unit[[j]]]
+        points.append(np.random.default_rng(0).choice([-1.0, 1.0], (RANDOM_CORNERS, sides)))
+    return np.concatenate(points)
+
+
+class LinearModels:
+    """The linear models on parts of the box, each computed once.
+
+    Args:
+        evaluate: The loop at points of the box.
+        channels: Columns of B.
+    """
+
+    def __init__(self, evaluate: Evaluate, channels: int) -> None:
+        self.evaluate = evaluate
+        self.channels = channels
+        self.models: dict[bytes, LinearModel] = {}
+
+    def on(self, lows: np.ndarray, highs: np.ndarray) -> list[LinearModel]:
+        """The model of each part of the box; the loop is evaluated once for all parts that are new.
+
+        Args:
+            lows: Lower corners, shape (n, sides).
+            highs: Upper corners.
+        """
+        keys = [low.tobytes() + high.tobytes() for low, high in zip(lows, highs, strict=True)]
+        fresh = {key: index for index, key in enumerate(keys) if key not in self.models}
+        if fresh:
+            indices = list(fresh.values())
+            points = pattern(lows.shape[1])
+            middle = 0.5 * (lows + highs)[indices, None]
+            half = 0.5 * (highs - lows)[indices, None]
+            located = middle + half * points
+            matrices = self.evaluate(located.reshape(-1, located.shape[-1]))
+            for key, matrices_there in zip(fresh, np.split(matrices, len(indices)), strict=True):
+                self.models[key] = linear_model(points, matrices_there, self.channels)
+        return [self.models[key] for key in keys]
+
+
+def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> LinearModel:
+    """The linear model on a part of the box.
+
+    Args:
+        points: Those of :func:`pattern`, at which deviations are measured, shape (n, sides).
+        matrices: The loop there, shape (n, m, m).
+        channels: Columns of B.
+    """
+    sides = points.shape[1]
+    matrices = modal(matrices, channels)
+    centre = matrices[0]
+    slopes = 0.5 * (matrices[1 : 1 + sides] - matrices[1 + sides : 1 + 2 * sides])
+    deviations = np.abs(matrices - centre - np.einsum("ni,ijk->njk", points, slopes))
+    bends = np.maximum(deviations[1 : 1 + sides], 4.0 * deviations[1 + 2 * sides : 1 + 3 * sides])
+    deviation = np.maximum(deviations.max(axis=0), bends.sum(axis=0))
+    return LinearModel(centre, slopes, WIDENED * deviation, bends)
+
+
+def modal(matrices: np.ndarray, channels: int) -> np.ndarray:
+    """[[A, B], [C, 0]] in the modes of the first A, or in its Schur vectors where modes are nearly parallel."""
+    a = matrices[0, :-channels, :-channels]
+    if not np.all(np.isfinite(a)):
+        return matrices.astype(complex)
+    vectors = np.linalg.eig(a)[1]
+    if np.linalg.cond(vectors) > MOST_PARALLEL:
+        vectors = schur(a, output="complex")[1]
+    result = matrices.astype(complex)
+    result[:, :-channels] = np.linalg.solve(vectors, result[:, :-channels])
+    result[:, :, :-channels] = result[:, :, :-channels] @ vectors
+    return result
