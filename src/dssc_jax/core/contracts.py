@@ -78,6 +78,14 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
     return state
 
 
+Begin: TypeAlias = Callable[[Params, State, Scalar, int], State]
+"""``(params, state, lane, steps) -> state`` at t = 0, which binds a part's state to an object of its own outside of JAX.
+
+``lane`` is a word that is traced for each draw, ``steps`` the number of steps of the flight. A part that has this keeps
+its state in that object: each step must be made once, in order. What makes steps otherwise refuses the part by name.
+"""
+
+
 class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
@@ -116,6 +124,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
+        advance: ``(params, state, input, t, h) -> state`` after a step h, over which the plant holds the input and which
+            it makes by itself. None: the loop makes the steps from ``linear`` or ``derivative``.
+        begin: See :data:`Begin`; None: the state is all that there is.
+        native: As in :class:`Controller`.
     """
 
     params: type
@@ -141,6 +153,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     software: Onboard | None = None
     estimation: Estimation | None = None
+    advance: Callable[[Params, State, PlantInput[Signal], Scalar, float], State] | None = None
+    begin: Begin | None = None
+    native: str = ""
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
@@ -186,6 +201,8 @@ class Controller(NamedTuple):
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
         native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
+        begin: See :data:`Begin`; None: the state is all that there is.
+        takes_rate: Whether it takes y'; None: trial steps tell.
     """
 
     gains: type
@@ -203,6 +220,8 @@ class Controller(NamedTuple):
     limit: str = ""
     info: type | None = None
     native: str = ""
+    begin: Begin | None = None
+    takes_rate: bool | None = None
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
         """Names of the usual gains, dotted within the controller's table."""

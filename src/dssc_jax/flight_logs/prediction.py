@@ -13,6 +13,7 @@ from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.engine.evaluation import require_steps_in_any_order
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.replay import median_values
@@ -63,6 +64,8 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     """
     fixed = quiet_values(study) if quiet else median_values(study)
     sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
+
+    require_steps_in_any_order(study, "the prediction of a logged flight")
 
     def outputs(values: jax.Array, commands: jax.Array, index: jax.Array | int) -> jax.Array:
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]
