@@ -113,8 +113,7 @@ class Fmi2Calls(FmiCalls):
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
         identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        options = {"guid": described.guid, "unzipDirectory": str(folder), "requireFunctions": False}
-        slave = modules.fmi2.FMU2Slave(modelIdentifier=identifier, **options)
+        slave = modules.fmi2.FMU2Slave(guid=described.guid, unzipDirectory=str(folder), modelIdentifier=identifier)
         functions = slave.dll
         self._slave = slave
         self._guid = described.guid.encode()
@@ -167,11 +166,11 @@ class Fmi3Calls(FmiCalls):
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
         identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        options = {"guid": described.guid, "unzipDirectory": str(folder), "requireFunctions": False}
-        slave = modules.fmi3.FMU3Slave(modelIdentifier=identifier, **options)
+        token = described.guid  # FMPy's name of the instantiation token
+        slave = modules.fmi3.FMU3Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
         functions = slave.dll
         self._slave = slave
-        self._token = described.guid.encode()  # FMPy's name of the instantiation token
+        self._token = token.encode()
         self._resources = f"{folder / 'resources'}/".encode()
         self._said = modules.fmi3.fmi3LogMessageCallback(self.note)
         self._update = modules.fmi3.fmi3IntermediateUpdateCallback()

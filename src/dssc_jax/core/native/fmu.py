@@ -160,7 +160,7 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
         unpacked = place / "unpacked"
         modules.package.extract(str(archive), unzipdir=str(unpacked))
     except Exception as error:  # FMPy raises errors of many kinds
-        raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_line(error)}") from None
+        raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
     version = required_version(path, described)
     require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
     variables = {}
@@ -175,7 +175,7 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
     try:
         calls = VERSIONS[version](unpacked, described)
     except Exception as error:  # of the system's loader, or of FMPy
-        raise ConfigError("file", f"'{path}' cannot be loaded: {first_line(error)}") from None
+        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
     experiment = described.defaultExperiment
     step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
     return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls, folder)
@@ -260,10 +260,10 @@ def readable_unit(text: str) -> str:
     return unit
 
 
-def first_line(error: BaseException) -> str:
-    """The first line of an error's text."""
+def first_lines(error: BaseException) -> str:
+    """The first two lines of an error's text, in one; validation names the rule in the second."""
     lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
+    return " ".join(line.strip() for line in lines[:2]) or type(error).__name__
 
 
 def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
