@@ -6,7 +6,8 @@ FMI 2.0 and 3.0.
 
 import subprocess
 import zipfile
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -36,8 +37,11 @@ class Source:
         start: C that begins at t = 0; ``r`` are the values of the variables.
         step: C that makes a step of length ``h`` at ``t``; returns a status.
         state: C of the instance's further members.
+        statics: C of variables that all instances share.
+        version: Version of FMI.
         attributes: Attributes of co-simulation in the description.
         interface: The element of the interface.
+        platform: Folder of its library; empty: that of this machine.
     """
 
     name: str
@@ -50,7 +54,6 @@ class Source:
     attributes: str = 'canHandleVariableCommunicationStepSize="true"'
     interface: str = "CoSimulation"
     platform: str = ""
-    units: tuple[str, ...] = field(default=())
 
 
 MASS = Source(
@@ -208,15 +211,17 @@ def description(source: Source) -> str:
         if source.version == "2.0":
             discrete = variability if variable.kind == "Real" else variability.replace("continuous", "discrete")
             inner = inner if variable.kind == "Real" else (" start='0'" if variable.start is not None else "")
-            rows.append(
-                f"<ScalarVariable {named} variability='{discrete}'><{variable.kind}{inner}/></ScalarVariable>"
-            )
+            rows.append(f"<ScalarVariable {named} variability='{discrete}'><{variable.kind}{inner}/></ScalarVariable>")
             outputs.append(f"<Unknown index='{place + 1}'/>" if variable.causality == "output" else "")
         else:
             rows.append(f"<Float64 {named} variability='{variability}'{inner}/>")
             outputs.append(f"<Output valueReference='{place}'/>" if variable.causality == "output" else "")
     token = "guid" if source.version == "2.0" else "instantiationToken"
     found = "".join(outputs)
+    if source.version == "3.0":
+        rows.append(
+            f"<Float64 name='time' valueReference='{len(rows)}' causality='independent' variability='continuous'/>"
+        )
     outputs_text = f"<Outputs>{found}</Outputs>" if source.version == "2.0" else found
     return (
         f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription {head} {token}="{{1}}">{interface}'
@@ -225,8 +230,8 @@ def description(source: Source) -> str:
     )
 
 
-def built(place: Path, source: Source) -> Path:
-    """The file of an FMU, built in a folder."""
+def built(place: Path, source: Source, text: Callable[[str], str] = str) -> Path:
+    """The file of an FMU, built in a folder; ``text`` changes its description."""
     folder = place / f"{source.name}_{source.version}_source"
     folder.mkdir(exist_ok=True)
     (folder / "model.c").write_text(code(source))
@@ -234,7 +239,7 @@ def built(place: Path, source: Source) -> Path:
     subprocess.run([*COMPILE, "-o", str(library), str(folder / "model.c"), "-lm"], check=True)
     file = place / f"{source.name}.fmu"
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("modelDescription.xml", description(source))
+        archive.writestr("modelDescription.xml", text(description(source)))
         archive.write(library, f"binaries/{source.platform or PLATFORMS[source.version]}/{source.name}.so")
     return file
 

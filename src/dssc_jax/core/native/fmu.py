@@ -1,7 +1,9 @@
 """An FMU's description and library, checked before anything is connected to it."""
 
+import atexit
 import re
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,6 +20,11 @@ if TYPE_CHECKING:
 
 ZIP = b"PK\x03\x04"
 """The first bytes of an FMU, which is a zip archive."""
+
+UNPACKED = ExitStack()
+"""The folders of FMUs, which their libraries may read as long as the process runs."""
+
+atexit.register(UNPACKED.close)
 
 REAL_TYPES = ("Real", "Float64")
 """Names of the type of numbers that can be connected, in FMI 2.0 and 3.0."""
@@ -63,7 +70,6 @@ class NativeFmu:
         others: Type, and shape if it is an array, of every other variable by name.
         step_size: The step of its default experiment [s]; None: it states none.
         calls: The functions of its library.
-        folder: Where it is unpacked, as long as the process runs.
     """
 
     file: str
@@ -74,7 +80,6 @@ class NativeFmu:
     others: Mapping[str, str] = field(compare=False)
     step_size: float | None
     calls: FmiCalls = field(compare=False, repr=False)
-    folder: "TemporaryDirectory[str]" = field(compare=False, repr=False)
 
     def __hash__(self) -> int:
         return hash(self.sha256)
@@ -150,18 +155,27 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
         ConfigError: FMPy is missing, or the FMU cannot be run here: it is damaged, has no co-simulation, another version
             of FMI, or no library for this machine, or a process may have only one instance of it.
     """
+    with ExitStack() as stack:
+        place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
+        found = unpacked_fmu(path, content, digest, place)
+        UNPACKED.push(stack.pop_all())
+    return found
+
+
+def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> NativeFmu:
+    """Unpack an FMU into a folder and load its library; further arguments and errors as for :func:`loaded_fmu`."""
     modules = fmpy()
-    folder = TemporaryDirectory(prefix="dssc-jax-fmu-")
-    place = Path(folder.name)
     archive = place / "archive.fmu"
     files.write_bytes(archive, content, durable=False)
+    unpacked = place / "unpacked"
     try:
-        described = modules.package.read_model_description(str(archive))
-        unpacked = place / "unpacked"
         modules.package.extract(str(archive), unzipdir=str(unpacked))
+        version = required_version(path, modules.package.read_model_description(str(unpacked), validate=False))
+        described = modules.package.read_model_description(str(unpacked))
+    except ConfigError:
+        raise
     except Exception as error:  # FMPy raises errors of many kinds
         raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
-    version = required_version(path, described)
     require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
     variables = {}
     others = {}
@@ -178,7 +192,7 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
         raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
     experiment = described.defaultExperiment
     step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
-    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls, folder)
+    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls)
 
 
 def required_version(path: Path, described: "ModelDescription") -> str:
