@@ -1,4 +1,4 @@
-"""FMUs as plant and controller: the loop of the package's own models, for every draw, in any order; refusals by name."""
+"""FMUs as plant and controller: the loop of the package's own models, for every draw; refusals by name."""
 
 import ctypes
 import json
@@ -264,7 +264,7 @@ def test_units_and_meanings_are_those_of_the_fmu(study):
 
 
 def test_substeps_and_a_lag(mass):
-    """A lag between controller and FMU: its mean over each step reaches the FMU; more steps come nearer to the exact."""
+    """The mean of a lag over each step reaches the FMU; more steps come nearer to the exact solution."""
     lag = {"kind": "lag", "mu": 0.05}
     pid = {**OWN_PID, "k_p": 5.0, "k_d": 2.0}
     plain = {"reference": {"kind": "zero"}, "disturbance": {"kind": "none"}, "unmodelled": lag}
@@ -485,7 +485,7 @@ def test_what_needs_more_than_steps_is_refused_by_name(study, mass):
     steep = GradientEvaluator(study, {}, 8, names=["controller.parameters.k_p"])
     with pytest.raises(ConfigError, match=r"plant: is native code .* no derivative passes"):
         steep(np.zeros(1, int), {name: np.ones(1) for name in study.laws})
-    with pytest.raises(ConfigError, match="loop.precision: must be 64, the precision of FMUs"):
+    with pytest.raises(ConfigError, match=r"loop.precision: must be 64, the precision of FMUs"):
         results(study.override({"loop.precision": 32}), drawn(study, slice(0, DRAWS)))
 
 

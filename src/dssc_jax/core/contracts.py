@@ -79,7 +79,7 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
 
 
 Begin: TypeAlias = Callable[[Params, State, Scalar, int], State]
-"""``(params, state, lane, steps) -> state`` at t = 0, which binds a part's state to an object of its own outside of JAX.
+"""``(params, state, lane, steps) -> state`` at t = 0, which binds a part's state to an object outside of JAX.
 
 ``lane`` is a word that is traced for each draw, ``steps`` the number of steps of the flight. A part that has this keeps
 its state in that object: each step must be made once, in order. What makes steps otherwise refuses the part by name.
@@ -124,8 +124,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
-        advance: ``(params, state, input, t, h) -> state`` after a step h, over which the plant holds the input and which
-            it makes by itself. None: the loop makes the steps from ``linear`` or ``derivative``.
+        advance: ``(params, state, input, t, h) -> state`` after a step h with the input held, which the plant makes by
+            itself. None: the loop makes the steps from ``linear`` or ``derivative``.
         begin: See :data:`Begin`; None: the state is all that there is.
         native: As in :class:`Controller`.
     """

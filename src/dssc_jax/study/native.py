@@ -16,7 +16,7 @@ SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compa
 
 
 class NativeFile(NamedTuple):
-    """A shared object or an FMU as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
+    """Native code as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
 
     file: str
     sha256: str

@@ -1,7 +1,7 @@
 """Native code that this process may run, by the digest of its content: shared objects and FMUs.
 
-Nothing here loads a file by itself: whoever calls :func:`allow_native` has decided to run its code. A study names native
-code by its digest, so that no other file can take its place.
+Nothing here loads a file by itself: whoever calls :func:`allow_native` has decided to run its code. A study names
+native code by its digest, so that no other file can take its place.
 """
 
 import hashlib

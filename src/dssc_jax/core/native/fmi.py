@@ -107,16 +107,17 @@ class Fmi2Calls(FmiCalls):
 
     Args:
         folder: The unpacked FMU.
-        described: Its description.
+        described: Its description, which has co-simulation.
     """
 
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
         identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        slave = modules.fmi2.FMU2Slave(guid=described.guid, unzipDirectory=str(folder), modelIdentifier=identifier)
+        token = described.guid or ""
+        slave = modules.fmi2.FMU2Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
         functions = slave.dll
         self._slave = slave
-        self._guid = described.guid.encode()
+        self._guid = token.encode()
         self._resources = (folder / "resources").as_uri().encode()
         self._said = modules.fmi2.fmi2CallbackLoggerTYPE(self.note)
         self._callbacks = modules.fmi2.fmi2CallbackFunctions()
@@ -160,13 +161,13 @@ class Fmi3Calls(FmiCalls):
 
     Args:
         folder: The unpacked FMU.
-        described: Its description.
+        described: Its description, which has co-simulation.
     """
 
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
         identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        token = described.guid  # FMPy's name of the instantiation token
+        token = described.guid or ""  # FMPy's name of the instantiation token
         slave = modules.fmi3.FMU3Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
         functions = slave.dll
         self._slave = slave
@@ -222,5 +223,5 @@ class Fmi3Calls(FmiCalls):
         self._slave.fmi3FreeInstance(instance)
 
 
-VERSIONS: dict[str, type[FmiCalls]] = {"2.0": Fmi2Calls, "3.0": Fmi3Calls}
+VERSIONS: dict[str, Callable[[Path, "ModelDescription"], FmiCalls]] = {"2.0": Fmi2Calls, "3.0": Fmi3Calls}
 """The calls of each version of FMI that can be run; of 3.0.1 too, whose number begins with 3.0."""

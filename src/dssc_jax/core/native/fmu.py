@@ -152,8 +152,8 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
         digest: Digest of the content.
 
     Raises:
-        ConfigError: FMPy is missing, or the FMU cannot be run here: it is damaged, has no co-simulation, another version
-            of FMI, or no library for this machine, or a process may have only one instance of it.
+        ConfigError: FMPy is missing, or the FMU cannot be run here: it is damaged, has no co-simulation, another
+            version of FMI, or no library for this machine, or a process may have only one instance of it.
     """
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
@@ -170,12 +170,13 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
     unpacked = place / "unpacked"
     try:
         modules.package.extract(str(archive), unzipdir=str(unpacked))
-        version = required_version(path, modules.package.read_model_description(str(unpacked), validate=False))
+        version = required_version(path, files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace"))
         described = modules.package.read_model_description(str(unpacked))
     except ConfigError:
         raise
     except Exception as error:  # FMPy raises errors of many kinds
         raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
+    require_co_simulation(path, described)
     require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
     variables = {}
     others = {}
@@ -195,16 +196,26 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
     return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls)
 
 
-def required_version(path: Path, described: "ModelDescription") -> str:
-    """The FMU's version of FMI, of those that can be run.
+def required_version(path: Path, text: str) -> str:
+    """The version of FMI in the text of a description, of those that can be run.
 
     Raises:
-        ConfigError: It is another one, or the FMU cannot be run as it is.
+        ConfigError: It is another one.
     """
-    written = described.fmiVersion or ""
+    found = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
+    written = found[1] if found else "none"
     version = next((known for known in VERSIONS if written.startswith(known)), None)
     if version is None:
         raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {written}")
+    return version
+
+
+def require_co_simulation(path: Path, described: "ModelDescription") -> None:
+    """Require that an FMU has a solver of its own, and may have many instances.
+
+    Raises:
+        ConfigError: It has not, or may not.
+    """
     simulation = described.coSimulation
     if simulation is None:
         kinds = {"model exchange": described.modelExchange, "scheduled execution": described.scheduledExecution}
@@ -216,7 +227,6 @@ def required_version(path: Path, described: "ModelDescription") -> str:
         raise ConfigError("file", f"'{path}' {rule}; export it without global variables")
     if simulation.needsExecutionTool:
         raise ConfigError("file", f"'{path}' needs the tool that made it; export it with all that it runs")
-    return version
 
 
 def require_library(path: Path, described: "ModelDescription", unpacked: Path, *platforms: str) -> None:

@@ -5,8 +5,8 @@ steps that were made. A step is made only from the number that its instance has 
 or left out unseen. The instance begins at the start of the draw, with the draw's parameters, and no other lane has its
 handle. So a draw's numbers depend neither on other draws nor on the order or the number of threads in which they run.
 
-An instance that fails, or that gets an input that is not finite, is freed; all its further outputs are NaN, and the draw
-ends as one that diverges.
+An instance that fails, or that gets an input that is not finite, is freed; all its further outputs are NaN, and the
+draw ends as one that diverges.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import chain
+from itertools import product
 from math import inf, isfinite, nan
 
 import jax
@@ -48,6 +48,9 @@ REAL = np.dtype(np.float64)
 TRIED_STEPS = 64
 TRIED_STEP = 0.01
 """Length of the steps of a trial if the FMU states none [s]."""
+
+Words = tuple[jax.Array, jax.Array]
+"""What a lane carries: the handle and the number of steps made."""
 
 FAULTS: list[str] = []
 """What went wrong in this process that no outcome of a draw can tell."""
@@ -244,7 +247,7 @@ class FmuFunctions:
         self._start = foreign_function(ports, "start", 2, len(ports.parameters), outputs)
         self._step = foreign_function(ports, "step", 3, len(ports.inputs), outputs)
 
-    def start(self, lane: Scalar, steps: int, parameters: Sequence[Scalar]) -> tuple[tuple[Scalar, ...], list[Scalar]]:
+    def start(self, lane: Scalar, steps: int, parameters: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
         """The words of a new draw, its handle and the steps made, and its outputs at t = 0.
 
         Args:
@@ -255,12 +258,10 @@ class FmuFunctions:
         Raises:
             ConfigError: The loop does not compute in 64 bits.
         """
-        handle, made, *outputs = called(self._start, lane, np.uint32(steps), *parameters)
+        handle, made, *outputs = called(self._start, lane, jnp.uint32(steps), *parameters)
         return (handle, made), outputs
 
-    def step(
-        self, words: Sequence[Scalar], h: Scalar, inputs: Sequence[Scalar]
-    ) -> tuple[tuple[Scalar, ...], list[Scalar]]:
+    def step(self, words: Sequence[Scalar], h: Scalar, inputs: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
         """The words after a step, and the outputs.
 
         Args:
@@ -304,7 +305,7 @@ def called(function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
     return call(function, *operands)
 
 
-def no_words() -> tuple[jax.Array, jax.Array]:
+def no_words() -> Words:
     """The words of a state that has no instance yet."""
     return jnp.uint32(NO_INSTANCE), jnp.uint32(0)
 
@@ -341,7 +342,7 @@ def tried_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
             running[flight] = calls.instantiate(f"trial {flight}")
             calls.initialise(running[flight])
         ended: set[int] = set()
-        for k, flight in chain.from_iterable(((k, flight) for flight in flights) for k in range(TRIED_STEPS)):
+        for k, flight in product(range(TRIED_STEPS), flights):
             if flight in ended:
                 continue
             signals = np.cos(np.arange(1.0, 1.0 + len(inputs)) * (0.1 * k + flight + 1.0))

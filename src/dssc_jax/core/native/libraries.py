@@ -39,8 +39,8 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
         digest: Digest of the content.
 
     Raises:
-        ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of its
-            structure.
+        ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
+            its structure.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         copy = Path(folder) / f"{digest}.so"
