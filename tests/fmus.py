@@ -165,8 +165,8 @@ API int fmi3DoStep(void *c, double t, double h, bool n, bool *e, bool *q, bool *
 
 UNUSED = {
     "2.0": "CancelStep DeSerializeFMUstate FreeFMUstate GetBoolean GetBooleanStatus GetDirectionalDerivative "
-    "GetFMUstate GetInteger GetIntegerStatus GetRealOutputDerivatives GetRealStatus GetStatus GetString GetStringStatus "
-    "SerializeFMUstate SerializedFMUstateSize SetBoolean SetDebugLogging SetFMUstate SetInteger "
+    "GetFMUstate GetInteger GetIntegerStatus GetRealOutputDerivatives GetRealStatus GetStatus GetString "
+    "GetStringStatus SerializeFMUstate SerializedFMUstateSize SetBoolean SetDebugLogging SetFMUstate SetInteger "
     "SetRealInputDerivatives SetString",
     "3.0": "ActivateModelPartition CompletedIntegratorStep DeserializeFMUState EnterConfigurationMode "
     "EnterContinuousTimeMode EnterEventMode EnterStepMode EvaluateDiscreteStates ExitConfigurationMode FreeFMUState "

@@ -333,10 +333,7 @@ def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...],
 
 
 def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
-    """Advance a plant without a linear part: by its own steps, or else by the loop's fixed-step method.
-
-    ``observe`` sees each tick on board.
-    """
+    """Advance a plant by its own steps or the loop's fixed-step method; ``observe`` sees each tick on board."""
     h = parts.sample_time / parts.substeps
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []

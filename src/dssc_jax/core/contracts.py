@@ -14,6 +14,7 @@ from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
+from dssc_jax.core.outside_state import Begin
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
 from dssc_jax.core.setting import LoopSetting
@@ -78,14 +79,6 @@ def ignore_sample(params: Params, state: State, command: Scalar, key: jax.Array,
     return state
 
 
-Begin: TypeAlias = Callable[[Params, State, Scalar, int], State]
-"""``(params, state, lane, steps) -> state`` at t = 0, which binds a part's state to an object outside of JAX.
-
-``lane`` is a word that is traced for each draw, ``steps`` the number of steps of the flight. A part that has this keeps
-its state in that object: each step must be made once, in order. What makes steps otherwise refuses the part by name.
-"""
-
-
 class Plant(NamedTuple, Generic[Output, Signal]):
     """A plant of relative degree two from each command to its output.
 
@@ -126,7 +119,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
         advance: ``(params, state, input, t, h) -> state`` after a step h with the input held, which the plant makes by
             itself. None: the loop makes the steps from ``linear`` or ``derivative``.
-        begin: See :data:`Begin`; None: the state is all that there is.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
         native: As in :class:`Controller`.
     """
 
@@ -201,7 +194,7 @@ class Controller(NamedTuple):
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
         native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
-        begin: See :data:`Begin`; None: the state is all that there is.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
         takes_rate: Whether it takes y'; None: trial steps tell.
     """
 
