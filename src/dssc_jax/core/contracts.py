@@ -117,8 +117,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
-        advance: ``(params, state, input, t, h) -> state`` after a step h with the input held, which the plant makes by
-            itself. None: the loop makes the steps from ``linear`` or ``derivative``.
+        advance: ``(params, state, input, t, h) -> state`` after its own step h, input held; None: the loop's steps.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
         native: As in :class:`Controller`.
     """
