@@ -6,6 +6,7 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import as_arrays, control, initial_control, measure
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import condition_at
+from dssc_jax.core.named import signals_in
 from dssc_jax.core.signals import Info, PlantInput, Signals
 
 
@@ -42,4 +43,4 @@ def fields_of(info: Info, part: str) -> tuple[str, ...]:
     if not hasattr(info, "_fields") and info != ():
         rule = f"reports a {type(info).__name__} as its info; must be a NamedTuple, or () for nothing to report"
         raise ConfigError(part, rule)
-    return getattr(info, "_fields", ())
+    return tuple(signals_in(info))

@@ -3,6 +3,7 @@
 import jax
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.named import signals_in
 from dssc_jax.core.signals import Measurement, Measurements, PlantInput, Scalar, Signals, State
 
 STATE = "x"
@@ -28,8 +29,7 @@ def signal_values(
         prefix = f"{channel}_" if channel else ""
         values |= {f"{prefix}y": measurement.y, f"{prefix}y_dot": measurement.y_dot}
     values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(plant), start=1)}
-    report = loop.mimo_plant.monitor(params.plant, plant, drive)
-    values |= report._asdict() if report else {}
+    values |= signals_in(loop.mimo_plant.monitor(params.plant, plant, drive))
     return tuple(values[signal.name] for signal in loop.measures)
 
 

@@ -18,7 +18,7 @@ from dssc_jax.closed_loop.metrics import (
     total,
 )
 from dssc_jax.closed_loop.window import Window
-from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.named import NamedSignal, signals_in
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.units import ChannelUnits
@@ -67,7 +67,7 @@ def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
 
 def of_plant(field: str) -> Callable[[Instant], Scalar]:
     """What the plant reports: one of its named outputs."""
-    return lambda instant: getattr(instant.plant, field)
+    return lambda instant: signals_in(instant.plant)[field]
 
 
 def of_reading(index: int) -> Callable[[Instant], Scalar]:

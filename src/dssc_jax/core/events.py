@@ -113,11 +113,9 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
     An event that begins within a sample therefore acts with its mean, as a signal that is held.
     """
     rise = getattr(params, "rise", None)
-    share = (ramp_integral(t + dt - params.at, rise) - ramp_integral(t - params.at, rise)) / dt
     until = getattr(params, "until", None)
-    if until is not None:
-        share = share * (1.0 - (ramp_integral(t + dt - until, None) - ramp_integral(t - until, None)) / dt)
-    return share
+    end = t + dt if until is None else jnp.clip(until, t, t + dt)
+    return (ramp_integral(end - params.at, rise) - ramp_integral(t - params.at, rise)) / dt
 
 
 def condition_at(

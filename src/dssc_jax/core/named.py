@@ -3,11 +3,12 @@
 from collections import namedtuple
 from collections.abc import Mapping
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.signals import Info
 
 Item = TypeVar("Item")
 
@@ -53,6 +54,20 @@ def __getattr__(name: str) -> type:
     if first != REPORT or not all(names):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return report_type(tuple(names))
+
+
+def signals_in(info: Info) -> dict[str, Any]:
+    """The signals of an info by name: its fields, and those of a part that declares quantities in place of the part.
+
+    A part that is () is left out, and an info that is () has no signal.
+    """
+    found = {}
+    for name, value in zip(getattr(info, "_fields", ()), info, strict=True):
+        if hasattr(value, "_fields") and quantities_of(type(value)):
+            found |= signals_in(value)
+        elif not isinstance(value, tuple) or value:
+            found[name] = value
+    return found
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:

@@ -12,9 +12,9 @@ from dssc_jax.closed_loop.draw import Run, simulate_recorded
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.sample import Recorded
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, nominal, quantities_of
-from dssc_jax.core.signals import Info
 from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.linearisation.margin_values import margin_values
@@ -177,19 +177,14 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
             "sigma_measured": sample.sigma_measured,
             "u": sample.u,
             "u_total": sample.u_total,
-            **info_signals(sample.info),
+            **signals_in(sample.info),
         }
         columns |= {f"{channel}_{name}" if channel else name: values for name, values in signals.items()}
     for signal, values in zip(study.loop.measures, instant.measured, strict=True):
         columns[f"measured_{signal.name}"] = values
-    for name, values in info_signals(instant.plant).items():
+    for name, values in signals_in(instant.plant).items():
         columns |= tuple_columns(name, values) if isinstance(values, tuple) else {name: values}
     return columns
-
-
-def info_signals(info: Info) -> dict[str, np.ndarray]:
-    """The signals of an info by name; none of an empty tuple."""
-    return info._asdict() if hasattr(info, "_asdict") else {}
 
 
 def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.ndarray]:

@@ -100,12 +100,13 @@ def chained(elements: list[tuple[str, Component]], place: str) -> Component:
         numbers.append(tuple(number.under(f"{place}.{index}", path) for number in part.numbers))
     kind = " + ".join(part.kind for _, part in elements)
     params = tuple(part.params for _, part in elements)
+    series = tuple(Element(part.kind, part.model) for _, part in elements)
     try:
-        model = chain(tuple(Element(part.kind, part.model) for _, part in elements))
+        model = chain(series)
     except ConfigError as error:
         index, _, field = error.where.partition(".")
         raise ConfigError(f"{elements[int(index)][0]}.{field}", error.rule) from None
-    return Component(kind, model, params, tuple(joined(*numbers)))
+    return Component(kind, model, params, tuple(joined(*numbers)), series)
 
 
 def require_one_form(config: StudyTable) -> None:

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, create_model
 
+from dssc_jax.core.chains import Element
 from dssc_jax.core.contracts import Plant, Preset, as_given
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.named import Text
@@ -32,12 +33,16 @@ from dssc_jax.study.tables import merged
 
 @dataclass(frozen=True)
 class Component:
-    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each number."""
+    """A chosen model with its parameters, whose leaves are numbers and laws, and a record of each number.
+
+    Those of a chain of actuators are tuples, one for each of its ``elements``.
+    """
 
     kind: str
     model: Any
     params: Any
     numbers: tuple[Number, ...]
+    elements: tuple[Element, ...] = ()
 
 
 @dataclass(frozen=True)

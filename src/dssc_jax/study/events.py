@@ -84,13 +84,27 @@ def vehicle_events(events: list[Happening], vehicle: Vehicle) -> tuple[Component
     return tuple(found)
 
 
-def moved(numbers: tuple[Number, ...], place: str, inside: str) -> tuple[Number, ...]:
-    """Numbers of a part whose parameters move from a place into a part of it."""
+def moved(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
+    """Numbers of a part whose parameters move from a place to another; numbers of other places stay."""
     after = []
     for number in numbers:
-        paths = tuple(path.replace(f"{place}.", f"{place}.{inside}.", 1) for path in number.paths)
-        after.append(replace(number, paths=paths))
+        paths = []
+        for path in number.paths:
+            inside = path.removeprefix(f"{place}.")
+            paths.append(path if inside == path else f"{destination}.{inside}")
+        after.append(replace(number, paths=tuple(paths)))
     return tuple(after)
+
+
+def behind_first(part: Component, place: str) -> Component:
+    """Unmodelled dynamics as the elements of a chain behind its first one, which is yet to be added."""
+    if not part.elements:
+        numbers = moved(part.numbers, place, f"{place}.1")
+        return replace(part, params=(part.params,), numbers=numbers, elements=(Element(part.kind, part.model),))
+    numbers = part.numbers
+    for index in reversed(range(len(part.elements))):
+        numbers = moved(numbers, f"{place}.{index}", f"{place}.{index + 1}")
+    return replace(part, numbers=numbers)
 
 
 def with_sensor_events(column: list[Component], events: list[Happening], channels: tuple[str, ...]) -> list[Component]:
@@ -110,17 +124,13 @@ def with_sensor_events(column: list[Component], events: list[Happening], channel
                 f"{inner.kind} with {happening.part.kind}",
                 event.wrap(inner.model),
                 Wrapped(inner.params, happening.part.params),
-                (*moved(inner.numbers, place, "inner"), *event_numbers),
+                (*moved(inner.numbers, place, f"{place}.inner"), *event_numbers),
             )
     return column
 
 
 def with_command_events(column: list[Component], events: list[Happening], channels: tuple[str, ...]) -> list[Component]:
-    """The unmodelled dynamics of each channel, with the events that it has behind them.
-
-    Raises:
-        ConfigError: the study has a chain of several actuators already, or two such events in a channel.
-    """
+    """The unmodelled dynamics of each channel, with the events of its command before them."""
     column = list(column)
     for happening in events:
         event = happening.part.model
@@ -135,13 +145,14 @@ def with_command_events(column: list[Component], events: list[Happening], channe
                 event_numbers = tuple(number.under(place, happening.path) for number in happening.part.numbers)
                 column[index] = Component(happening.part.kind, event.model, happening.part.params, event_numbers)
                 continue
-            if " + " in inner.kind:
-                raise ConfigError(
-                    happening.path, "stands behind one actuator at most; the study has a chain of several"
-                )
-            event_numbers = tuple(number.under(f"{place}.1", happening.path) for number in happening.part.numbers)
-            model = chain((Element(inner.kind, inner.model), Element(happening.part.kind, event.model)))
-            params = (inner.params, happening.part.params)
-            kind = f"{inner.kind} + {happening.part.kind}"
-            column[index] = Component(kind, model, params, (*moved(inner.numbers, place, "0"), *event_numbers))
+            actuators = behind_first(inner, place)
+            event_numbers = tuple(number.under(f"{place}.0", happening.path) for number in happening.part.numbers)
+            elements = (Element(happening.part.kind, event.model), *actuators.elements)
+            column[index] = Component(
+                f"{happening.part.kind} + {actuators.kind}",
+                chain(elements),
+                (happening.part.params, *actuators.params),
+                (*event_numbers, *actuators.numbers),
+                elements,
+            )
     return column

@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import errors_under
-from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.named import NamedSignal, signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Params, PlantInput, Scalar
@@ -55,7 +55,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
         drive = PlantInput(command, 0.0, None, quiet)
         measurement = plant.measure(params, state, drive)
         report = plant.monitor(params, state, drive)
-        values = {"y": measurement.y, "y_dot": measurement.y_dot} | (report._asdict() if report else {})
+        values = {"y": measurement.y, "y_dot": measurement.y_dot} | signals_in(report)
         values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(x, start=1)}
         return jnp.stack([jnp.asarray(values[name]) for name in ("y", *measures)])
 

@@ -32,7 +32,13 @@ BASE = {
 
 def test_the_share_is_the_mean_over_the_sample():
     """A step within the sample, an end, and a ramp, against fine sums."""
-    for until, at, t in ((None, 1.003, 1.0), (2.006, 1.0, 2.0), (None, 0.0, 0.0), (None, 5.0, 1.0)):
+    for until, at, t in (
+        (None, 1.003, 1.0),
+        (2.006, 1.0, 2.0),
+        (None, 0.0, 0.0),
+        (None, 5.0, 1.0),
+        (1.007, 1.002, 1.0),
+    ):
         params = RotorParams(at, 1.0, 0.0, until)
         fine = t + 0.01 * (np.arange(10_000) + 0.5) / 10_000
         expected = ((fine >= at) & (fine < (until or np.inf))).mean()
@@ -193,3 +199,21 @@ def test_a_simulated_draw_names_its_events(tmp_path, capsys, monkeypatch):
     settings = ["--set", "loop.duration=8.0", "--set", "draws=4"]
     assert guarded(["simulate", "rotor_loss", "--draw", "1", "--csv", "draw.csv", *settings]) == 0
     assert "event: rotor" in capsys.readouterr().out
+
+
+def test_a_growing_delay_acts_before_the_actuators():
+    """At its longest it is a delay of as many samples, which commutes with the lag and the limit of the rate."""
+    slow = [{"kind": "lag", "mu": 0.05}, {"kind": "rate_limit", "rate": 2.0}]
+    windy = BASE | {"wind": {"kind": "constant", "x": 5.0, "y": 2.0, "z": 0.0}}
+    growing = [{"kind": "growing_delay", "at": 0.0, "rate": 100.0, "memory": 3.0}]
+    study = dj.Study.from_table(windy | {"actuator": slow, "event": growing})
+    found = dj.simulate(study)
+    expected = dj.simulate(dj.Study.from_table(windy | {"actuator": [{"kind": "delay", "samples": 3.0}, *slow]}))
+    assert np.abs(expected["x_y"].values).max() > 0.04
+    np.testing.assert_allclose(found["x_y"].values, expected["x_y"].values, atol=1e-12)
+    paths = {name: study.numbers[name].paths[0] for name in ("event.0.rate", "actuator.0.mu", "actuator.1.rate")}
+    assert paths == {
+        "event.0.rate": "unmodelled.0.0.rate",
+        "actuator.0.mu": "unmodelled.0.1.mu",
+        "actuator.1.rate": "unmodelled.0.2.rate",
+    }

@@ -116,8 +116,10 @@ def test_filter_is_the_dense_one():
     zero = Vec3(0.0, 0.0, 0.0)
     motion = Motion(Vec3(1.0, 2.0, 3.0), Vec3(0.5, -1.0, 0.2), Quaternion(w, x, y, z), zero)
     memory = kalman.start(motion, Random(jax.random.key(3)))
-    rotation = np.array(memory.attitude)[[1, 2, 3, 0]]
-    dense = DenseFilter(sensors, np.array(memory.position), np.array(memory.velocity), Rotation(rotation), stds)
+    rotation = np.array(memory.estimate.attitude)[[1, 2, 3, 0]]
+    dense = DenseFilter(
+        sensors, np.array(memory.estimate.position), np.array(memory.estimate.velocity), Rotation(rotation), stds
+    )
     for k in range(12):
         turn, push = 0.02 * rng.normal(size=3), start.inv().apply(G * DT) + 0.05 * rng.normal(size=3)
         increments = Increments(Vec3(*turn), Vec3(*push), Vec3(*(0.5 * DT * push)), zero)
@@ -134,13 +136,13 @@ def test_filter_is_the_dense_one():
 def largest_difference(memory: KalmanMemory, dense):
     """Of the estimate, and of the covariance relative to the standard deviations."""
     pairs = [
-        (memory.position, dense.p),
-        (memory.velocity, dense.v),
+        (memory.estimate.position, dense.p),
+        (memory.estimate.velocity, dense.v),
         (memory.gyro_bias, dense.bg),
         (memory.accel_bias, dense.ba),
     ]
     differences = [np.abs(np.array(found) - expected).max() for found, expected in pairs]
-    turned = Rotation(np.array(memory.attitude)[[1, 2, 3, 0]]) * dense.r.inv()
+    turned = Rotation(np.array(memory.estimate.attitude)[[1, 2, 3, 0]]) * dense.r.inv()
     differences.append(turned.magnitude())
     scale = np.sqrt(np.diag(dense.cov))
     for i, row in enumerate(memory.covariance):
@@ -208,7 +210,9 @@ def test_complementary_filter_finds_tilt_heading_and_bias():
     memory = filter_.start(motion, Random(key))
     bias = Vec3(0.02, -0.03, 0.01)
     off = product(rotation_of(Vec3(0.1, 0.1, 0.1)), motion.attitude)
-    memory = memory._replace(attitude=off, sensors=memory.sensors._replace(gyro_bias=bias))
+    memory = memory._replace(
+        estimate=memory.estimate._replace(attitude=off), sensors=memory.sensors._replace(gyro_bias=bias)
+    )
 
     @jax.jit
     def flown(memory):
@@ -218,12 +222,12 @@ def test_complementary_filter_finds_tilt_heading_and_bias():
         return jax.lax.scan(step, jax.tree.map(jnp.float64, memory), jnp.arange(1, 601))[0]
 
     end = flown(memory)
-    turned = Rotation(np.array(end.attitude)[[1, 2, 3, 0]]) * Rotation.from_quat([x, y, z, w]).inv()
+    turned = Rotation(np.array(end.estimate.attitude)[[1, 2, 3, 0]]) * Rotation.from_quat([x, y, z, w]).inv()
     found = np.array(end.gyro_bias)
     print(f"\nafter 12 s: {turned.magnitude():.1e} rad, bias within {np.abs(found - np.array(bias)).max():.1e} rad/s")
     assert turned.magnitude() < 1e-4
     np.testing.assert_allclose(found, np.array(bias), atol=1e-4)
-    np.testing.assert_allclose(np.array(end.rate), 0.0, atol=1e-4)
+    np.testing.assert_allclose(np.array(end.estimate.rate), 0.0, atol=1e-4)
 
 
 def test_an_estimator_is_not_linearised():

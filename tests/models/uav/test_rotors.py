@@ -15,7 +15,7 @@ from dssc_jax.core.vectors import Vec3
 from dssc_jax.design.certification import NotCovered
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import allocate, effects, pseudo_inverse
-from dssc_jax.models.uav.desaturation import Desaturation, desaturated
+from dssc_jax.models.uav.desaturation import Desaturation, desaturated, scales_of
 from dssc_jax.models.uav.plant import UAV, UavParams
 from dssc_jax.models.uav.rotors import RotorMotion, rotor_torque, wrench
 from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR, Rotor, Vehicle
@@ -258,3 +258,11 @@ def test_bad_rotors_are_refused_with_their_place(name):
     with pytest.raises(ConfigError, match=rule) as refusal:
         dj.Study.from_table(STUDY | {"plant": {"kind": "uav", "vehicle": {"rotor": rotors, "torque_coefficient": 0.1}}})
     assert "plant.vehicle.rotor" in str(refusal.value)
+
+
+def test_scales_of_columns_are_those_of_px4():
+    """Uneven rotors: yaw takes the largest entry about the axis that points down, roll and pitch share one scale."""
+    roll, pitch, yaw = [0.5, -0.5, 0.0], [0.2, 0.2, -0.4], [0.1, 0.2, -0.3]
+    scales = scales_of([(1.0, *entries) for entries in zip(roll, pitch, yaw, strict=True)])
+    assert scales.yaw == 0.3
+    assert scales.turning == pytest.approx(max((0.5 / (2 / 2)) ** 0.5, (0.24 / (3 / 2)) ** 0.5))

@@ -54,14 +54,33 @@ class Directions(NamedTuple):
     yaw: Direction
 
 
+class Scales(NamedTuple):
+    """PX4's scale of the columns of an allocation: what counts as 1 along each.
+
+    Args:
+        thrust: Mean of the entries of net thrust.
+        turning: That of roll and of pitch: the larger of their root mean squares, times the root of 2 [1/m].
+        yaw: The largest entry about the axis that points down [1/m].
+    """
+
+    thrust: float
+    turning: float
+    yaw: float
+
+
+def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
+    """The scales of an allocation, (n_r, 4), whose rows are (f, M_x, M_y, M_z) -> f_i with z up."""
+    thrust, roll, pitch, yaw = np.array(inverse, dtype=float).T
+    lifting = np.abs(thrust)[np.abs(thrust) > 0.0].mean()
+    return Scales(float(lifting), max(root_mean(roll), root_mean(pitch)), float((-yaw).max()))
+
+
 def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
     """The columns of an allocation, (n_r, 4), with the strength of each rotor on PX4's scale."""
-    thrust, roll, pitch, yaw = np.array(inverse, dtype=float).T
-    turning = max(root_mean(roll), root_mean(pitch))
-    lifting = np.abs(thrust)[np.abs(thrust) > 0.0].mean()
-    scales = (lifting, turning, turning, (-yaw).max())  # PX4's yaw is about the axis that points down
+    scales = scales_of(inverse)
     found = []
-    for column, scale in zip((thrust, roll, pitch, yaw), scales, strict=True):
+    columns = np.array(inverse, dtype=float).T
+    for column, scale in zip(columns, (scales.thrust, scales.turning, scales.turning, scales.yaw), strict=True):
         strong = np.abs(column) >= WEAK * scale if scale > 0.0 else np.abs(column) >= WEAK
         found.append(Direction(tuple(column.tolist()), tuple(strong.tolist())))
     return Directions(*found)

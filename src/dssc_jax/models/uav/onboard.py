@@ -126,11 +126,12 @@ def motion_of(state: UavState) -> Motion:
 def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple[UavState, State]:
     """The state with the error of an estimate, and the estimator's memory."""
     motion = motion_of(state)
+    estimate = memory.estimate
     error = EstimationError(
-        memory.position - motion.position,
-        memory.velocity - motion.velocity,
-        product(memory.attitude, conjugate(motion.attitude)),
-        memory.rate - motion.rate,
+        estimate.position - motion.position,
+        estimate.velocity - motion.velocity,
+        product(estimate.attitude, conjugate(motion.attitude)),
+        estimate.rate - motion.rate,
         estimator.nees(memory, motion),
     )
     return state._replace(error=error), memory

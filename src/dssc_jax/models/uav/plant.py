@@ -23,7 +23,7 @@ from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
 from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
 from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
-from dssc_jax.models.uav.info import EstimatedUavInfo, UavInfo
+from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.onboard import (
     EstimationError,
@@ -166,7 +166,7 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
     return (*linear, Measurement(psi, turning.psi))
 
 
-def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo | EstimatedUavInfo:
+def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     """Attitude and limits at a sample."""
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
@@ -183,13 +183,15 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo | 
         return info
     error: EstimationError = state.error
     angle = rotation_vector(error.attitude).norm()
-    return EstimatedUavInfo(*info, error.position.norm(), error.velocity.norm(), angle, error.nees)
+    return info._replace(estimate=EstimateErrors(error.position.norm(), error.velocity.norm(), angle, error.nees))
 
 
 def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
     """What the vehicle reports, with the errors of an estimate where there is one."""
-    info = UavInfo if estimator_of(params) is None else EstimatedUavInfo
-    return tuple(NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(info).items())
+    quantities = quantities_of(UavInfo)
+    if estimator_of(params) is not None:
+        quantities |= quantities_of(EstimateErrors)
+    return tuple(NamedSignal(name, q.unit, q.meaning) for name, q in quantities.items())
 
 
 def broken(params: UavParams, state: UavState) -> Scalar:

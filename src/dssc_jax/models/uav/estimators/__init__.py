@@ -12,7 +12,7 @@ M = TypeVar("M")
 
 
 class Estimator(Protocol[M]):
-    """Parameters of an estimator with its functions; its memory has the fields of :class:`Motion`."""
+    """Parameters of an estimator with its functions; the memory has the ``estimate``, a :class:`Motion`."""
 
     def start(self, motion: Motion, random: Random) -> M:
         """The memory at t = 0."""

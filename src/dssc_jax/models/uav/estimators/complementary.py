@@ -18,13 +18,13 @@ import jax.numpy as jnp
 
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.estimators.sensors import (
-    UP,
     Motion,
     Random,
     SensorMemory,
     Sensors,
+    carried,
     heading_difference,
     heading_of,
     rotation_of,
@@ -37,11 +37,8 @@ from dssc_jax.models.uav.inner_loops.sampled import product
 class ComplementaryMemory(NamedTuple):
     """The filter with its sensors."""
 
-    position: Vec3
-    velocity: Vec3
-    attitude: Quaternion
+    estimate: Motion
     gyro_bias: Vec3
-    rate: Vec3
     sensors: SensorMemory
 
 
@@ -57,27 +54,21 @@ class ComplementaryFilter(NamedTuple):
     def start(self, motion: Motion, random: Random) -> ComplementaryMemory:
         """The true motion; only the biases are unknown."""
         sensors = start_sensors(self.sensors, motion, random)
-        return ComplementaryMemory(
-            motion.position,
-            motion.velocity,
-            motion.attitude,
-            Vec3(0.0, 0.0, 0.0),
-            motion.rate + sensors.gyro_bias,
-            sensors,
-        )
+        estimate = motion._replace(rate=motion.rate + sensors.gyro_bias)
+        return ComplementaryMemory(estimate, Vec3(0.0, 0.0, 0.0), sensors)
 
     def step(
         self, memory: ComplementaryMemory, motion: Motion, random: Random, k: Scalar, dt: float
     ) -> ComplementaryMemory:
         """Integrate the inertial unit, and lean on the other sensors."""
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
-        rotation = memory.attitude.matrix()
-        velocity = memory.velocity + rotation @ increments.velocity - UP * dt
-        position = memory.position + memory.velocity * dt + rotation @ increments.position - UP * (0.5 * dt * dt)
+        attitude = memory.estimate.attitude
+        rotation = attitude.matrix()
+        position, velocity = carried(memory.estimate, rotation, increments.velocity, increments.position, dt)
         size = jnp.maximum(increments.velocity.norm(), 1e-9)
         leaning = (increments.velocity / size).cross(rotation.c) * self.tilt_gain
         if self.sensors.heading is not None:
-            difference = heading_difference(aids.heading, heading_of(memory.attitude))
+            difference = heading_difference(aids.heading, heading_of(attitude))
             gain = self.heading_gain * round(self.sensors.heading_period)
             leaning = leaning + rotation.c * jnp.where(aids.has_heading, gain * difference, 0.0)
         turned = rotation_of(increments.rotation + (leaning - memory.gyro_bias) * dt)
@@ -93,14 +84,8 @@ class ComplementaryFilter(NamedTuple):
             position = position._replace(z=position.z + 2.0 * weight * miss)
             velocity = velocity._replace(z=velocity.z + weight * self.position_bandwidth * miss)
         bias = memory.gyro_bias - leaning * (self.bias_gain * dt)
-        return ComplementaryMemory(
-            position,
-            velocity,
-            product(memory.attitude, turned).normalised(),
-            bias,
-            increments.rate - bias,
-            sensors,
-        )
+        estimate = Motion(position, velocity, product(attitude, turned).normalised(), increments.rate - bias)
+        return ComplementaryMemory(estimate, bias, sensors)
 
     def nees(self, memory: ComplementaryMemory, motion: Motion) -> Scalar:
         """0: the filter has no covariance."""

@@ -17,15 +17,15 @@ import jax.numpy as jnp
 
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Mat3, Quaternion, Vec3
+from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.models.uav.estimators.sensors import (
-    UP,
     Aids,
     Increments,
     Motion,
     Random,
     SensorMemory,
     Sensors,
+    carried,
     heading_difference,
     heading_of,
     rotation_of,
@@ -52,13 +52,10 @@ Sparse = tuple[tuple[int, Scalar], ...]
 class KalmanMemory(NamedTuple):
     """The filter with its sensors."""
 
-    position: Vec3
-    velocity: Vec3
-    attitude: Quaternion
+    estimate: Motion
     gyro_bias: Vec3
     accel_bias: Vec3
     covariance: Covariance
-    rate: Vec3
     sensors: SensorMemory
 
 
@@ -85,32 +82,30 @@ class KalmanFilter(NamedTuple):
         turn = random.vector(2, self.initial_attitude)
         zero = Vec3(0.0, 0.0, 0.0)
         sensors = start_sensors(self.sensors, motion, random)
-        return KalmanMemory(
+        estimate = Motion(
             motion.position - random.vector(3, self.initial_position),
             motion.velocity - random.vector(4, self.initial_velocity),
             product(rotation_of(-turn), motion.attitude),
-            zero,
-            zero,
-            tuple(map(tuple, rows)),
             motion.rate + sensors.gyro_bias,
-            sensors,
         )
+        return KalmanMemory(estimate, zero, zero, tuple(map(tuple, rows)), sensors)
 
     def step(self, memory: KalmanMemory, motion: Motion, random: Random, k: Scalar, dt: float) -> KalmanMemory:
         """Predict with the inertial unit, and correct by what the other sensors show."""
         sensors, increments, aids = sense(self.sensors, memory.sensors, motion, random, k, dt)
         predicted = self.predict(memory, increments, dt)
         corrected = self.correct(predicted, aids, dt)
-        return corrected._replace(sensors=sensors, rate=increments.rate - corrected.gyro_bias)
+        estimate = corrected.estimate._replace(rate=increments.rate - corrected.gyro_bias)
+        return corrected._replace(estimate=estimate, sensors=sensors)
 
     def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
         """Strapdown integration, and the covariance after it."""
-        rotation = memory.attitude.matrix()
+        before = memory.estimate
+        rotation = before.attitude.matrix()
         pushed = increments.velocity - memory.accel_bias * dt
         shifted = increments.position - memory.accel_bias * (0.5 * dt * dt)
         force = rotation @ (pushed / dt)
-        velocity = memory.velocity + rotation @ pushed - UP * dt
-        position = memory.position + memory.velocity * dt + rotation @ shifted - UP * (0.5 * dt * dt)
+        position, velocity = carried(before, rotation, pushed, shifted, dt)
         turned = rotation_of(increments.rotation - memory.gyro_bias * dt)
         noises = (
             (VELOCITY, self.sensors.accel_noise),
@@ -123,34 +118,35 @@ class KalmanFilter(NamedTuple):
         for place, density in noises:
             for i in range(place, place + 3):
                 added[i][i] = added[i][i] + density * density * dt
-        return memory._replace(
-            position=position,
-            velocity=velocity,
-            attitude=product(memory.attitude, turned).normalised(),
-            covariance=tuple(map(tuple, added)),
-        )
+        estimate = Motion(position, velocity, product(before.attitude, turned).normalised(), before.rate)
+        return memory._replace(estimate=estimate, covariance=tuple(map(tuple, added)))
 
     def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:
         """All updates of a sample: position, height, heading."""
         update = Update(memory.covariance, (0.0,) * STATES)
+        estimate = memory.estimate
         delay = self.sensors.delayed * dt
         if self.sensors.position is not None:
-            difference = aids.position - (memory.position - memory.velocity * delay)
+            difference = aids.position - (estimate.position - estimate.velocity * delay)
             for i, value in enumerate(difference):
                 row: Sparse = ((POSITION + i, 1.0), *(((VELOCITY + i, -delay),) if delay else ()))
                 update = update.by(row, value, self.sensors.position, aids.has_position)
         if self.sensors.height is not None:
-            difference = aids.height - memory.position.z
+            difference = aids.height - estimate.position.z
             update = update.by(((POSITION + 2, 1.0),), difference, self.sensors.height, aids.has_height)
         if self.sensors.heading is not None:
-            difference = heading_difference(aids.heading, heading_of(memory.attitude))
-            row = heading_row(memory.attitude.matrix())
+            difference = heading_difference(aids.heading, heading_of(estimate.attitude))
+            row = heading_row(estimate.attitude.matrix())
             update = update.by(row, difference, self.sensors.heading, aids.has_heading)
         p, v, turn, gyro, accel = (Vec3(*update.error[i : i + 3]) for i in range(0, STATES, 3))
+        corrected = Motion(
+            estimate.position + p,
+            estimate.velocity + v,
+            product(rotation_of(turn), estimate.attitude).normalised(),
+            estimate.rate,
+        )
         return memory._replace(
-            position=memory.position + p,
-            velocity=memory.velocity + v,
-            attitude=product(rotation_of(turn), memory.attitude).normalised(),
+            estimate=corrected,
             gyro_bias=memory.gyro_bias + gyro,
             accel_bias=memory.accel_bias + accel,
             covariance=update.covariance,
@@ -158,8 +154,9 @@ class KalmanFilter(NamedTuple):
 
     def nees(self, memory: KalmanMemory, motion: Motion) -> Scalar:
         """Normalised squared error of position, velocity and attitude; chi-squared with 9 degrees of freedom."""
-        turn = rotation_vector(product(motion.attitude, conjugate(memory.attitude)))
-        error = (*(motion.position - memory.position), *(motion.velocity - memory.velocity), *turn)
+        estimate = memory.estimate
+        turn = rotation_vector(product(motion.attitude, conjugate(estimate.attitude)))
+        error = (*(motion.position - estimate.position), *(motion.velocity - estimate.velocity), *turn)
         return weighted_square(memory.covariance, error)
 
 

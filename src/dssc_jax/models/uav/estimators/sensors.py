@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from dssc_jax.core.numerics import is_zero, standard_normals, wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.core.vectors import Mat3, Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.inner_loops.sampled import canonical, conjugate, product
 from dssc_jax.models.uav.vehicle import GRAVITY
@@ -198,6 +198,21 @@ def sense(
         due(k, sensors.heading_period),
     )
     return after, increments, aids
+
+
+def carried(motion: Motion, rotation: Mat3, pushed: Vec3, shifted: Vec3, dt: float) -> tuple[Vec3, Vec3]:
+    """Position [m] and velocity [m/s] a sample later, by strapdown integration.
+
+    Args:
+        motion: The estimate before.
+        rotation: Its R, body to inertial.
+        pushed: Increment of the velocity, body axes [m/s].
+        shifted: Increment of the position, body axes [m].
+        dt: Length of the sample [s].
+    """
+    velocity = motion.velocity + rotation @ pushed - UP * dt
+    position = motion.position + motion.velocity * dt + rotation @ shifted - UP * (0.5 * dt * dt)
+    return position, velocity
 
 
 def due(k: Scalar, period: float) -> Scalar:

@@ -22,7 +22,6 @@ from collections.abc import Mapping
 from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip
@@ -31,6 +30,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.desaturation import scales_of
 from dssc_jax.models.uav.inner_loops.sampled import (
     Craft,
     LowPass,
@@ -57,8 +57,6 @@ SMALLEST_WEIGHT = 1e-4
 """Smallest yaw weight whose effect on the yaw gain is compensated."""
 LEAST_MISSING = 2.0**-23
 """Share of the largest torque beyond which a torque that the rotors do not give stops the integral: FLT_EPSILON."""
-NEGLIGIBLE_SHARE = 1e-9
-"""Share of a column's largest entry below which a rotor does not count."""
 
 
 class Px4Gains(NamedTuple):
@@ -282,16 +280,11 @@ class Px4State(NamedTuple):
 def torque_units(craft: Craft) -> Vec3:
     """The moment of a torque setpoint of 1 in PX4, whose allocation scales the pseudo-inverse [N m].
 
-    Roll and pitch share the larger of the root mean squares of their columns, times the root of 2; yaw has the largest
-    entry of its own.
+    Roll and pitch share one scale, see :func:`dssc_jax.models.uav.desaturation.scales_of`.
     """
-    columns = np.array(craft.allocation, dtype=float)[:, 1:4].T
-    scales = []
-    for column in columns[:2]:
-        used = np.count_nonzero(np.abs(column) > NEGLIGIBLE_SHARE * np.abs(column).max())
-        scales.append(math.sqrt(2.0 * float(column @ column) / used))
-    tilting = craft.rotor_limit / max(scales)
-    return Vec3(tilting, tilting, craft.rotor_limit / float(columns[2].max()))
+    scales = scales_of(craft.allocation)
+    tilting = craft.rotor_limit / scales.turning
+    return Vec3(tilting, tilting, craft.rotor_limit / scales.yaw)
 
 
 def attitude_of(thrust: Vec3, present: Quaternion) -> Quaternion:
