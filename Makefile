@@ -7,7 +7,7 @@ QUICK := $(addprefix tests/,engine/test_batching.py lanes closed_loop/test_settl
 # Each command and many tests are processes of their own: they read the modules' bytecode instead of compiling them again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws library formulas notebooks pages screenshots exploring pareto wind docs clean hover vehicle answers
+.PHONY: study test quick lint types check measure bench ratios proofs fuzz paper conservatism noise laws library fmu formulas notebooks pages screenshots exploring pareto wind docs clean hover vehicle answers
 
 study: $(VENV)/run  ## install, and run the main job: how much unmodelled lag does a DSSC loop survive?
 	$(BIN)/dssc-jax sweep studies/mu_robustness.toml
@@ -60,6 +60,9 @@ fuzz: $(VENV)/test  ## regenerate a part of docs/lanes.md: 100,000 random progra
 
 library: $(VENV)/run  ## regenerate the measured part of docs/library.md: bits and rates of controllers in C
 	$(BIN)/python -m benchmarks.library
+
+fmu: $(VENV)/test  ## regenerate the measured part of docs/fmu.md: rates of loops with an FMU
+	$(BIN)/python -m benchmarks.fmu
 
 laws: $(VENV)/run  ## regenerate the measured parts of docs/laws.md: the vehicle, and how often the bounds hold
 	$(BIN)/python -m benchmarks.laws

@@ -45,6 +45,7 @@ ALLOWED = {
     "cli/fmu_library.py": {"TemporaryDirectory"},  # private to the process
     "cli/native_build.py": {"TemporaryDirectory"},  # private to the process
     "cli/trajectories.py": {"trajectory.to_dataframe().to_csv"},  # into the writer's file
+    "core/native/fmu.py": {"TemporaryDirectory"},  # private to the process
     "core/native/libraries.py": {"TemporaryDirectory"},  # private to the process
     "exploration/serving.py": {"TemporaryDirectory", "webbrowser.open"},  # private to the process
     "flight_code/fmu.py": {"zipfile.ZipFile"},  # in memory

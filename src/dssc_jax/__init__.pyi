@@ -34,7 +34,7 @@ from dssc_jax.analyses.worst_wind.worst_wind import (
     worst_wind as worst_wind,
 )
 from dssc_jax.core.errors import ConfigError as ConfigError
-from dssc_jax.core.native.libraries import allow_native as allow_native
+from dssc_jax.core.native.allowed import allow_native as allow_native
 from dssc_jax.engine.integration import IntegrationError as IntegrationError, integration_error as integration_error
 from dssc_jax.engine.pure_functions import lane as lane, stepper as stepper
 from dssc_jax.exploration import explore as explore

@@ -60,14 +60,18 @@ class HeldParts(NamedTuple):
 
 def is_exact(parts: HeldParts) -> bool:
     """Whether everything between the samples is held exactly, so that the number of substeps does not matter."""
+    if any(variation != Variation.HELD for variation in parts.variations):
+        return False
+    if parts.plant.advance is not None:  # whatever error its steps have is the plant's own
+        return all(model.held and model.linear is None for model in parts.unmodelled)
     linear = parts.plant.linear is not None and parts.plant.remainder is None
-    constant = all(input_terms(model) == 1 for model in parts.unmodelled)
-    return linear and constant and all(variation == Variation.HELD for variation in parts.variations)
+    return linear and all(input_terms(model) == 1 for model in parts.unmodelled)
 
 
 def order_between_samples(parts: HeldParts) -> int:
     """Order of the error of what is not held exactly, in the length of a substep."""
-    return min([ORDERS[parts.integrator], *(model.order for model in parts.unmodelled if model.order is not None)])
+    integrator = Integrator.EULER if parts.plant.advance is not None else parts.integrator  # it holds its input
+    return min([ORDERS[integrator], *(model.order for model in parts.unmodelled if model.order is not None)])
 
 
 def input_terms(model: Unmodelled) -> int:
@@ -329,7 +333,7 @@ def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...],
 
 
 def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, observe: Observer | None = None) -> Advance:
-    """Advance a plant without a linear part by the loop's fixed-step method; ``observe`` sees each tick on board."""
+    """Advance a plant by its own steps or the loop's fixed-step method; ``observe`` sees each tick on board."""
     h = parts.sample_time / parts.substeps
     integrate = INTEGRATORS[parts.integrator]
     systems: list[Averaged | None] = []
@@ -361,6 +365,10 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
                 actuation = tuple(line.mean + share * line.rise for line in lines)
                 return rate(plant, t + (index + fraction) * h, actuation)
 
+            if parts.plant.advance is not None:
+                start = t + index * h
+                drive = drive_at(plant, tuple(line.mean for line in lines), start)
+                return parts.plant.advance(params, plant, drive, start, h), tuple(after)
             plant = integrate(derivative, plant, h, parts.plant.velocities)
             return parts.plant.project(params, plant), tuple(after)
 

@@ -110,7 +110,7 @@ class Recorded(NamedTuple):
 
 def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     """State at t = 0: unmodelled dynamics are at rest, and their command before it was 0."""
-    plant = as_arrays(loop.plant.init(params.plant))
+    plant = begin_plant(loop, params, key)
     references = loop.mimo_reference.at(params.reference, 0.0)
     zeros = (0.0,) * len(loop.channels)
     at_rest = tuple(model.init(p) for model, p in zip(loop.unmodelled, params.unmodelled, strict=True))
@@ -140,7 +140,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         control = initial_control(loop, params, i, seen, references[i])
         channels.append(
             ChannelState(
-                controller=control.controller,
+                controller=begin_controller(loop, params, key, i, control.controller),
                 sensor=sensor,
                 differentiator=control.differentiator,
                 unmodelled=at_rest[i],
@@ -152,6 +152,24 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
             )
         )
     return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
+
+
+def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
+    """The plant's state at t = 0; what it keeps outside of JAX begins."""
+    state = as_arrays(loop.plant.init(params.plant))
+    if loop.plant.begin is None:
+        return state
+    lane = jax.random.bits(loop.key(key, "plant"), dtype=jnp.uint32)
+    return as_arrays(loop.plant.begin(params.plant, state, lane, loop.steps * loop.substeps))
+
+
+def begin_controller(loop: Loop, params: LoopParams, key: jax.Array, i: int, state: State) -> State:
+    """The state of the controller of channel i before its first step; what it keeps outside of JAX begins."""
+    begin = loop.controller[i].begin
+    if begin is None:
+        return state
+    lane = jax.random.bits(loop.key(key, "controller", loop.channels[i]), dtype=jnp.uint32)
+    return begin(params.controller[i], state, lane, loop.steps)
 
 
 def held_parts(loop: Loop) -> HeldParts:

@@ -62,6 +62,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         return PlantInput(command, disturbance, drive.wind, drive.inputs, drive.condition)
 
     remainder = plant.remainder
+    advance = plant.advance
     software = plant.software
     if software is not None:
         sample = software.sample
@@ -90,6 +91,9 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         inputs=plant.inputs,
         software=software,
         estimation=plant.estimation,
+        advance=advance and (lambda params, state, drive, t, h: advance(params, state, plain(drive), t, h)),
+        begin=plant.begin,
+        native=plant.native,
     )
 
 

@@ -14,6 +14,7 @@ from dssc_jax.core.estimation import Estimation
 from dssc_jax.core.harmonic_balance import HarmonicBalance
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.onboard import Onboard
+from dssc_jax.core.outside_state import Begin
 from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.sampled_linear import LinearDynamics, LinearSystem, Moments
 from dssc_jax.core.setting import LoopSetting
@@ -116,6 +117,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             ``input.inputs`` in this order; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
+        advance: ``(params, state, input, t, h) -> state`` after its own step h, input held; None: the loop's steps.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
+        native: As in :class:`Controller`.
     """
 
     params: type
@@ -141,6 +145,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     inputs: Callable[[Params], tuple[NamedSignal, ...]] | None = None
     software: Onboard | None = None
     estimation: Estimation | None = None
+    advance: Callable[[Params, State, PlantInput[Signal], Scalar, float], State] | None = None
+    begin: Begin | None = None
+    native: str = ""
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
@@ -186,6 +193,8 @@ class Controller(NamedTuple):
         limit: Name of the gain that bounds the command; empty: there is none.
         info: NamedTuple type of the info, as in :class:`Plant`.
         native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
+        begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
+        takes_rate: Whether it takes y'; None: trial steps tell.
     """
 
     gains: type
@@ -203,6 +212,8 @@ class Controller(NamedTuple):
     limit: str = ""
     info: type | None = None
     native: str = ""
+    begin: Begin | None = None
+    takes_rate: bool | None = None
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
         """Names of the usual gains, dotted within the controller's table."""

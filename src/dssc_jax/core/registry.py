@@ -40,6 +40,7 @@ class Entry(NamedTuple):
         example: A small table of the kind, without ``kind``; tests take their cases from it.
         loaded: ``(table) -> model`` where a file that the table names defines the model; None: ``members`` does.
         keys: Names in the table that ``loaded`` reads, with their meanings.
+        native: Whether the file is native code: bound to the study by its digest, and loaded only on request.
     """
 
     members: dict[Any, Any]
@@ -51,6 +52,7 @@ class Entry(NamedTuple):
     example: TomlTable = {}  # noqa: RUF012  (never changed)
     loaded: Callable[[TomlTable], Any] | None = None
     keys: dict[str, str] = {}  # noqa: RUF012  (never changed)
+    native: bool = False
 
     @property
     def default_member(self) -> Any:

@@ -44,8 +44,13 @@ def exact_rates(study: Study) -> tuple[str, ...]:
 
 
 def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's controller takes y': its first two samples then differ for some of the rates tried."""
+    """Whether a channel's controller takes y', by its declaration or by trial.
+
+    If it does, its first two samples differ for some of the rates tried.
+    """
     controller = study.loop.controller[channel]
+    if controller.takes_rate is not None:
+        return controller.takes_rate
     gains = template.controller[channel]
     dt = study.loop.sample_time
     origin = ReferencePoint(0.0, 0.0, 0.0)

@@ -20,6 +20,7 @@ import numpy as np
 from dssc_jax.closed_loop.draw import Run, simulate_draw
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.core.native.fmu_instances import require_no_faults
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine import kernels
@@ -201,6 +202,7 @@ class Engine:
 
         def finish() -> Arrays:
             arrays, ended = results()
+            require_no_faults()
             ended = max(ended, self._ended)
             self.clock.run_seconds += ended - max(began, self._ended)
             self._ended = ended

@@ -80,19 +80,36 @@ class Evaluator:
 
 
 def native_code(study: Study) -> str:
-    """The file of native code that a controller of a study calls; empty if all of its loop has derivatives."""
-    return next((controller.native for controller in study.loop.controller if controller.native), "")
+    """The file of native code that a study's plant or a controller calls; empty if all of its loop has derivatives."""
+    parts = (study.loop.plant, *study.loop.controller)
+    return next((part.native for part in parts if part.native), "")
 
 
 def require_derivatives(study: Study) -> None:
     """Require that derivatives pass through the loop of a study.
 
     Raises:
-        ConfigError: A controller is native code.
+        ConfigError: The plant or a controller is native code.
     """
-    file = native_code(study)
-    if file:
-        raise ConfigError("controller", f"is native code ({file}), through which no derivative passes")
+    for slot, part in (("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)):
+        if part.native:
+            raise ConfigError(slot, f"is native code ({part.native}), through which no derivative passes")
+
+
+def require_steps_in_any_order(study: Study, subject: str) -> None:
+    """Require that the steps of a study's loop may be made in any order, and any of them again.
+
+    Args:
+        study: The study.
+        subject: What makes them so, for the message.
+
+    Raises:
+        ConfigError: The plant or a controller keeps its state outside of JAX.
+    """
+    for slot, part in (("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)):
+        if part.begin is not None:
+            rule = f"keeps its state outside of JAX ({part.native}), so its steps are made once and in order"
+            raise ConfigError(slot, f"{rule}; {subject} is not offered for it: use `run` or `simulate`")
 
 
 @dataclass

@@ -17,6 +17,7 @@ from dssc_jax.closed_loop.sample import LoopState, Recorded, initial_state, step
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import Lane, lane_numbers, lane_of_study
+from dssc_jax.engine.evaluation import require_steps_in_any_order
 from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
@@ -174,7 +175,8 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
             stores every sample.
 
     Raises:
-        ConfigError: the segment has no sample, or a margin of the linearised loop is required.
+        ConfigError: the segment has no sample, a margin of the linearised loop is required, or a part keeps its state
+            outside of JAX.
 
     Example:
         >>> import jax
@@ -189,6 +191,7 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
     if segment is not None and segment < 1:
         raise ConfigError("segment", f"must be at least 1 sample, got {segment}")
     study.require_single_laws()
+    require_steps_in_any_order(study, "a pure function of the flight")
     margins = margins_of(study.measures)
     if margins:
         rule = (
@@ -201,6 +204,9 @@ def lane(study: Study, segment: int | None = None) -> LaneFunction:
 def stepper(study: Study) -> Stepper:
     """The loop as ``init(values, key) -> state`` and ``step(state) -> (state, info)``, for a time loop of one's own.
 
+    Raises:
+        ConfigError: a part keeps its state outside of JAX.
+
     Example:
         >>> import jax
         >>> import dssc_jax as dj
@@ -212,4 +218,5 @@ def stepper(study: Study) -> Stepper:
         (100,)
     """
     study.require_single_laws()
+    require_steps_in_any_order(study, "a step as a pure function")
     return Stepper(study)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from dssc_jax.core.native.fmu_instances import require_no_faults
 from dssc_jax.engine.batching import Lanes, lane_numbers, lane_of_study
 from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.plain import plain_options
@@ -73,7 +74,9 @@ def plain_results(study: Study, values: Mapping[str, np.ndarray], draws: np.ndar
     with jax.enable_x64(study.config.loop.precision == 64):
         lanes = {name: jnp.asarray(column, jnp.result_type(float)) for name, column in values.items()}
         batch = jax.jit(jax.vmap(lane_of_study(study, axis_name=None)), compiler_options=plain_options())
-        return jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
+        results = jax.tree.map(np.asarray, batch(lanes, np.asarray(draws, np.uint32)))
+    require_no_faults()
+    return results
 
 
 def recompute(study: Study, lanes: Lanes) -> Arrays:

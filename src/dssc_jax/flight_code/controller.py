@@ -148,7 +148,7 @@ def trace_controller(study: Study, index: int) -> SampledController:
     place = f"controller.{loop.channels[index]}".rstrip(".")
     native = loop.controller[index].native
     if native:
-        raise ConfigError(place, f"is C already: {native}")
+        raise ConfigError(place, f"is native code already: {native}")
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]
 

@@ -14,7 +14,7 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.engine import kernels
-from dssc_jax.engine.evaluation import DIRECTION
+from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
 from dssc_jax.engine.kernels import Start
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
@@ -66,6 +66,8 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     """
     fixed = quiet_values(study) if quiet else median_values(study)
     sensors = (IDEAL,) * len(study.loop.channels) if quiet else study.loop.sensor
+
+    require_steps_in_any_order(study, "the prediction of a logged flight")
 
     def outputs(values: Sequence[Scalar], commands: jax.Array, index: jax.Array | int) -> tuple[Scalar, ...]:
         controllers = [playback(*pair) for pair in zip(study.loop.controller, commands, strict=True)]

@@ -20,7 +20,7 @@ from threading import Lock
 from typing import Any
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.native.libraries import allow_native
+from dssc_jax.core.native.allowed import allow_native
 from dssc_jax.engine.batching import Block, Engine, Layout, computing, execute, lanes_in
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.results.blocks import Chunks

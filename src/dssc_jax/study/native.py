@@ -1,20 +1,22 @@
-"""Native code that a study's tables name: files of shared objects, bound to the study by their digests."""
+"""Native code that a study's tables name: shared objects and FMUs, bound to the study by their digests."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.native.libraries import LOADED, allow_native, library_digest
+from dssc_jax.core.native.allowed import LOADED, allow_native, native_digest
+from dssc_jax.core.registry import Registry
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.models.controllers.library import KIND
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.plants import PLANTS
 
-SLOTS = ("controller", "compare")
-"""The tables of a study whose parts may be native code."""
+SLOTS: dict[str, Registry] = {"plant": PLANTS, "controller": CONTROLLERS, "compare": CONTROLLERS}
+"""The tables of a study whose parts may be native code, with the kinds of their parts."""
 
 
 class NativeFile(NamedTuple):
-    """A shared object as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
+    """Native code as a study names it: the file, and the SHA-256 digest of its content; empty if not stated."""
 
     file: str
     sha256: str
@@ -37,35 +39,36 @@ class NativeFile(NamedTuple):
 
 
 def native_files(table: Mapping[str, object]) -> tuple[NativeFile, ...]:
-    """The shared objects that a study's tables name, in order; the table need not be valid."""
+    """The native code that a study's tables name, in order; the table need not be valid."""
     files: list[NativeFile] = []
-    for part in library_tables(table):
+    for part in native_tables(table):
         digest = part.get("sha256", "")
         files.append(NativeFile(str(part["file"]), digest if isinstance(digest, str) else ""))
     return tuple(dict.fromkeys(files))
 
 
-def library_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
-    """The tables of controllers that name a shared object; a part without a kind has that of ``[controller]``."""
+def native_tables(table: Mapping[str, object]) -> Iterator[Mapping[str, object]]:
+    """The tables that name native code; a part of a comparison without a kind has that of ``[controller]``."""
     controller = table.get("controller")
     kind = controller.get("kind") if isinstance(controller, Mapping) else None
-    for slot in SLOTS:
-        yield from tables_of_kind(table.get(slot), kind)
+    for slot, registry in SLOTS.items():
+        yield from tables_within(table.get(slot), kind, registry)
 
 
-def tables_of_kind(node: object, inherited: object) -> Iterator[Mapping[str, object]]:
-    """A table and those within it that name a shared object, where the surrounding table has a kind."""
+def tables_within(node: object, inherited: object, registry: Registry) -> Iterator[Mapping[str, object]]:
+    """A table and those within it that name native code, where the surrounding table has a kind."""
     if not isinstance(node, Mapping):
         return
     kind = node.get("kind", inherited)
-    if kind == KIND and isinstance(node.get("file"), str):
+    entry = registry.get(kind) if isinstance(kind, str) else None
+    if entry is not None and entry.native and isinstance(node.get("file"), str):
         yield node
     for part in node.values():
-        yield from tables_of_kind(part, kind)
+        yield from tables_within(part, kind, registry)
 
 
 def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
-    """A study's table in which each shared object has its digest, read from its file if the table has none.
+    """A study's table in which all native code has its digest, read from its file if the table has none.
 
     Args:
         table: The study's table.
@@ -74,24 +77,24 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     Raises:
         ConfigError: A file cannot be read.
     """
-    naming = list(library_tables(table))
+    naming = list(native_tables(table))
     if not naming:
         return dict(table)
     return {name: digested(value, naming, folder) if name in SLOTS else value for name, value in table.items()}
 
 
 def digested(node: object, naming: Sequence[Mapping[str, object]], folder: Path) -> object:
-    """A part of a study's table, in which the tables that name a shared object have its digest."""
+    """A part of a study's table, in which the tables that name native code have its digest."""
     if not isinstance(node, Mapping):
         return node
     inside = {name: digested(value, naming, folder) for name, value in node.items()}
     if any(part is node for part in naming) and not node.get("sha256"):
-        inside["sha256"] = library_digest(folder / str(node["file"]))
+        inside["sha256"] = native_digest(folder / str(node["file"]))
     return inside
 
 
 def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
-    """Changes of a study by dotted name; a change of a shared object's file also clears the digest of the old file."""
+    """Changes of a study by dotted name; a change of native code's file also clears the digest of the old file."""
     cleared: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
@@ -101,7 +104,7 @@ def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
-    """Load the shared objects that a study's tables name; see :func:`dssc_jax.core.native.libraries.allow_native`.
+    """Load the native code that a study's tables name; see :func:`dssc_jax.core.native.allowed.allow_native`.
 
     Args:
         table: The study's table, with digests.

@@ -12,7 +12,7 @@ from benchmarks.library import command_lanes
 from dssc_jax.cli.main import guarded
 from dssc_jax.cli.native_build import build_library
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.native.libraries import LOADED
+from dssc_jax.core.native.allowed import LOADED
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.evaluation import GradientEvaluator
 from dssc_jax.engine.sampling import draw
@@ -288,7 +288,7 @@ def test_derivatives_are_refused_by_name(study):
         steep(np.zeros(1, int), {name: np.ones(1) for name in study.laws})
     with pytest.raises(ConfigError, match="is native code, which has no derivative"):
         dj.loop_margins(study)
-    with pytest.raises(ConfigError, match="is C already"):
+    with pytest.raises(ConfigError, match="is native code already"):
         FlightFolder(study)
 
 

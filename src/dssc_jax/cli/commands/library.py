@@ -11,7 +11,8 @@ from dssc_jax.cli.output import say
 from dssc_jax.console.libraries import library_summary, show_library
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.native.libraries import allow_native, library_digest
+from dssc_jax.core.native.allowed import allow_native, native_digest
+from dssc_jax.core.native.libraries import NativeLibrary
 from dssc_jax.flight_code.template_files import template_text
 
 TEMPLATE = "library.c"
@@ -24,8 +25,10 @@ def run(options: Library) -> int:
     if not options.sources:
         raise ConfigError("FILE.c", "is missing; `template` writes an example")
     file = built(options)
-    say(f"this command runs native code {file}, SHA-256 {library_digest(file)}")
+    say(f"this command runs native code {file}, SHA-256 {native_digest(file)}")
     library = allow_native(file)
+    if not isinstance(library, NativeLibrary):
+        raise ConfigError(str(file), 'is an FMU; a study runs it by kind = "fmu"')
     if options.as_json:
         print(json.dumps(library_summary(library), allow_nan=False))
     else:

@@ -27,7 +27,7 @@ Local = Annotated[
     bool, typer.Option("--allow-local", help="Let `module:object` names also import from the study's own folder.")
 ]
 Native = Annotated[
-    bool, typer.Option("--allow-native", help="Load and run the shared objects that the study's controllers name.")
+    bool, typer.Option("--allow-native", help="Load and run the shared objects and FMUs that the study names.")
 ]
 Prove = Annotated[
     bool, typer.Option("--prove", help="Also prove the sampled loop, as far along the walk as a proof is found.")

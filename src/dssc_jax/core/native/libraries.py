@@ -1,11 +1,6 @@
-"""Shared objects that this process may run, by the digest of their content.
-
-Nothing here loads one by itself: whoever calls :func:`allow_native` has decided to run its code. A study names a
-library by its digest, so that no other file can take its place.
-"""
+"""Shared objects with controllers in C: loading, and what the package calls of them."""
 
 import ctypes
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +12,6 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.description import CALL, NativeController, described_controllers
 from dssc_jax.lanes import foreign
 
-LARGEST_LIBRARY = 2**26  # bytes
 TRIED_SAMPLES = 64
 
 
@@ -36,66 +30,33 @@ class NativeLibrary:
     controllers: tuple[NativeController, ...]
 
 
-LOADED: dict[str, NativeLibrary] = {}
-"""Libraries of this process by their digest; they stay loaded, since compiled lanes call them."""
-
-
-def library_content(path: Path) -> bytes:
-    """The content of a shared object's file.
-
-    Raises:
-        ConfigError: It cannot be read, or is too large.
-    """
-    try:
-        content = files.read_bytes(path, LARGEST_LIBRARY + 1)
-    except OSError as error:
-        raise ConfigError("file", f"'{path}' cannot be read: {error.strerror or error}") from error
-    if len(content) > LARGEST_LIBRARY:
-        raise ConfigError("file", f"'{path}' is larger than a library can be ({LARGEST_LIBRARY} bytes)")
-    return content
-
-
-def library_digest(path: Path) -> str:
-    """SHA-256 digest of a shared object's file; raises ConfigError as :func:`library_content`."""
-    return hashlib.sha256(library_content(path)).hexdigest()
-
-
-def allow_native(path: str | Path, sha256: str = "") -> NativeLibrary:
-    """Load a shared object, whose code may do whatever this process may do.
-
-    A private copy of what was read is loaded, so that the code is that of the digest even if the file changes.
+def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
+    """Load a shared object from a private copy of what was read.
 
     Args:
-        path: The file.
-        sha256: The digest that it must have; empty: any.
+        path: Its file, for messages.
+        content: The file's content.
+        digest: Digest of the content.
 
     Raises:
-        ConfigError: It cannot be read or loaded, has another digest, describes no controller, or one of its
-            controllers keeps numbers outside of its structure.
+        ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
+            its structure.
     """
-    path = Path(path)
-    content = library_content(path)
-    digest = hashlib.sha256(content).hexdigest()
-    if sha256 and digest != sha256:
-        rule = f"'{path}' has changed: its SHA-256 digest is {digest}, and {sha256} is asked for"
-        raise ConfigError("file", f"{rule}; build that one again, or state the new one")
-    if digest not in LOADED:
-        with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
-            copy = Path(folder) / f"{digest}.so"
-            files.write_bytes(copy, content, durable=False)
-            try:
-                library = ctypes.CDLL(str(copy))
-            except OSError as error:
-                reason = str(error).replace(str(copy), path.name)
-                raise ConfigError("file", f"'{path}' cannot be loaded: {reason}") from None
+    with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
+        copy = Path(folder) / f"{digest}.so"
+        files.write_bytes(copy, content, durable=False)
         try:
-            controllers = described_controllers(library)
-            for controller in controllers:
-                require_reentrant(controller)
-        except ConfigError as error:
-            raise ConfigError("file", f"'{path}' {error.rule}") from None
-        LOADED[digest] = NativeLibrary(str(path.resolve()), digest, controllers)
-    return LOADED[digest]
+            library = ctypes.CDLL(str(copy))
+        except OSError as error:
+            reason = str(error).replace(str(copy), path.name)
+            raise ConfigError("file", f"'{path}' cannot be loaded: {reason}") from None
+    try:
+        controllers = described_controllers(library)
+        for controller in controllers:
+            require_reentrant(controller)
+    except ConfigError as error:
+        raise ConfigError("file", f"'{path}' {error.rule}") from None
+    return NativeLibrary(str(path.resolve()), digest, controllers)
 
 
 def symbol_of(library: NativeLibrary, controller: NativeController, function: str) -> str:

@@ -1,8 +1,10 @@
 """Registry of controllers; a new one is one file and one row here, covered by the protocol tests."""
 
+from dssc_jax.core.native.fmu_tables import KIND as FMU_KIND
 from dssc_jax.core.registry import Registry
 from dssc_jax.models.controllers.discrete import DISCRETE_STATE_SPACE, DISCRETE_TRANSFER_FUNCTION
 from dssc_jax.models.controllers.dssc import DSSC, SSC
+from dssc_jax.models.controllers.fmu import FMU_CONTROLLER
 from dssc_jax.models.controllers.library import KIND, LIBRARY
 from dssc_jax.models.controllers.lqg import LQG
 from dssc_jax.models.controllers.pi import PI
@@ -25,4 +27,5 @@ CONTROLLERS: Registry = {
     "discrete_transfer_function": DISCRETE_TRANSFER_FUNCTION,
     "discrete_state_space": DISCRETE_STATE_SPACE,
     KIND: LIBRARY,
+    FMU_KIND: FMU_CONTROLLER,
 }

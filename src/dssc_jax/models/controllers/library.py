@@ -5,7 +5,6 @@ call gets the words and gives the next ones, so the controller is a pure functio
 precision, whatever the loop's.
 """
 
-from collections import namedtuple
 from functools import cache
 from typing import Annotated, Any, NamedTuple, TypeAlias
 
@@ -15,8 +14,10 @@ import numpy as np
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.native.allowed import loaded_native
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import LOADED, NativeLibrary, default_values, initial_memory, provide_function
+from dssc_jax.core.native.libraries import NativeLibrary, default_values, initial_memory, provide_function
+from dssc_jax.core.native.named_types import named_type
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
@@ -27,9 +28,6 @@ from dssc_jax.models.controllers.nominal import L0
 
 KIND = "library"
 """The kind's name in a study's tables, by which the native code that they name is found."""
-
-MODULE = "dssc_jax_library"
-"""The ``__module__`` of the types of a library's parameters and telemetry, which no module defines."""
 
 FLAG = Quantity("1", "return value of the step: 0, or a number that tells why the command is not the usual one")
 WITHOUT_DERIVATIVE = (
@@ -141,14 +139,6 @@ def info_type(controller: NativeController) -> Any:
     return named_type("Info", {**reported, "flag": FLAG}, {})
 
 
-def named_type(name: str, quantities: dict[str, Quantity], defaults: dict[str, float]) -> Any:
-    """A NamedTuple type of numbers; with ``defaults`` for all of them, or without any."""
-    values = [defaults[field] for field in quantities] if defaults else None
-    created = namedtuple(name, list(quantities), defaults=values, module=MODULE)
-    created.__annotations__ = {field: Annotated[Scalar, quantity] for field, quantity in quantities.items()}
-    return created
-
-
 def loaded_controller(table: TomlTable) -> Controller:
     """The controller that a study's table names by file, digest and name.
 
@@ -156,13 +146,9 @@ def loaded_controller(table: TomlTable) -> Controller:
         ConfigError: Its library is not loaded, or has no such controller.
     """
     file = table.get("file")
-    digest = table.get("sha256", "")
-    if not isinstance(file, str):
-        raise ConfigError("file", f"must be the name of a shared object that dssc-jax library built, got {file!r}")
-    library = LOADED.get(digest) if isinstance(digest, str) else None
-    if library is None:
-        rule = f"'{file}' is native code that was not loaded (SHA-256 {digest or 'unknown'})"
-        raise ConfigError("file", f"{rule}; `allow_native` loads it (in Python: dj.allow_native(FILE))")
+    library = loaded_native(table, "a shared object that dssc-jax library built")
+    if not isinstance(library, NativeLibrary):
+        raise ConfigError("file", f"'{file}' is an FMU; set kind = \"fmu\"")
     names = [controller.name for controller in library.controllers]
     name = table.get("name", names[0])
     if name not in names:
@@ -190,4 +176,5 @@ LIBRARY = Entry(
         "name": "which of its controllers, if it has several",
         "sha256": "digest of the file, which must match; read from the file if absent",
     },
+    native=True,
 )

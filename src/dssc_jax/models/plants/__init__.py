@@ -1,6 +1,8 @@
 """Registry of plants; a new one is one file and one row here."""
 
+from dssc_jax.core.native.fmu_tables import KIND as FMU_KIND
 from dssc_jax.core.registry import Registry, single
+from dssc_jax.models.plants.fmu import FMU_PLANT
 from dssc_jax.models.plants.linear import RATIONAL_PLANT, STATE_SPACE
 from dssc_jax.models.plants.normal_form import NORMAL_FORM
 
@@ -19,4 +21,5 @@ PLANTS: Registry = {
     "transfer_function": single(
         RATIONAL_PLANT, "y = G(s) (u_p + d), G strictly proper", numerator=[2.0, 1.0], denominator=[2.0, 1.0, 0.0, 3.0]
     ),
+    FMU_KIND: FMU_PLANT,
 }

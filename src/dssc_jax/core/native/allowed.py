@@ -1,0 +1,96 @@
+"""Native code that this process may run, by the digest of its content: shared objects and FMUs.
+
+Nothing here loads a file by itself: whoever calls :func:`allow_native` has decided to run its code. A study names
+native code by its digest, so that no other file can take its place.
+"""
+
+import hashlib
+from pathlib import Path
+from typing import TypeAlias
+
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.native.fmu import NativeFmu, is_fmu, loaded_fmu
+from dssc_jax.core.native.fmu_instances import require_independent
+from dssc_jax.core.native.libraries import NativeLibrary, loaded_library
+
+Native: TypeAlias = NativeLibrary | NativeFmu
+
+LARGEST_FILE = 2**28  # bytes
+
+LOADED: dict[str, Native] = {}
+"""Native code of this process by its digest; it stays loaded, since compiled lanes call it."""
+
+
+def native_content(path: Path) -> bytes:
+    """The content of a file of native code.
+
+    Raises:
+        ConfigError: It cannot be read, or is too large.
+    """
+    try:
+        content = files.read_bytes(path, LARGEST_FILE + 1)
+    except OSError as error:
+        raise ConfigError("file", f"'{path}' cannot be read: {error.strerror or error}") from error
+    if len(content) > LARGEST_FILE:
+        raise ConfigError("file", f"'{path}' is larger than native code can be ({LARGEST_FILE} bytes)")
+    return content
+
+
+def native_digest(path: Path) -> str:
+    """SHA-256 digest of a file of native code; raises ConfigError as :func:`native_content`."""
+    return hashlib.sha256(native_content(path)).hexdigest()
+
+
+def allow_native(path: str | Path, sha256: str = "") -> Native:
+    """Load a shared object or an FMU, whose code may do whatever this process may do.
+
+    A private copy of what was read is loaded, so that the code is that of the digest even if the file changes.
+
+    Args:
+        path: The file.
+        sha256: The digest that it must have; empty: any.
+
+    Raises:
+        ConfigError: It cannot be read or loaded, has another digest, describes no controller or no co-simulation, or
+            keeps numbers outside of the state of a flight.
+    """
+    path = Path(path)
+    content = native_content(path)
+    digest = hashlib.sha256(content).hexdigest()
+    if sha256 and digest != sha256:
+        rule = f"'{path}' has changed: its SHA-256 digest is {digest}, and {sha256} is asked for"
+        raise ConfigError("file", f"{rule}; build that one again, or state the new one")
+    if digest not in LOADED:
+        LOADED[digest] = loaded_file(path, content, digest)
+    return LOADED[digest]
+
+
+def loaded_file(path: Path, content: bytes, digest: str) -> Native:
+    """Load what a file holds; arguments and errors as for :func:`loaded_library`."""
+    if not is_fmu(content):
+        return loaded_library(path, content, digest)
+    fmu = loaded_fmu(path, content, digest)
+    require_independent(fmu)
+    return fmu
+
+
+def loaded_native(table: dict[str, object], subject: str) -> Native:
+    """The native code that a study's table names by file and digest.
+
+    Args:
+        table: The table.
+        subject: What the file must be, for messages.
+
+    Raises:
+        ConfigError: It names none, or one that is not loaded.
+    """
+    file = table.get("file")
+    digest = table.get("sha256", "")
+    if not isinstance(file, str):
+        raise ConfigError("file", f"must be the name of {subject}, got {file!r}")
+    native = LOADED.get(digest) if isinstance(digest, str) else None
+    if native is None:
+        rule = f"'{file}' is native code that was not loaded (SHA-256 {digest or 'unknown'})"
+        raise ConfigError("file", f"{rule}; `allow_native` loads it (in Python: dj.allow_native(FILE))")
+    return native

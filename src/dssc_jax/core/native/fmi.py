@@ -1,0 +1,227 @@
+"""Functional mock-up units (FMU): the calls of co-simulation in FMI 2.0 and 3.0.
+
+FMPy reads an FMU, unpacks it and loads its library. The calls of a step go from here to that library directly, with
+arrays that stay in place, because they are made once for each sample of each draw.
+
+References:
+    Functional Mock-up Interface Specification, versions 2.0.4 (sections 2.1 and 4.2) and 3.0.1 (section 4).
+"""
+
+import ctypes
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription
+
+WARNING = 1
+"""The last status of a call that has succeeded: ok, or a warning."""
+
+ADDRESS = ctypes.c_void_p
+SIZE = ctypes.c_size_t
+REAL = ctypes.c_double
+FLAG = ctypes.c_int  # fmi2Boolean
+TRUTH = ctypes.c_bool  # fmi3Boolean
+
+Status = Callable[..., int]
+"""A function of the FMU that returns its status."""
+
+
+class Fmpy(NamedTuple):
+    """The modules of FMPy."""
+
+    package: ModuleType
+    fmi2: ModuleType
+    fmi3: ModuleType
+
+
+def fmpy() -> Fmpy:
+    """FMPy, an optional extra.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+    try:
+        import fmpy as package
+        from fmpy import fmi2, fmi3
+    except ImportError as error:
+        raise ConfigError("file", "an FMU needs FMPy: pip install 'dssc_jax[fmu]'") from error
+    return Fmpy(package, fmi2, fmi3)
+
+
+class FmiCalls(ABC):
+    """The calls of one FMU's library, for any number of instances.
+
+    An instance is the address that the library gives. A call that fails raises :class:`FmiError`.
+    """
+
+    set_reals: Status
+    get_reals: Status
+    said: str = ""
+    "The last message of the FMU."
+
+    def note(self, *message: object) -> None:
+        """Keep a message of the FMU, the last of the arguments of its logger."""
+        text = message[-1]
+        self.said = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
+
+    @abstractmethod
+    def instantiate(self, name: str) -> int:
+        """A new instance."""
+
+    @abstractmethod
+    def initialise(self, instance: int) -> None:
+        """Start at t = 0, after the parameters were set."""
+
+    @abstractmethod
+    def step(self, instance: int, t: float, h: float) -> bool:
+        """Make the step from t to t + h; whether the instance may go on."""
+
+    @abstractmethod
+    def free(self, instance: int) -> None:
+        """Free an instance."""
+
+
+class FmiError(Exception):
+    """A call of an FMU that has failed."""
+
+
+def required(function: str, status: int) -> None:
+    """Require that a call has succeeded; raises FmiError."""
+    if status > WARNING:
+        raise FmiError(f"{function} fails with status {status}")
+
+
+def loaded(library: ctypes.CDLL, name: str, *types: type) -> Status:
+    """A function of the library that returns a status."""
+    return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
+
+
+class Fmi2Calls(FmiCalls):
+    """Co-simulation in FMI 2.0.
+
+    Args:
+        folder: The unpacked FMU.
+        described: Its description, which has co-simulation.
+    """
+
+    def __init__(self, folder: Path, described: "ModelDescription") -> None:
+        modules = fmpy()
+        identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+        token = described.guid or ""
+        slave = modules.fmi2.FMU2Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
+        functions = slave.dll
+        self._slave = slave
+        self._guid = token.encode()
+        self._resources = (folder / "resources").as_uri().encode()
+        self._said = modules.fmi2.fmi2CallbackLoggerTYPE(self.note)
+        self._callbacks = modules.fmi2.fmi2CallbackFunctions()
+        self._callbacks.logger = self._said
+        self._callbacks.allocateMemory = modules.fmi2.defaultCallbacks.allocateMemory
+        self._callbacks.freeMemory = modules.fmi2.defaultCallbacks.freeMemory
+        self.set_reals = loaded(functions, "fmi2SetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
+        self.get_reals = loaded(functions, "fmi2GetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
+        self._set_up = loaded(functions, "fmi2SetupExperiment", ADDRESS, FLAG, REAL, REAL, FLAG, REAL)
+        self._enter = loaded(functions, "fmi2EnterInitializationMode", ADDRESS)
+        self._exit = loaded(functions, "fmi2ExitInitializationMode", ADDRESS)
+        self._step = loaded(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
+
+    def instantiate(self, name: str) -> int:
+        """A new instance."""
+        co_simulation = 1
+        found = self._slave.fmi2Instantiate(
+            name.encode(), co_simulation, self._guid, self._resources, ctypes.byref(self._callbacks), 0, 0
+        )
+        if not found:
+            raise FmiError("fmi2Instantiate gives no instance")
+        return found
+
+    def initialise(self, instance: int) -> None:
+        """Start at t = 0, without an end."""
+        required("fmi2SetupExperiment", self._set_up(instance, 0, 0.0, 0.0, 0, 0.0))
+        required("fmi2EnterInitializationMode", self._enter(instance))
+        required("fmi2ExitInitializationMode", self._exit(instance))
+
+    def step(self, instance: int, t: float, h: float) -> bool:
+        """Make the step from t to t + h."""
+        return self._step(instance, t, h, 1) <= WARNING
+
+    def free(self, instance: int) -> None:
+        """Free an instance, which may be in any state."""
+        self._slave.fmi2FreeInstance(instance)
+
+
+class Fmi3Calls(FmiCalls):
+    """Co-simulation in FMI 3.0, without events, early return and intermediate updates.
+
+    Args:
+        folder: The unpacked FMU.
+        described: Its description, which has co-simulation.
+    """
+
+    def __init__(self, folder: Path, described: "ModelDescription") -> None:
+        modules = fmpy()
+        identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+        token = described.guid or ""  # FMPy's name of the instantiation token
+        slave = modules.fmi3.FMU3Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
+        functions = slave.dll
+        self._slave = slave
+        self._token = token.encode()
+        self._resources = f"{folder / 'resources'}/".encode()
+        self._said = modules.fmi3.fmi3LogMessageCallback(self.note)
+        self._update = modules.fmi3.fmi3IntermediateUpdateCallback()
+        self._none = (modules.fmi3.fmi3ValueReference * 0)()
+        self._environment = modules.fmi3.fmi3InstanceEnvironment()
+        set_reals = loaded(functions, "fmi3SetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
+        get_reals = loaded(functions, "fmi3GetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
+        self.set_reals = lambda instance, places, count, values: set_reals(instance, places, count, values, count)
+        self.get_reals = lambda instance, places, count, values: get_reals(instance, places, count, values, count)
+        self._enter = loaded(functions, "fmi3EnterInitializationMode", ADDRESS, TRUTH, REAL, REAL, TRUTH, REAL)
+        self._exit = loaded(functions, "fmi3ExitInitializationMode", ADDRESS)
+        told = [ADDRESS] * 4
+        self._step = loaded(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *told)
+
+    def instantiate(self, name: str) -> int:
+        """A new instance."""
+        options = (False, False, False, False)  # visible, logging, event mode, early return
+        found = self._slave.fmi3InstantiateCoSimulation(
+            name.encode(),
+            self._token,
+            self._resources,
+            *options,
+            self._none,
+            0,
+            self._environment,
+            self._said,
+            self._update,
+        )
+        if not found:
+            raise FmiError("fmi3InstantiateCoSimulation gives no instance")
+        return found
+
+    def initialise(self, instance: int) -> None:
+        """Start at t = 0, without an end."""
+        required("fmi3EnterInitializationMode", self._enter(instance, False, 0.0, 0.0, False, 0.0))
+        required("fmi3ExitInitializationMode", self._exit(instance))
+
+    def step(self, instance: int, t: float, h: float) -> bool:
+        """Make the step from t to t + h; an instance that asks for the end does not go on."""
+        event = TRUTH(False)
+        ended = TRUTH(False)
+        early = TRUTH(False)
+        reached = REAL(t + h)
+        told = (ctypes.addressof(event), ctypes.addressof(ended), ctypes.addressof(early), ctypes.addressof(reached))
+        return self._step(instance, t, h, True, *told) <= WARNING and not ended.value
+
+    def free(self, instance: int) -> None:
+        """Free an instance, which may be in any state."""
+        self._slave.fmi3FreeInstance(instance)
+
+
+VERSIONS: dict[str, Callable[[Path, "ModelDescription"], FmiCalls]] = {"2.0": Fmi2Calls, "3.0": Fmi3Calls}
+"""The calls of each version of FMI that can be run; of 3.0.1 too, whose number begins with 3.0."""

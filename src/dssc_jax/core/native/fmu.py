@@ -1,0 +1,296 @@
+"""An FMU's description and library, checked before anything is connected to it."""
+
+import atexit
+import re
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.native.fmi import VERSIONS, FmiCalls, FmiError, fmpy
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.units import parse_unit
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ModelDescription, ModelVariable
+
+ZIP = b"PK\x03\x04"
+"""The first bytes of an FMU, which is a zip archive."""
+
+UNPACKED = ExitStack()
+"""The folders of FMUs, which their libraries may read as long as the process runs."""
+
+atexit.register(UNPACKED.close)
+
+REAL_TYPES = ("Real", "Float64")
+"""Names of the type of numbers that can be connected, in FMI 2.0 and 3.0."""
+
+INPUT = "input"
+OUTPUT = "output"
+PARAMETER = "parameter"
+CONSTANT = "constant"
+EXACT = "exact"
+
+
+@dataclass(frozen=True)
+class FmuVariable:
+    """A scalar real variable of an FMU.
+
+    Args:
+        name: Its name in the FMU.
+        reference: Its value reference.
+        quantity: Unit, meaning and range; the unit is empty if it is none that this package can read.
+        causality: ``parameter``, ``input``, ``output``, ``local`` and so on.
+        start: Its start value; None: the FMU states none.
+        settable: Whether its value before t = 0 may be chosen: a parameter, an input or an exact initial value.
+    """
+
+    name: str
+    reference: int
+    quantity: Quantity
+    causality: str
+    start: float | None
+    settable: bool
+
+
+@dataclass(frozen=True)
+class NativeFmu:
+    """A loaded FMU for co-simulation.
+
+    Args:
+        file: The file that it was read from.
+        sha256: Digest of its content.
+        version: Its version of FMI.
+        model: Its model's name.
+        variables: Its scalar real variables by name.
+        others: Type, and shape if it is an array, of every other variable by name.
+        step_size: The step of its default experiment [s]; None: it states none.
+        calls: The functions of its library.
+    """
+
+    file: str
+    sha256: str
+    version: str
+    model: str
+    variables: Mapping[str, FmuVariable] = field(compare=False)
+    others: Mapping[str, str] = field(compare=False)
+    step_size: float | None
+    calls: FmiCalls = field(compare=False, repr=False)
+
+    def __hash__(self) -> int:
+        return hash(self.sha256)
+
+    def variable(self, name: object, place: str, causality: str) -> FmuVariable:
+        """A variable with the causality that its use needs.
+
+        Args:
+            name: Its name.
+            place: Where the study names it, for messages.
+            causality: The causality that it must have.
+
+        Raises:
+            ConfigError: There is none, it is no scalar real number, or it has another causality.
+        """
+        if not isinstance(name, str):
+            raise ConfigError(place, f"must be the name of a variable of '{self.file}', got {name!r}")
+        if name in self.others:
+            raise ConfigError(place, f"'{name}' of '{self.file}' is {self.others[name]}; must be one real number")
+        if name not in self.variables:
+            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
+            raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {nearest(name, alike)}")
+        found = self.variables[name]
+        if found.causality != causality:
+            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
+            has = f"the {causality}s of '{self.file}' are {', '.join(sorted(alike)) or 'none'}"
+            raise ConfigError(place, f"'{name}' must be an {causality}, it has the causality {found.causality}; {has}")
+        return found
+
+    def parameter(self, name: str, place: str) -> FmuVariable:
+        """The variable whose value before t = 0 a study sets, by its name in a study.
+
+        Raises:
+            ConfigError: There is none, or its value cannot be chosen.
+        """
+        by_field = {field_name(known): known for known in (*self.variables, *self.others)}
+        if name not in by_field:
+            wanted = field_name(name)
+            if wanted in by_field:
+                raise ConfigError(place, f"must be written {wanted} for the FMU's variable '{by_field[wanted]}'")
+            known = [key for key, inside in by_field.items() if inside in self.variables]
+            valid = [key for key in known if self.variables[by_field[key]].settable]
+            raise ConfigError(place, f"'{self.file}' has no such parameter; {nearest(name, valid)}")
+        inside = by_field[name]
+        if inside in self.others:
+            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.others[inside]}; must be one real number")
+        found = self.variables[inside]
+        if not found.settable:
+            rule = "must be a parameter, an input or an exact initial value"
+            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {found.causality}")
+        return found
+
+
+def field_name(name: str) -> str:
+    """A variable's name as a number's name in a study: ``body.m[1]`` becomes ``body_m_1``."""
+    return re.sub(r"_+", "_", re.sub(r"\W", "_", name, flags=re.ASCII)).strip("_")
+
+
+def is_fmu(content: bytes) -> bool:
+    """Whether the content of a file is that of an FMU rather than of a shared object."""
+    return content.startswith(ZIP)
+
+
+def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
+    """Unpack an FMU and load its library, from a private copy.
+
+    Args:
+        path: Its file, for messages.
+        content: The file's content.
+        digest: Digest of the content.
+
+    Raises:
+        ConfigError: FMPy is missing, or the FMU cannot be run here: it is damaged, has no co-simulation, another
+            version of FMI, or no library for this machine, or a process may have only one instance of it.
+    """
+    with ExitStack() as stack:
+        place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
+        found = unpacked_fmu(path, content, digest, place)
+        UNPACKED.push(stack.pop_all())
+    return found
+
+
+def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> NativeFmu:
+    """Unpack an FMU into a folder and load its library; further arguments and errors as for :func:`loaded_fmu`."""
+    modules = fmpy()
+    archive = place / "archive.fmu"
+    files.write_bytes(archive, content, durable=False)
+    unpacked = place / "unpacked"
+    try:
+        modules.package.extract(str(archive), unzipdir=str(unpacked))
+        version = required_version(path, files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace"))
+        described = modules.package.read_model_description(str(unpacked))
+    except ConfigError:
+        raise
+    except Exception as error:  # FMPy raises errors of many kinds
+        raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
+    require_co_simulation(path, described)
+    require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
+    variables = {}
+    others = {}
+    for variable in described.modelVariables:
+        if variable.type in REAL_TYPES and not variable.dimensions:
+            variables[variable.name] = described_variable(variable)
+        else:
+            others[variable.name] = (
+                f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
+            )
+    try:
+        calls = VERSIONS[version](unpacked, described)
+    except Exception as error:  # of the system's loader, or of FMPy
+        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
+    experiment = described.defaultExperiment
+    step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
+    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls)
+
+
+def required_version(path: Path, text: str) -> str:
+    """The version of FMI in the text of a description, of those that can be run.
+
+    Raises:
+        ConfigError: It is another one.
+    """
+    found = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
+    written = found[1] if found else "none"
+    version = next((known for known in VERSIONS if written.startswith(known)), None)
+    if version is None:
+        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {written}")
+    return version
+
+
+def require_co_simulation(path: Path, described: "ModelDescription") -> None:
+    """Require that an FMU has a solver of its own, and may have many instances.
+
+    Raises:
+        ConfigError: It has not, or may not.
+    """
+    simulation = described.coSimulation
+    if simulation is None:
+        kinds = {"model exchange": described.modelExchange, "scheduled execution": described.scheduledExecution}
+        has = " and ".join(name for name, kind in kinds.items() if kind is not None)
+        rule = "must be for co-simulation, which has a solver of its own"
+        raise ConfigError("file", f"'{path}' {rule}; it is for {has} only: export it again for co-simulation")
+    if simulation.canBeInstantiatedOnlyOncePerProcess:
+        rule = "says canBeInstantiatedOnlyOncePerProcess, and each draw needs an instance of its own"
+        raise ConfigError("file", f"'{path}' {rule}; export it without global variables")
+    if simulation.needsExecutionTool:
+        raise ConfigError("file", f"'{path}' needs the tool that made it; export it with all that it runs")
+
+
+def require_library(path: Path, described: "ModelDescription", unpacked: Path, *platforms: str) -> None:
+    """Require a library for this machine.
+
+    Args:
+        path: The FMU's file, for messages.
+        described: Its description.
+        unpacked: Its folder.
+        platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    name = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+    binaries = unpacked / "binaries"
+    if any((binaries / platform).is_dir() and [*(binaries / platform).glob(f"{name}.*")] for platform in platforms):
+        return
+    present = sorted(folder.name for folder in binaries.iterdir()) if binaries.is_dir() else []
+    has = f"it has {', '.join(present)}" if present else "it has none"
+    hint = "; its sources can be compiled: fmpy compile FILE" if (unpacked / "sources").is_dir() else ""
+    raise ConfigError("file", f"'{path}' must have a library for {platforms[0]}, {has}{hint}")
+
+
+def described_variable(variable: "ModelVariable") -> FmuVariable:
+    """A real variable with its unit, meaning and range."""
+    declared = variable.declaredType
+    unit = readable_unit(variable.unit or getattr(declared, "unit", None) or "")
+    low = bound(variable.min or getattr(declared, "min", None))
+    high = bound(variable.max or getattr(declared, "max", None))
+    causality = variable.causality or "local"
+    exact = variable.initial == EXACT and variable.variability != CONSTANT
+    return FmuVariable(
+        variable.name,
+        variable.valueReference,
+        Quantity(unit, variable.description or variable.name, at_least=low, at_most=high),
+        causality,
+        None if variable.start is None else float(variable.start),
+        causality in (PARAMETER, INPUT) or exact,
+    )
+
+
+def bound(text: str | None) -> float | None:
+    """A bound of a variable's range; None: there is none."""
+    return None if text is None else float(text)
+
+
+def readable_unit(text: str) -> str:
+    """A unit in the form of this package: ``N.m/s2`` becomes ``N m/s^2``; empty if it cannot be read."""
+    unit = re.sub(r"([^\W\d_])(-?\d+)", r"\1^\2", text.replace(".", " "))
+    try:
+        parse_unit(unit or "1")
+    except ValueError:
+        return ""
+    return unit
+
+
+def first_lines(error: BaseException) -> str:
+    """The first two lines of an error's text, in one; validation names the rule in the second."""
+    lines = str(error).strip().splitlines()
+    return " ".join(line.strip() for line in lines[:2]) or type(error).__name__
+
+
+def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
+    """An FMU's failure before any draw is flown, with its last message."""
+    said = f": {fmu.calls.said}" if fmu.calls.said else ""
+    return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{said}")

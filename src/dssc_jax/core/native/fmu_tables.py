@@ -1,0 +1,133 @@
+"""What a study's table says of an FMU: the file, and which of its variables are connected."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from dssc_jax.core.errors import ConfigError, errors_under
+from dssc_jax.core.named import NamedSignal
+from dssc_jax.core.native.allowed import loaded_native
+from dssc_jax.core.native.fmu import OUTPUT, FmuVariable, NativeFmu
+from dssc_jax.core.native.named_types import named_type
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Params, Scalar
+from dssc_jax.core.toml import TomlTable
+
+KIND = "fmu"
+"""The kind's name in a study's tables, for plants and for controllers."""
+
+PARAMETERS = "parameters"
+
+FILE_KEYS = {
+    "file": "FMU for co-simulation, FMI 2.0 or 3.0, relative to the study's folder",
+    "sha256": "digest of the file, which must match; read from the file if absent",
+}
+OUTPUTS_KEY = "table of further outputs to report: the FMU's variable for each name in the study"
+WITHOUT_DERIVATIVE = (
+    "is an FMU, which has no derivative here; what samples draws (run, margin, compare, falsify) needs none"
+)
+
+
+class Connection(NamedTuple):
+    """A signal of the loop and the variable of the FMU that it is connected to."""
+
+    signal: str
+    variable: FmuVariable
+
+
+def fmu_of(table: TomlTable) -> NativeFmu:
+    """The FMU that a table names by file and digest.
+
+    Raises:
+        ConfigError: It is not loaded, or the file is a shared object.
+    """
+    fmu = loaded_native(table, "an FMU")
+    if not isinstance(fmu, NativeFmu):
+        raise ConfigError("file", f"'{table.get('file')}' is a shared object; set kind = \"library\"")
+    return fmu
+
+
+def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Connection:
+    """The variable that an entry of a table names; raises ConfigError."""
+    if key not in table:
+        alike = [name for name, variable in fmu.variables.items() if variable.causality == causality]
+        rule = f"is required: an {causality} of '{fmu.file}'; it has {', '.join(sorted(alike)) or 'none'}"
+        raise ConfigError(key, rule)
+    return Connection(key, fmu.variable(table[key], key, causality))
+
+
+def connections(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> tuple[Connection, ...]:
+    """The variables that a table within a table names, by signal; raises ConfigError."""
+    names = table.get(key, {})
+    if not isinstance(names, Mapping):
+        raise ConfigError(key, f"must be a table of variables by name, got {names!r}")
+    with errors_under(key):
+        return tuple(Connection(str(name), fmu.variable(text, str(name), causality)) for name, text in names.items())
+
+
+def require_distinct(connected: Iterable[Connection]) -> None:
+    """Require that no variable is set by two signals; raises ConfigError."""
+    signals: dict[str, str] = {}
+    for signal, variable in connected:
+        if variable.name in signals:
+            raise ConfigError(signal, f"'{variable.name}' is already connected to {signals[variable.name]}")
+        signals[variable.name] = signal
+
+
+def reported(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
+    """The further outputs that a table names, in the order of their names; raises ConfigError."""
+    return tuple(sorted(connections(fmu, table, "outputs", OUTPUT)))
+
+
+def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
+    """Name, unit and meaning of connected signals."""
+    return tuple(
+        NamedSignal(signal, variable.quantity.unit, variable.quantity.meaning) for signal, variable in connected
+    )
+
+
+def chosen_parameters(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
+    """The variables whose values before t = 0 a table sets.
+
+    Args:
+        fmu: The FMU.
+        table: The table.
+        connected: What is set in each step, and thus has no value that stays.
+
+    Raises:
+        ConfigError: One does not exist, cannot be set, or is set in each step.
+    """
+    values = table.get(PARAMETERS, {})
+    if not isinstance(values, Mapping):
+        raise ConfigError(PARAMETERS, f"must be a table of numbers by name, got {values!r}")
+    signals = {variable.name: signal for signal, variable in connected}
+    found = []
+    with errors_under(PARAMETERS):
+        for name in values:
+            variable = fmu.parameter(str(name), str(name))
+            if variable.name in signals:
+                raise ConfigError(str(name), f"'{variable.name}' is connected to {signals[variable.name]} already")
+            found.append(Connection(str(name), variable))
+    return tuple(found)
+
+
+def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantity, default: float | None) -> Any:
+    """The type of a part's parameters.
+
+    Args:
+        parameters: Those of the FMU that the study sets, which are in the field ``parameters``; without any there is no
+            such field.
+        name: Name of the part's own number.
+        quantity: Its unit and meaning.
+        default: Its default; None: it may be absent.
+    """
+    if not parameters:
+        return named_type("Params", {name: quantity}, {name: default})
+    inner = named_type("Parameters", {signal: variable.quantity for signal, variable in parameters}, {})
+    whole = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
+    whole.__annotations__[PARAMETERS] = inner
+    return whole
+
+
+def values_of(params: Params) -> tuple[Scalar, ...]:
+    """The values of the FMU's parameters that a study sets, in their order."""
+    return tuple(getattr(params, PARAMETERS, ()))

@@ -1,0 +1,157 @@
+"""A controller in an FMU: at each sample it gets the signals of the sample, makes a step, and gives the command."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from dssc_jax.core.contracts import Controller
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.named import report_type
+from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu
+from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, no_words
+from dssc_jax.core.native.fmu_tables import (
+    FILE_KEYS,
+    OUTPUTS_KEY,
+    WITHOUT_DERIVATIVE,
+    chosen_parameters,
+    connection,
+    connections,
+    fmu_of,
+    params_type,
+    reported,
+    require_distinct,
+    values_of,
+)
+from dssc_jax.core.native.named_types import named_type
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.core.smoothness import not_smooth
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.controllers.library import LibraryGains
+from dssc_jax.models.controllers.nominal import L0
+
+COMMAND_KEY = "command"
+
+
+class SampledSignals(NamedTuple):
+    """The signals that a controller in an FMU can get at a sample.
+
+    Args:
+        y: The measurement of y.
+        y_dot: That of y'.
+        y_ref: The reference y_m.
+        y_ref_dot: Its derivative.
+        y_ref_ddot: Its second derivative.
+        error: y_m - y, the negative of the error e of the metrics.
+    """
+
+    y: Scalar
+    y_dot: Scalar
+    y_ref: Scalar
+    y_ref_dot: Scalar
+    y_ref_ddot: Scalar
+    error: Scalar
+
+
+class FmuController:
+    """A controller that an FMU defines, with the variables that a study's table connects.
+
+    Args:
+        fmu: The FMU.
+        table: The table.
+
+    Raises:
+        ConfigError: A variable is not there or cannot be connected, or a signal is unknown.
+    """
+
+    def __init__(self, fmu: NativeFmu, table: TomlTable) -> None:
+        self.fmu = fmu
+        self.inputs = connections(fmu, table, "inputs", INPUT)
+        if not self.inputs:
+            rule = f"is required: the FMU's input for each of the signals that it gets, of {', '.join(SIGNALS)}"
+            raise ConfigError("inputs", rule)
+        for signal, _ in self.inputs:
+            if signal not in SIGNALS:
+                raise ConfigError(f"inputs.{signal}", f"is no signal of a controller; {nearest(signal, SIGNALS)}")
+        require_distinct(self.inputs)
+        self.command = connection(fmu, table, COMMAND_KEY, OUTPUT)
+        self.outputs = reported(fmu, table)
+        self.parameters = chosen_parameters(fmu, table, self.inputs)
+        connected = (self.parameters, self.inputs, (self.command, *self.outputs))
+        ports = FmuPorts(fmu, *(tuple(variable.reference for _, variable in part) for part in connected))
+        self.functions = FmuFunctions(ports)
+
+    def init(self, gains: Params, measurement: Measurement, reference: ReferencePoint) -> tuple[Scalar, ...]:
+        """The state before an instance begins."""
+        return no_words()
+
+    def begin(self, gains: Params, state: tuple[Scalar, ...], lane: Scalar, steps: int) -> tuple[Scalar, ...]:
+        """The state of a new instance with the draw's parameters."""
+        words, _ = self.functions.start(lane, steps, values_of(gains))
+        return words
+
+    def step(
+        self,
+        gains: Params,
+        state: tuple[Scalar, ...],
+        measurement: Measurement,
+        reference: ReferencePoint,
+        dt: Scalar,
+    ) -> tuple[tuple[Scalar, ...], Command, Info]:
+        """One sample: the command is the output after the step that begins at the sample."""
+        error = reference.y - measurement.y
+        signals = SampledSignals(measurement.y, measurement.y_dot, *reference, error)
+        inputs = [getattr(signals, signal) for signal, _ in self.inputs]
+        words, (command, *outputs) = self.functions.step(state, dt, inputs)
+        info = report_type(tuple(signal for signal, _ in self.outputs))(*outputs) if outputs else ()
+        return words, Command(command, jnp.zeros_like(command)), info
+
+    def controller(self) -> Controller:
+        """The controller."""
+        quantities = {signal: variable.quantity for signal, variable in self.outputs}
+        rates = {"y_dot"} & {signal for signal, _ in self.inputs}
+        return Controller(
+            params_type(self.parameters, "l0", L0, 1.0),
+            self.init,
+            self.step,
+            smooth=not_smooth(WITHOUT_DERIVATIVE),
+            info=named_type("Info", quantities, {}) if quantities else None,
+            native=self.fmu.file,
+            begin=self.begin,
+            takes_rate=bool(rates),
+        )
+
+
+SIGNALS = SampledSignals._fields
+
+
+def loaded_controller(table: TomlTable) -> Controller:
+    """The controller of the FMU that a study's table names by file and digest.
+
+    Raises:
+        ConfigError: The FMU is not loaded, or a variable is not there or cannot be connected.
+    """
+    return FmuController(fmu_of(table), table).controller()
+
+
+UNLOADED = Controller(
+    LibraryGains,
+    init=lambda gains, measurement, reference: no_words(),
+    step=lambda gains, state, measurement, reference, dt: (state, Command(0.0, 0.0), ()),
+    smooth=not_smooth(WITHOUT_DERIVATIVE),
+    native="a file",
+)
+"""Placeholder for an FMU in lists of kinds, where its file is not known; no study gets it."""
+
+FMU_CONTROLLER = Entry(
+    {None: UNLOADED},
+    "a controller in an FMU for co-simulation; `parameters` sets the FMU's parameters and initial values",
+    loaded=loaded_controller,
+    keys={
+        **FILE_KEYS,
+        "inputs": f"table with the FMU's input for each signal that it gets, of {', '.join(SIGNALS)}",
+        COMMAND_KEY: "the FMU's output that is the command",
+        "outputs": OUTPUTS_KEY,
+    },
+    native=True,
+)

@@ -1,0 +1,194 @@
+"""A plant in an FMU: it makes a step of its own between two samples, with the command held."""
+
+from math import nan
+from typing import Annotated, Any, NamedTuple, NoReturn
+
+from dssc_jax.core.contracts import Plant
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.named import report_type
+from dssc_jax.core.native.fmu import INPUT, OUTPUT, NativeFmu
+from dssc_jax.core.native.fmu_instances import FmuFunctions, FmuPorts, no_words
+from dssc_jax.core.native.fmu_tables import (
+    FILE_KEYS,
+    OUTPUTS_KEY,
+    WITHOUT_DERIVATIVE,
+    Connection,
+    chosen_parameters,
+    connection,
+    connections,
+    fmu_of,
+    named_signals,
+    params_type,
+    reported,
+    require_distinct,
+    values_of,
+)
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import Info, Measurement, Params, PlantInput, Scalar, Signals
+from dssc_jax.core.smoothness import not_smooth
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.core.units import COMMAND, ChannelUnits
+from dssc_jax.core.units import OUTPUT as OUTPUT_UNIT
+
+K_P = Quantity("y/(s^2 u)", "high-frequency gain k_p; absent: metrics that need it are NaN")
+COMMAND_KEY = "command"
+DISTURBANCE_KEY = "disturbance"
+RATE_KEY = "y_dot"
+
+
+class FmuPlantParams(NamedTuple):
+    """Numbers of a plant before its FMU is known; those of the FMU are in ``parameters``."""
+
+    k_p: Annotated[Scalar | None, K_P] = None
+
+
+class FmuState(NamedTuple):
+    """State of a plant in an FMU, which keeps the rest itself.
+
+    Args:
+        words: The instance and the steps that it has made.
+        y: The output.
+        y_dot: Its derivative.
+        outputs: The further outputs.
+    """
+
+    words: tuple[Scalar, ...]
+    y: Scalar
+    y_dot: Scalar
+    outputs: tuple[Scalar, ...]
+
+
+class FmuPlant:
+    """A plant that an FMU defines, with the variables that a study's table connects.
+
+    Args:
+        fmu: The FMU.
+        table: The table.
+    """
+
+    def __init__(self, fmu: NativeFmu, table: TomlTable) -> None:
+        self.fmu = fmu
+        self.command = connection(fmu, table, COMMAND_KEY, INPUT)
+        self.disturbance = connection(fmu, table, DISTURBANCE_KEY, INPUT) if DISTURBANCE_KEY in table else None
+        self.inputs = tuple(sorted(connections(fmu, table, "inputs", INPUT)))
+        self.y = connection(fmu, table, "y", OUTPUT)
+        self.rate = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
+        self.outputs = reported(fmu, table)
+        require_distinct(self.driven)
+        self.parameters = chosen_parameters(fmu, table, self.driven)
+        read = (self.y, *([self.rate] if self.rate else []), *self.outputs)
+        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.driven, read)))
+        self.functions = FmuFunctions(ports)
+
+    @property
+    def driven(self) -> tuple[Connection, ...]:
+        """What is set before each step."""
+        return (self.command, *([self.disturbance] if self.disturbance else []), *self.inputs)
+
+    @property
+    def units(self) -> ChannelUnits:
+        """Units and meanings of output and command; the symbols y and u where the FMU states none."""
+        output = self.y.variable.quantity
+        command = self.command.variable.quantity
+        return ChannelUnits(output.unit or OUTPUT_UNIT, command.unit or COMMAND, output.meaning, command.meaning)
+
+    def init(self, params: Params) -> FmuState:
+        """The state before an instance begins."""
+        return FmuState(no_words(), 0.0, 0.0, (0.0,) * len(self.outputs))
+
+    def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
+        """The state at t = 0 of a new instance with the draw's parameters."""
+        words, (y, *others) = self.functions.start(lane, steps, values_of(params))
+        y_dot, outputs = (others[0], others[1:]) if self.rate else (state.y_dot, others)
+        return FmuState(words, y, y_dot, tuple(outputs))
+
+    def advance(self, params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar, h: float) -> FmuState:
+        """The state after a step of the FMU with the input held.
+
+        Without an output for y', y' is the difference quotient of y over the step.
+        """
+        command = drive.command if self.disturbance else drive.command + drive.disturbance
+        inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
+        disturbance = (drive.disturbance,) if self.disturbance else ()
+        words, (y, *others) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
+        y_dot, outputs = (others[0], others[1:]) if self.rate else ((y - state.y) / h, others)
+        return FmuState(words, y, y_dot, tuple(outputs))
+
+    def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:
+        """The further outputs by their names in the study."""
+        if not self.outputs:
+            return ()
+        return report_type(tuple(signal for signal, _ in self.outputs))(*state.outputs)
+
+    def plant(self) -> Plant:
+        """The plant."""
+        return Plant(
+            params_type(self.parameters, "k_p", K_P, None),
+            self.init,
+            no_derivative,
+            measure=lambda params, state, drive: Measurement(state.y, state.y_dot),
+            input_gain=input_gain,
+            units=(self.units,),
+            monitor=self.report,
+            smooth=not_smooth(WITHOUT_DERIVATIVE),
+            outputs=lambda params: named_signals(self.outputs),
+            inputs=lambda params: named_signals(self.inputs),
+            advance=self.advance,
+            begin=self.begin,
+            native=self.fmu.file,
+        )
+
+
+def places(connected: tuple[Connection, ...]) -> tuple[int, ...]:
+    """Value references of connected variables."""
+    return tuple(variable.reference for _, variable in connected)
+
+
+def input_gain(params: Params) -> Scalar:
+    """The gain k_p that the study states; NaN: it states none."""
+    return nan if params.k_p is None else params.k_p
+
+
+def no_derivative(params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar) -> NoReturn:
+    """Refuse the derivative of the state, which the FMU keeps to itself; raises ConfigError."""
+    raise ConfigError("plant", WITHOUT_DERIVATIVE)
+
+
+def loaded_plant(table: TomlTable) -> Plant:
+    """The plant of the FMU that a study's table names by file and digest.
+
+    Raises:
+        ConfigError: The FMU is not loaded, or a variable is not there or cannot be connected.
+    """
+    return FmuPlant(fmu_of(table), table).plant()
+
+
+UNLOADED = Plant(
+    FmuPlantParams,
+    init=lambda params: FmuState(no_words(), 0.0, 0.0, ()),
+    derivative=no_derivative,
+    measure=lambda params, state, drive: Measurement(state.y, state.y_dot),
+    input_gain=input_gain,
+    smooth=not_smooth(WITHOUT_DERIVATIVE),
+    native="a file",
+)
+"""Placeholder for an FMU in lists of kinds, where its file is not known; no study gets it."""
+
+FMU_KEYS: dict[str, Any] = {
+    **FILE_KEYS,
+    COMMAND_KEY: "the FMU's input that is the command",
+    "y": "the FMU's output that is y",
+    RATE_KEY: "the FMU's output that is y'; absent: the difference quotient of y over the last step",
+    DISTURBANCE_KEY: "the FMU's input that is the disturbance beside the command; absent: it is added to the command",
+    "inputs": "table of inputs of disturbances: the FMU's variable for each name in the study",
+    "outputs": OUTPUTS_KEY,
+}
+
+FMU_PLANT = Entry(
+    {None: UNLOADED},
+    "a plant in an FMU for co-simulation; `parameters` sets the FMU's parameters and initial values",
+    loaded=loaded_plant,
+    keys=FMU_KEYS,
+    native=True,
+)
