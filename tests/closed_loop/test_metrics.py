@@ -112,3 +112,37 @@ def test_a_rotor_at_its_limit_for_too_long_is_an_outcome():
     np.testing.assert_array_equal(code == Outcome.REQUIREMENT, longest > 0.5)
     np.testing.assert_array_equal(code == Outcome.OK, longest <= 0.5)
     np.testing.assert_array_equal(longest == 0.0, found["rotor_limited"].values == 0.0)
+
+
+def test_extremes_of_a_signal_are_violated_when_they_pass_their_bounds():
+    """As `error_max` is; the samples at which the recorded signals pass the bounds are the independent check."""
+    study = dj.Study.from_table(
+        {
+            "name": "extremes",
+            "draws": 4,
+            "loop": {"duration": 2.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}, "a_p": 1.0, "initial": [1.0, 0.0]},
+            "controller": {"kind": "pid", "k_p": 6.0, "k_i": 2.0, "k_d": 3.0},
+            "requirement": [
+                {"metric": "error_max", "after": 0.5, "max": 0.2},
+                {"signal": "e", "metric": "max_abs", "after": 0.5, "max": 0.2},
+                {"signal": "y", "metric": "highest", "max": 0.9},
+                {"signal": "u", "metric": "lowest", "min": -5.0},
+                {"signal": "u", "metric": "variation", "max": 2.0},
+            ],
+        }
+    )
+    data = dj.run(study).dataset.squeeze()
+    np.testing.assert_array_equal(data["violated_at_max_abs_e_after_0.5"], data["violated_at_error_max_after_0.5"])
+    for draw in range(4):
+        run = dj.simulate(study, draw)
+        t, y, u = (run[name].values for name in ("t", "y", "u"))
+        travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(u)))])
+        passed = {
+            "error_max_after_0.5": (np.abs(y) > 0.2) & (t >= 0.5 - 1e-9),
+            "highest_y": y > 0.9,
+            "lowest_u_min": u < -5.0,
+            "variation_u": travelled > 2.0,
+        }
+        for name, hits in passed.items():
+            assert float(data[f"violated_at_{name}"][draw]) == pytest.approx(t[np.argmax(hits)])

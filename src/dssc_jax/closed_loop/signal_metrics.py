@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.metrics import (
+    Course,
     Instant,
     Metric,
     Scope,
@@ -147,6 +148,13 @@ def travelled_sum(acc: Travelled, window: Window, span: Span) -> Scalar:
     return acc.sum
 
 
+def running(
+    extreme: Callable[[Scalar, Scalar], Scalar],
+) -> Callable[[Callable[[Instant], Scalar]], Callable[[Scalar, Instant, Window], Scalar]]:
+    """The update of a running extreme of a signal."""
+    return lambda of: lambda acc, instant, window: extreme(acc, of(instant))
+
+
 class SignalMetric(NamedTuple):
     """A metric of any signal: its meaning before the signal's, and how it is computed.
 
@@ -155,22 +163,24 @@ class SignalMetric(NamedTuple):
         update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
         value: As in that.
         start: As in that.
+        course: As in that.
     """
 
     meaning: str
     update: Callable[[Callable[[Instant], Scalar]], Callable[..., object]]
     value: Callable[..., Scalar] = itself
     start: object = 0.0
+    course: Course = Course.OPEN
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
     "rms": SignalMetric("rms of the", lambda of: total(lambda i: jnp.square(of(i))), root_mean),
-    "max_abs": SignalMetric("largest size of the", peak),
-    "highest": SignalMetric("highest", lambda of: lambda acc, i, window: jnp.maximum(acc, of(i)), start=-jnp.inf),
-    "lowest": SignalMetric("lowest", lambda of: lambda acc, i, window: jnp.minimum(acc, of(i)), start=jnp.inf),
+    "max_abs": SignalMetric("largest size of the", peak, course=Course.RISES),
+    "highest": SignalMetric("highest", running(jnp.maximum), start=-jnp.inf, course=Course.RISES),
+    "lowest": SignalMetric("lowest", running(jnp.minimum), start=jnp.inf, course=Course.FALLS),
     "mean": SignalMetric("mean", total, mean),
     "final": SignalMetric("last", lambda of: lambda acc, i, window: of(i)),
-    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled()),
+    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled(), Course.RISES),
 }
 """The metrics that a study takes of any signal."""
 
@@ -179,7 +189,8 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
     """The metric of a kind of a signal, in its unit."""
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
-    return Metric(signal.unit, meaning, form.update(signal.of), form.value, (), Scope.VEHICLE, form.start)
+    update = form.update(signal.of)
+    return Metric(signal.unit, meaning, update, form.value, scope=Scope.VEHICLE, start=form.start, course=form.course)
 
 
 def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
