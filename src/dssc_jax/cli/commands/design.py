@@ -15,6 +15,7 @@ from dssc_jax.design.files import design_toml, load_design
 from dssc_jax.design.first_gains import FirstController, first_gains
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study import read_toml
+from dssc_jax.study.actuators import SLOT, kind_in
 from dssc_jax.study.library import find
 from dssc_jax.study.tables import to_toml, toml_entries
 
@@ -51,13 +52,17 @@ def print_first_gains(options: Design) -> int:
         out = options.out
         text = to_toml({**study.table, "controller": found.table})
         attempt(out, lambda: files.write_text(out, text))
+    actuators = kind_in(study.config, SLOT)
     if options.as_json:
         content = {"study": study.name, "bandwidth": found.bandwidth, "largest_pole": found.radius}
+        content |= {"actuators_left_out": actuators}
         print(json.dumps(jsonable({**content, "controller": found.table}), allow_nan=False))
         return DONE
     print(toml_entries(found.table, "controller").strip())
     sampled = f"T_s = {study.loop.sample_time:g} s"
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
+    remark = "" if actuators == "none" else f" without its actuators ({actuators})"
     if not math.isnan(found.radius):
-        print(f"largest pole of the sampled loop {found.radius:.6g}, below 1: stable; dssc-jax loop gives its margins")
+        print(f"largest pole of the sampled loop{remark} {found.radius:.6g}, below 1: stable")
+    print("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
     return DONE

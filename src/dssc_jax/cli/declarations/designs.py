@@ -31,9 +31,10 @@ class Check:
 class Design:
     """Find gains with a certificate from bounds; or first gains for the plant of a study.
 
-    Of a study, its plant and T_s matter: the gains of a PID, LQG or SSC controller follow from the bandwidth, in the
-    plant's units, and --out writes the study with them. Of bounds, [free] fixes free parameters of Table 1; what it
-    leaves open is chosen for the [goal]: without one, for the smallest guaranteed error at a sampling period of 1 ms.
+    Of a study, its plant and T_s matter, and not its actuators: the gains of a PID, LQG or SSC controller follow from
+    the bandwidth, in the plant's units, and --out writes the study with them; `loop` gives their margins. Of bounds,
+    [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the smallest
+    guaranteed error at a sampling period of 1 ms.
     """
 
     bounds: Annotated[

@@ -183,6 +183,8 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     if len(gains.signal_std) != len(rows):
         named = "y" if by_output else ", ".join(setting.measures)
         rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
+        if not by_output and "y" not in setting.measures:
+            rule = f"{rule}; to measure y as well, add it to [sensor] measures"
         raise ConfigError("signal_std", rule)
     columns = np.column_stack([plant.command, plant.disturbances])
     discrete = sampled_system(plant.a, columns, setting.sample_time)
