@@ -1,6 +1,7 @@
 """The inner loop and the mixer in C: the same bits as the analysis, on this processor and on ARM."""
 
 import shutil
+import subprocess
 
 import pytest
 
@@ -53,6 +54,50 @@ def test_same_bits_as_the_analysis(kind, precision, commands, tmp_path):
     changed[-3] ^= 1
     (tmp_path / "inner_loop.bin").write_bytes(bytes(changed))
     assert "inner loop: 1 of " in made(tmp_path, "inner-loop-check", fails=True)
+
+
+CALLS = """
+#include "NAME.h"
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static NAME_readings leaning(double length)
+{
+    NAME_readings seen = {0};
+    seen.attitude_w = length * cos(0.1);
+    seen.attitude_x = length * sin(0.1);
+    return seen;
+}
+
+int main(void)
+{
+    const double lengths[] = {1.0, 1.0005, 1.01, 0.0, NAN};
+    NAME inner_loop = {0};
+    NAME_readings seen = leaning(1.0);
+    printf("%u", NAME_init(&inner_loop, &seen));
+    for (int i = 0; i < 5; i++) {
+        const NAME before = inner_loop;
+        seen = leaning(lengths[i]);
+        const unsigned flag = NAME_tick(&inner_loop, &seen);
+        printf(" %u%s", flag, flag && memcmp(&before, &inner_loop, sizeof before) == 0 ? " kept" : "");
+    }
+    return 0;
+}
+"""
+
+
+def test_a_quaternion_that_is_no_rotation_is_refused(tmp_path):
+    """The function returns 1 and keeps its state; rounding and a filter's small error of length pass."""
+    require("gcc")
+    study = study_of("px4", FLIGHT, frequency=200.0, substeps=2, draws=2)
+    folder_of(study, tmp_path)
+    (header,) = tmp_path.glob("*_inner_loop.h")
+    (tmp_path / "calls.c").write_text(CALLS.replace("NAME", header.stem))
+    built = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", "calls.c", f"{header.stem}.c", "-o", "calls", "-lm"]
+    subprocess.run(built, cwd=tmp_path, check=True)
+    answer = subprocess.run(["./calls"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert answer == "0 0 0 1 kept 1 kept 1 kept"
 
 
 def test_numbers_with_laws_are_refused():

@@ -31,6 +31,7 @@ class Onboard(NamedTuple):
         tick: ``(params, state, dt) -> state`` at each tick, dt apart.
         frequency: Name of the plant's number that gives the period, dotted, for messages.
         outputs: ``(params) -> sentences`` of the generated documentation on what its results drive.
+        directions: Fields of the state that are vectors of length 1, such as a unit quaternion.
     """
 
     period: Callable[[Params], float | None]
@@ -41,6 +42,7 @@ class Onboard(NamedTuple):
     tick: Callable[[Params, State, float], State]
     frequency: str = ""
     outputs: Callable[[Params], tuple[str, ...]] = no_sentences
+    directions: tuple[str, ...] = ()
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
         """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""

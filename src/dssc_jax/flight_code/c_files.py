@@ -7,6 +7,9 @@ import numpy as np
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_type
 
+LENGTH_ERROR = 1e-3
+"""Largest deviation from 1 of the length of a vector that should have it."""
+
 
 def source_file(label: str, header: str, remarks: Iterable[str], body: str) -> str:
     """A source: its first comment, the includes, the refusal of other arithmetic, and its body.
@@ -45,6 +48,13 @@ def finite_function(real: np.dtype) -> str:
 def finite(members: Sequence[str]) -> str:
     """The condition that numbers are finite."""
     return "\n        && ".join(f"is_finite({member})" for member in members)
+
+
+def of_length_1(members: Sequence[str], real: np.dtype) -> str:
+    """The condition that the length of a vector is 1, up to :data:`LENGTH_ERROR`."""
+    suffix = "f" if real.itemsize == 4 else ""
+    square = " + ".join(f"{member} * {member}" for member in members)
+    return f"{absolute_value(real)}({square} - 1.0{suffix}) <= {2.0 * LENGTH_ERROR:g}{suffix}"
 
 
 def joined_definitions(definitions: Iterable[str]) -> str:

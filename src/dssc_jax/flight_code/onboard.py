@@ -40,6 +40,7 @@ class TracedSoftware:
         period: Time between two ticks [s].
         precision: Bits of a number.
         outputs: Sentences on what its results drive.
+        directions: Names of the readings of each vector of length 1.
     """
 
     prefix: str
@@ -54,6 +55,7 @@ class TracedSoftware:
     period: float
     precision: int
     outputs: tuple[str, ...]
+    directions: tuple[tuple[str, ...], ...]
 
     @property
     def real(self) -> np.dtype:
@@ -123,10 +125,14 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     labels = member_names(channel or "command" for channel in loop.channels)
+    measured = names_of(readings)
+    directions = []
+    for field in software.directions:
+        directions.append(tuple(reading for reading in measured if reading.startswith(f"{field}_")))
     return TracedSoftware(
         f"{name}_inner_loop",
         laws,
-        names_of(readings),
+        measured,
         names_of(held),
         tuple(labels),
         started,
@@ -136,6 +142,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         period,
         study.config.loop.precision,
         software.outputs(study.template.plant),
+        tuple(directions),
     )
 
 

@@ -5,7 +5,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_code.c_files import finite, finite_function, header_file, joined_definitions, source_file
+from dssc_jax.flight_code.c_files import (
+    finite,
+    finite_function,
+    header_file,
+    joined_definitions,
+    of_length_1,
+    source_file,
+)
 from dssc_jax.flight_code.controller import TracedFunction
 from dssc_jax.flight_code.onboard import TracedSoftware
 from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
@@ -99,6 +106,10 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
     definitions = dict.fromkeys([*files.start.definitions, *files.sample.definitions, *files.tick.definitions])
     readings = [f"seen->{reading}" for reading in files.readings]
     commands = [f"wanted->{command}" for command in software.commands]
+    lengths = []
+    for direction in software.directions:
+        if set(direction) <= set(files.readings):
+            lengths.append(of_length_1([f"seen->{reading}" for reading in direction], software.real))
     declarations = fill(
         "inner_loop.h",
         name=name,
@@ -112,7 +123,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         name=name,
         is_finite=finite_function(software.real),
         definitions=joined_definitions(definitions),
-        readings_finite=finite(readings),
+        readings_valid="\n        && ".join([finite(readings), *lengths]),
         commands_finite=finite(commands),
         held_finite=finite([f"updated.{held}" for held in software.held]),
         start=files.start.lines,

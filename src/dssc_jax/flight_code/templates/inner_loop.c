@@ -1,9 +1,9 @@
 @{is_finite}
 
 @{definitions}
-static bool are_readings_finite(const @{name}_readings *seen)
+static bool are_readings_valid(const @{name}_readings *seen)
 {
-    return @{readings_finite};
+    return @{readings_valid};
 }
 
 static unsigned keep(@{name} *inner_loop, const @{name} *kept)
@@ -19,7 +19,7 @@ static unsigned keep(@{name} *inner_loop, const @{name} *kept)
 unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen)
 {
     @{name} updated;
-    if (!are_readings_finite(seen)) {
+    if (!are_readings_valid(seen)) {
         return 1u;
     }
     @{unread}
@@ -31,7 +31,7 @@ unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const
 {
     const @{name} held = *inner_loop;
     @{name} updated;
-    if (!are_readings_finite(seen) || !(@{commands_finite})) {
+    if (!are_readings_valid(seen) || !(@{commands_finite})) {
         return 1u;
     }
 @{sample}
@@ -42,7 +42,7 @@ unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen)
 {
     const @{name} held = *inner_loop;
     @{name} updated;
-    if (!are_readings_finite(seen)) {
+    if (!are_readings_valid(seen)) {
         return 1u;
     }
 @{tick}

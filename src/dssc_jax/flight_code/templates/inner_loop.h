@@ -14,7 +14,8 @@ typedef struct {
     @{held}
 } @{name};
 
-/* In hover, from the first readings. Returns 0; 1: a reading is not finite, 2: the state would not be. */
+/* In hover, from the first readings. Returns 0; 1: a reading is not finite, or the length of the quaternion deviates from
+ * 1 by more than 0.1 %; 2: the state would not be finite. */
 unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen);
 
 /* At each sample of the controllers, before the first of @{ticks} ticks. Returns 0; or 1 or 2, and keeps the state. */

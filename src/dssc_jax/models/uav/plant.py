@@ -256,6 +256,7 @@ UAV = Plant(
         tick=software_tick,
         frequency="inner_loop.frequency",
         outputs=rotor_sentences,
+        directions=("attitude",),
     ),
     estimation=Estimation(
         chosen=lambda params: estimator_of(params) is not None,
