@@ -207,7 +207,7 @@ def test_a_draw_names_every_requirement_that_it_violates(swept, capsys):
     assert run.attrs["verdict"].startswith(wanted)
     assert run.attrs["outcome_meaning"] == "first_violated_error_max_after_1"
     assert run.attrs["verdict"] in " ".join(dj.plot.trajectory(run).get_suptitle().split())
-    show_draw(run.attrs, [])
+    show_draw(run.attrs, {}, [])
     assert f"draw {draw}: {wanted}" in capsys.readouterr().out
     diverged = int(np.flatnonzero(np.all(broken, axis=0))[0])
     assert dj.simulate(study, diverged).attrs["verdict"] == "does not stay finite"

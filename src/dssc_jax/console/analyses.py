@@ -12,6 +12,7 @@ from dssc_jax.analyses.probability import FailureProbability
 from dssc_jax.analyses.rare_events.rare import RareAnswer, RareEvent
 from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
+from dssc_jax.results.summary import largest_count
 
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
@@ -39,12 +40,15 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
 def show_contest(contest: ContestAnswer, answer: ComparisonAnswer, gains: str) -> None:
     """Print one row for each controller and one for each pair."""
     rows = []
+    worst = ["most violated"] if len(answer.requirements) > 1 else []
     for name, controller in contest.controllers.items():
         low, high = controller.interval
         share = f"{controller.probability:.4g}" if controller.failures else f"<= {high:.3g}"
         middle = number_text(controller.median.get(answer.headline), ".4g")
-        rows.append((name, f"{controller.failures}/{answer.draws}", share, f"[{low:.3g}, {high:.3g}]", middle))
-    show_table((gains, "failures", "probability", "95 % interval", f"median {answer.headline}"), rows)
+        violated = [largest_count(controller.violations)] if worst else []
+        cells = (name, f"{controller.failures}/{answer.draws}", share, f"[{low:.3g}, {high:.3g}]", middle)
+        rows.append((*cells, *violated))
+    show_table((gains, "failures", "probability", "95 % interval", f"median {answer.headline}", *worst), rows)
     show_pairs(contest.pairs, "failure probability, paired", "exact McNemar")
 
 

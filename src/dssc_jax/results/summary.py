@@ -253,9 +253,14 @@ def extreme_points(points: Sequence[SummaryRow]) -> tuple[SummaryRow, SummaryRow
 
 
 def most_violated(point: SummaryRow) -> str:
-    """The requirement violated by most draws of a point, with their number; ``-`` if no draw violates any."""
-    worst = max(point["requirements"], key=lambda requirement: requirement["failures"], default=None)
-    return f"{worst['name']} ({worst['failures']})" if worst and worst["failures"] else "-"
+    """The requirement violated by most draws of a point, as :func:`largest_count`."""
+    return largest_count({requirement["name"]: requirement["failures"] for requirement in point["requirements"]})
+
+
+def largest_count(counts: Mapping[str, int]) -> str:
+    """The name with the largest count, with it, such as ``error_max (12)``; ``-`` if none is above 0."""
+    name = max(counts, key=lambda label: counts[label], default="")
+    return f"{name} ({counts[name]})" if name and counts[name] else "-"
 
 
 def jsonable(content: object) -> Any:

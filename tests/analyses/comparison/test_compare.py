@@ -68,6 +68,13 @@ def test_pairs(found):
     assert "slack_error_max_after_2" not in pairs[0]["metrics"]
 
 
+def test_each_controller_tells_which_requirement_its_draws_violate(study, found):
+    """Counted again from the metric itself; a draw without a value violates."""
+    for name, controller in found.answer.corresponding.controllers.items():
+        values = found.corresponding.dataset["error_max_after_2"].sel(controller=name).values
+        assert controller.violations == {"error_max_after_2": int(np.sum(~(values <= 0.1)))}
+
+
 def test_the_given_tables_survive_tuning(study, found):
     assert study.table == TABLE
     assert found.corresponding.tables["dssc"]["functions"]["kappa1"] == 4.0

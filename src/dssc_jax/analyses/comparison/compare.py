@@ -15,6 +15,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
 from dssc_jax.analyses.comparison.tuning import Tuning, ranges, tuned, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
+from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
@@ -59,6 +60,7 @@ class ControllerAnswer:
     failures: Annotated[int, Quantity("1", "failed draws")]
     probability: Annotated[float, Quantity("1", "failure probability")]
     interval: Annotated[tuple[float, float], Quantity("1", "its interval (Clopper-Pearson)")]
+    violations: Annotated[dict[str, int], Quantity("1", "draws that violate each requirement")]
     median: Annotated[dict[str, float], Quantity("that of the metric", "median of each metric")]
 
 
@@ -149,8 +151,12 @@ class Contest(NamedTuple):
                 if measure.name in data:
                     values = data[measure.name].values
                     medians[measure.name] = upper_quantiles(values, [0.5], measure.metric.worst)[0]
+            violations = {}
+            for requirement in study.requirements:
+                if requirement.name in data:
+                    violations[requirement.label] = int(np.count_nonzero(violated(data[requirement.name].values)))
             low, high = clopper_pearson(failures, draws, confidence)
-            controllers[name] = ControllerAnswer(table, failures, failures / draws, (low, high), medians)
+            controllers[name] = ControllerAnswer(table, failures, failures / draws, (low, high), violations, medians)
         return ContestAnswer(controllers, self.pairs(study, confidence))
 
 
