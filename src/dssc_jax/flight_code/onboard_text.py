@@ -102,6 +102,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         f"A tick every {software.period:g} s, {software.ticks} in a sample. Numbers of the study are constants here.",
         "Compile without contraction and without fast arithmetic: cc -std=c99 -O2 -ffp-contract=off.",
     ]
+    sentences += [sentence.replace("`", "") for sentence in software.outputs]
     remarks = [line for sentence in sentences for line in comment(sentence)]
     definitions = dict.fromkeys([*files.start.definitions, *files.sample.definitions, *files.tick.definitions])
     readings = [f"seen->{reading}" for reading in files.readings]

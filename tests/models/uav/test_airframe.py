@@ -175,7 +175,7 @@ def test_the_cascade_takes_the_gains_of_the_file():
     found = read_airframe(text, mass=2.0, cascade=True)
     assert found.plant["inner_loop"]["kind"] == "px4"
     assert found.plant["inner_loop"]["rate_p"][0] == 0.2
-    assert "left out, without a counterpart here: MPC_XY_P" in found.notes
+    assert "k_p of [controller], of its .z and of its .psi: MPC_XY_P = 0.9" in found.notes
     table = {"name": "cascade", "loop": {"duration": 1.0, "sample_time": 0.01, "substeps": 8}}
     plant = {"kind": "uav", **found.plant, "vehicle": found.vehicle}
     study = dj.Study.from_table(table | {"plant": plant, "controller": {"kind": "pid", "k_p": 1.0}})
@@ -193,3 +193,19 @@ def test_rate_of_the_loops_is_that_of_the_file_and_unused_limits_are_named():
     silent = read_airframe(QUAD, mass=2.0, cascade=True)
     assert "frequency" not in silent.plant["inner_loop"]
     assert any("400 Hz" in note for note in silent.notes)
+
+
+def test_coordinates_that_only_some_rotors_lack_are_named():
+    """They count as PX4's default; where all rotors lack one, as level ones do their height, nothing is to be told."""
+    text = with_properties()
+    assert not any("taken as 0" in note for note in read_airframe(text).notes)
+    lines = [line for line in text.splitlines() if "CA_ROTOR2_PY" not in line]
+    found = read_airframe("\n".join(lines))
+    assert "taken as 0, PX4's default, though other rotors have them: CA_ROTOR2_PY" in found.notes
+
+
+def test_gains_of_the_position_control_are_told_with_their_values():
+    text = with_properties() + "\nparam set MPC_XY_P 0.95\nparam set MC_YAW_P 2.8"
+    notes = read_airframe(text, cascade=True).notes
+    assert "k_p of [controller], of its .z and of its .psi: MPC_XY_P = 0.95, MC_YAW_P = 2.8" in notes
+    assert not any("without a counterpart" in note for note in notes)

@@ -9,16 +9,18 @@ typedef struct {
     @{commands}
 } @{name}_commands;
 
-/* Its state, with what it commands. */
+/* Its state, with what it commands: rotor_i are the thrusts [N], from 0 to their limit; thrust is the net thrust that the
+ * control asks for [N], and limited is 1 where a rotor is at a limit. The members software_.. are for the functions alone. */
 typedef struct {
     @{held}
 } @{name};
 
-/* In hover, from the first readings. Returns 0; 1: a reading is not finite, or the length of the quaternion deviates from
- * 1 by more than 0.1 %; 2: the state would not be finite. */
+/* In hover, from the first readings, with all integrals at 0: before each take-off. Returns 0; 1: a reading is not finite,
+ * or the length of the quaternion deviates from 1 by more than 0.1 %; 2: the state would not be finite. */
 unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen);
 
-/* At each sample of the controllers, before the first of @{ticks} ticks. Returns 0; or 1 or 2, and keeps the state. */
+/* At each sample of the controllers, before the first of @{ticks} ticks. Finite commands are limited, not refused.
+ * Returns 0; or 1 or 2, and keeps the state: rotors stay at their last thrusts, so act on a flag that lasts. */
 unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted);
 
 /* One tick: the commands of the rotors. Returns 0; or 1 or 2, and keeps the state. */

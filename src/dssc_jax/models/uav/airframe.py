@@ -67,9 +67,11 @@ REFUSED = {
 
 
 TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
-TAKEN_BY_CASCADE = ("MC_AIRMODE", *GAIN_PARAMETERS)
+TAKEN_BY_CASCADE = ("MC_AIRMODE", "MPC_XY_P", "MPC_Z_P", *GAIN_PARAMETERS)
 """Parameters that the inner loop takes: the article's, and PX4's cascade."""
 
+OUTER_GAINS = ("MPC_XY_P", "MPC_Z_P", "MC_YAW_P")
+"""Gains of position and yaw, which are those of the controllers around the vehicle."""
 LOOP_RATE = "IMU_GYRO_RATEMAX"
 """Rate of PX4's attitude and rate loops [Hz]."""
 LIMITS = ("THR_MDL_FAC", "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN", "MPC_XY_CRUISE", "MPC_YAWRAUTO_MAX")
@@ -213,6 +215,19 @@ def unused(known: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
         notes.append(f"not used: {', '.join(settings)}")
 
 
+def note_missing_places(known: Mapping[str, float], notes: list[str]) -> None:
+    """Add a note of the coordinates that only some rotors lack in the file; they count as 0, PX4's default."""
+    missing = []
+    count = int(known["CA_ROTOR_COUNT"])
+    for axis in "XYZ":
+        names = [f"CA_ROTOR{index}_P{axis}" for index in range(count)]
+        absent = [name for name in names if name not in known]
+        if 0 < len(absent) < count and (axis != "Z" or len(absent) == 1):
+            missing += absent
+    if missing:
+        notes.append(f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}")
+
+
 def are_ratios(rotors: list[PlacedRotor]) -> bool:
     """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
     values = [value for rotor in rotors for value in rotor.place[:2]]
@@ -309,7 +324,8 @@ def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> T
         else:
             notes.append(f"frequency is 400 Hz: the file does not set {LOOP_RATE}")
         notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
-        notes.append("MPC_XY_P, MPC_Z_P and MC_YAW_P are k_p of [controller], of its .z and of its .psi")
+        outer = [f"{name} = {known[name]:g}" for name in OUTER_GAINS if name in known]
+        notes.append(f"k_p of [controller], of its .z and of its .psi: {', '.join(outer or OUTER_GAINS)}")
         return control | {"inner_loop": inner}
     gains: TomlTable = {}
     if "MPC_XY_VEL_P_ACC" in known:
@@ -364,4 +380,5 @@ def read_airframe(
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     unused(parameters, cascade, notes)
+    note_missing_places(parameters, notes)
     return Airframe(vehicle, tuple(notes), control)

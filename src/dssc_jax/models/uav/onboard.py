@@ -194,7 +194,8 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
         "Commands are `u_p` of each channel: velocities along x, y, z [m/s] and the rate of yaw [rad/s].",
         "World axes are x, y, z up, body axes forward, left, up. From NED and FRD: (x, y, z) = (east, north, -down), "
         "a body vector (a, b, c) becomes (a, -b, -c), and yaw counts counter-clockwise from x.",
-        f"A rotor gives at most {params.rotor_limit:.6g} N as the mixer knows it; thrust over that is its share.",
+        f"A rotor gives at most {params.rotor_limit:.6g} N as the mixer knows it. PX4's command of a motor, from 0 to "
+        f"1, is its thrust over that: `rotor_0`/{params.rotor_limit:.6g} where THR_MDL_FAC = 0.",
         "Places of rotors are in metres from the centre of mass.",
     ]
     for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
