@@ -20,6 +20,7 @@ from dssc_jax.statistics.stratified import allocation, stratified_interval
 PILOT = 256  # plain draws
 MORE = 512  # largest number of draws near the border that improve the prediction
 MORE_SHARE = 8  # ratio of the remaining draws to these
+BAND = 4  # ratio of the sample's points nearest to the border to these, which are spread over them
 SAMPLE = 2**14  # points whose predictions decide the strata
 NETS = 16
 NET = 2**12  # points of a net
@@ -90,14 +91,12 @@ def stratified_probability(
     counter = Counter(slack)
     rng = generator(*seeds, stream("strata"))
     points = inside(rng.random((PILOT, dimension)))
-    surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)))
+    surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside(rng.random((SAMPLE, dimension)))
     edges, draws = planned(surrogate, surrogate(sample), width, most)
     extra = min(MORE, int(draws.sum()) // MORE_SHARE)
     if extra > PILOT // 4:
-        chosen = sample[np.argsort(np.abs(surrogate(sample)))[: 4 * extra : 4]]
-        slacks = counter(chosen, counter.fresh(len(chosen)))
-        surrogate = Surrogate(np.concatenate([points, chosen]), np.concatenate([surrogate.slacks, slacks]))
+        surrogate = improved(surrogate, sample, extra, counter)
         sample = inside(rng.random((SAMPLE, dimension)))
         edges, draws = planned(surrogate, surrogate(sample), width, most)
     strata = len(draws)
@@ -110,6 +109,21 @@ def stratified_probability(
     failed = counter(chosen, counter.fresh(len(chosen))) < 0.0
     failures = np.bincount(stratum[failed], minlength=strata)
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
+
+
+def improved(surrogate: Surrogate, sample: np.ndarray, extra: int, counter: Counter) -> Surrogate:
+    """The prediction with further draws near the predicted border, chosen from a plain sample.
+
+    Within the band from which they are chosen, all draws together count as often as the pilot's are expected to.
+    """
+    distances = np.abs(surrogate(sample))
+    nearest = np.argsort(distances)[: BAND * extra]
+    chosen = sample[nearest[::BAND]]
+    points = np.concatenate([surrogate.points, chosen])
+    slacks = np.concatenate([surrogate.slacks, counter(chosen, counter.fresh(extra))])
+    expected = PILOT * len(nearest) / len(sample)
+    in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
+    return Surrogate(points, slacks, np.where(in_band, expected / (expected + extra), 1.0))
 
 
 def planned(surrogate: Surrogate, predictions: np.ndarray, width: float, most: int) -> tuple[np.ndarray, np.ndarray]:

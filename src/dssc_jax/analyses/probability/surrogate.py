@@ -73,10 +73,13 @@ class Surrogate:
     Args:
         points: Simulated points of the unit cube, shape (n, d).
         slacks: Their slacks, shape (n,).
+        counts: How many points each stands for, shape (n,): less than 1 where points were chosen densely. The curve
+            would otherwise be that of the chosen points, among which more predictions are in doubt.
     """
 
     points: np.ndarray
     slacks: np.ndarray
+    counts: np.ndarray
     function: Interpolation = field(init=False)
     curve: np.ndarray = field(init=False)
 
@@ -89,7 +92,7 @@ class Surrogate:
             left_out = fold == part
             function = interpolation(self.points[~left_out], values[~left_out])
             predicted[left_out] = function(self.points[left_out])
-        self.curve = logistic_curve(predicted, self.slacks < 0.0)
+        self.curve = logistic_curve(predicted, self.slacks < 0.0, self.counts)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Predicted slacks, scaled, of points of shape (n, d)."""
@@ -101,13 +104,13 @@ class Surrogate:
         return special.expit(intercept - slope * predictions)
 
 
-def logistic_curve(predictions: np.ndarray, failed: np.ndarray) -> np.ndarray:
-    """Intercept a and slope b of the curve 1/(1 + exp(-(a - b s))) of failures over predictions s."""
+def logistic_curve(predictions: np.ndarray, failed: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Intercept a and slope b of the curve 1/(1 + exp(-(a - b s))) of failures over predictions s, counted so often."""
     signs = np.where(failed, 1.0, -1.0)
 
     def loss(curve: np.ndarray) -> float:
         intercept, slope = curve
-        fit = np.logaddexp(0.0, -signs * (intercept - slope * predictions)).sum()
+        fit = counts @ np.logaddexp(0.0, -signs * (intercept - slope * predictions))
         return float(fit + PRIOR * (intercept**2 + slope**2))
 
     return optimize.minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead").x
