@@ -42,5 +42,5 @@ LIMIT = 0.05
 
 CELLS, MOST_CELLS, SIGMA = 10_000, 10**7, 3.0
 """Worst loop: parts of box and frequencies for each loop; standard deviations at which laws without ends are cut."""
-LANES, MOST_LINEARISED = 1_000_000, 10**8
+DERIVATIVES, MOST_LINEARISED = 1_000_000, 10**8
 """Worst loop: derivatives that the default number of points takes; largest number of points."""

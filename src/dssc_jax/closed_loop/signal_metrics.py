@@ -63,7 +63,7 @@ def of_desired_output(index: int) -> Callable[[Instant], Scalar]:
 
 def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
     """What a channel's controller reports."""
-    return lambda instant: getattr(instant.channels[index].info, field)
+    return lambda instant: signals_in(instant.channels[index].info)[field]
 
 
 def of_plant(field: str) -> Callable[[Instant], Scalar]:

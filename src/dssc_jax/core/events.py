@@ -11,8 +11,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Sensor, Unmodelled, as_given
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3
+
+AT = Quantity("s", "time of the event", at_least=0.0)
+UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0)
 
 
 class Load(NamedTuple):

@@ -13,6 +13,7 @@ import numpy as np
 
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
+from dssc_jax.core.contracts import Controller, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
@@ -79,10 +80,14 @@ class Evaluator:
         return evaluate(self.engine, {name: column for name, column in values.items() if name in known}, indices)
 
 
+def driven_parts(study: Study) -> list[tuple[str, Plant | Controller]]:
+    """The plant and the controllers of a study, each with the name of its table."""
+    return [("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)]
+
+
 def native_code(study: Study) -> str:
     """The file of native code that a study's plant or a controller calls; empty if all of its loop has derivatives."""
-    parts = (study.loop.plant, *study.loop.controller)
-    return next((part.native for part in parts if part.native), "")
+    return next((part.native for _, part in driven_parts(study) if part.native), "")
 
 
 def require_derivatives(study: Study) -> None:
@@ -91,7 +96,7 @@ def require_derivatives(study: Study) -> None:
     Raises:
         ConfigError: The plant or a controller is native code.
     """
-    for slot, part in (("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)):
+    for slot, part in driven_parts(study):
         if part.native:
             raise ConfigError(slot, f"is native code ({part.native}), through which no derivative passes")
 
@@ -106,7 +111,7 @@ def require_steps_in_any_order(study: Study, subject: str) -> None:
     Raises:
         ConfigError: The plant or a controller keeps its state outside of JAX.
     """
-    for slot, part in (("plant", study.loop.plant), *(("controller", part) for part in study.loop.controller)):
+    for slot, part in driven_parts(study):
         if part.begin is not None:
             rule = f"keeps its state outside of JAX ({part.native}), so its steps are made once and in order"
             raise ConfigError(slot, f"{rule}; {subject} is not offered for it: use `run` or `simulate`")

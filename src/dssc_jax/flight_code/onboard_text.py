@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_code.c_files import (
+    LENGTH_ERROR,
     finite,
     finite_function,
     header_file,
@@ -118,6 +119,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         commands=[f"{real} {command};" for command in software.commands],
         held=[f"{real} {held};" for held in software.held],
         ticks=str(software.ticks),
+        length_error=f"{100.0 * LENGTH_ERROR:g}",
     )
     body = fill(
         "inner_loop.c",

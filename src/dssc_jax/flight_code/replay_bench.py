@@ -14,7 +14,7 @@ import numpy as np
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.engine.sampling import draw as draw_values
-from dssc_jax.flight_code.template_files import fill
+from dssc_jax.flight_code.template_files import fill, template_text
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.llvm.machine import usable_cores
@@ -60,6 +60,7 @@ def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
     target = bench.label.replace(" ", "-")
     source = fill(
         "replay_bench.c",
+        same_bits=template_text("same_bits.c"),
         label=bench.label,
         target=target,
         name=bench.prefix,

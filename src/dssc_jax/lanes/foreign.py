@@ -16,6 +16,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from dssc_jax.lanes.llvm import machine
+from dssc_jax.lanes.unsupported import Unsupported
 
 WORD = 4
 """Bytes of a word; every number has one or two of them."""
@@ -153,16 +154,12 @@ def batched(
 
 
 def refuse_derivative(*_: object, function: ForeignFunction) -> None:
-    """Refuse a derivative: a function of C has none.
-
-    JAX calls this rule where it would differentiate the primitive. Its convention for a primitive without a derivative
-    is a NotImplementedError, which callers of ``jax.grad`` expect. The analyses that need derivatives refuse native
-    code before they trace.
+    """Refuse a derivative: a function of C has none. JAX calls this rule where it would differentiate the primitive.
 
     Raises:
-        NotImplementedError: Always.
+        Unsupported: Always. The analyses that need derivatives refuse native code before they trace.
     """
-    raise NotImplementedError(f"a derivative of native code: {function.symbol} has none")
+    raise Unsupported(f"a derivative of native code: {function.symbol} has none")
 
 
 PRIMITIVE = Primitive(FOREIGN_CALL)

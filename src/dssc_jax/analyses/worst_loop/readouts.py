@@ -18,12 +18,12 @@ GAINS = (*FEEDTHROUGHS, "delay")
 
 
 class Enclosure(NamedTuple):
-    """Sets that contain the response on n cells: G = centre + sum of u_i linear_i + R, u_i in [-1, 1], abs(R) <= rest.
+    """Sets that contain the response on n cells: G = centre + sum of u_i linear_i + R, u_i in [-1, 1], abs(R) <= r.
 
     Args:
         centre: Shape (n, channels, channels).
         linear: Shape (n, sides + 1, channels, channels).
-        remainder: Bound of abs(R) entry by entry, shape (n, channels, channels).
+        remainder: The bound r of abs(R), entry by entry, shape (n, channels, channels).
         end: Last angle of each cell, shape (n,).
     """
 
@@ -112,8 +112,8 @@ def scaled_bounds(middle: np.ndarray, linear: np.ndarray, remainder: np.ndarray,
     for part in (scaled[0], scaled[2]):
         finite &= np.all(np.isfinite(part), axis=(1, 2))
     bounds = np.full(len(middle), np.inf)
-    centre, generators, rest = (part[finite] for part in scaled)
-    bounds[finite] = norm_over_box(centre, generators) + norms(rest)
+    centre, generators, remainders = (part[finite] for part in scaled)
+    bounds[finite] = norm_over_box(centre, generators) + norms(remainders)
     return bounds
 
 
@@ -130,12 +130,12 @@ def norm_over_box(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
     sizes = norms(generators)
     order = np.argsort(-sizes, axis=1)
     ranked = np.take_along_axis(generators, order[:, :, None, None], 1)
-    rest = np.take_along_axis(sizes, order, 1)[:, VERTICES:].sum(axis=1)
+    added = np.take_along_axis(sizes, order, 1)[:, VERTICES:].sum(axis=1)
     leading = ranked[:, :VERTICES]
     largest = np.zeros(len(centre))
     for signs in itertools.product((-1.0, 1.0), repeat=leading.shape[1]):
         largest = np.maximum(largest, norms(centre + np.einsum("k,nkij->nij", np.array(signs), leading)))
-    return largest + rest
+    return largest + added
 
 
 def norms(matrices: np.ndarray) -> np.ndarray:

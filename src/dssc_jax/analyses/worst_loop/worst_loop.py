@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.defaults import CELLS, LANES, MOST_CELLS, MOST_LINEARISED, SIGMA
+from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
@@ -102,7 +102,7 @@ def worst_loop(
     settled = findings[operating.reached]
     if np.any(settled != settled[0]):
         raise ConfigError(study.source, "lies at a corner of a part in some draws, and not in others")
-    most = points or max(1, LANES // sum(operating.matrices.b.shape[1:]))
+    most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
 
     def advance(linearised: int) -> None:
         if progress:

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 
@@ -102,6 +102,12 @@ def loaded(library: ctypes.CDLL, name: str, *types: type) -> Status:
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
 
+def opened(kind: Callable[..., Any], folder: Path, described: "ModelDescription") -> Any:
+    """FMPy's object of an FMU for co-simulation, of the kind of its version of FMI, with the library loaded."""
+    identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+    return kind(guid=described.guid or "", unzipDirectory=str(folder), modelIdentifier=identifier)
+
+
 class Fmi2Calls(FmiCalls):
     """Co-simulation in FMI 2.0.
 
@@ -112,12 +118,9 @@ class Fmi2Calls(FmiCalls):
 
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
-        identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        token = described.guid or ""
-        slave = modules.fmi2.FMU2Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
-        functions = slave.dll
-        self._slave = slave
-        self._guid = token.encode()
+        self._slave = opened(modules.fmi2.FMU2Slave, folder, described)
+        functions = self._slave.dll
+        self._guid = (described.guid or "").encode()
         self._resources = (folder / "resources").as_uri().encode()
         self._said = modules.fmi2.fmi2CallbackLoggerTYPE(self.note)
         self._callbacks = modules.fmi2.fmi2CallbackFunctions()
@@ -166,12 +169,9 @@ class Fmi3Calls(FmiCalls):
 
     def __init__(self, folder: Path, described: "ModelDescription") -> None:
         modules = fmpy()
-        identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-        token = described.guid or ""  # FMPy's name of the instantiation token
-        slave = modules.fmi3.FMU3Slave(guid=token, unzipDirectory=str(folder), modelIdentifier=identifier)
-        functions = slave.dll
-        self._slave = slave
-        self._token = token.encode()
+        self._slave = opened(modules.fmi3.FMU3Slave, folder, described)
+        functions = self._slave.dll
+        self._token = (described.guid or "").encode()  # guid is FMPy's name of the instantiation token
         self._resources = f"{folder / 'resources'}/".encode()
         self._said = modules.fmi3.fmi3LogMessageCallback(self.note)
         self._update = modules.fmi3.fmi3IntermediateUpdateCallback()

@@ -36,17 +36,7 @@ typedef struct {
 #define COMMANDS 3u
 static const char magic[] = "dssc-jax recording 1";
 
-static bits bits_of(real x)
-{
-    bits same;
-    memcpy(&same, &x, sizeof same);
-    return same;
-}
-
-static bool same(real a, real b)
-{
-    return bits_of(a) == bits_of(b) || (isnan(a) && isnan(b)); /* the bits of a NaN are the processor's own */
-}
+@{same_bits}
 
 /* What the compiler did to arithmetic, found by numbers that it cannot know. */
 

@@ -16,7 +16,7 @@ typedef struct {
 } @{name};
 
 /* In hover, from the first readings, with all integrals at 0: before each take-off. Returns 0; 1: a reading is not finite,
- * or the length of the quaternion deviates from 1 by more than 0.1 %; 2: the state would not be finite. */
+ * or the length of the quaternion deviates from 1 by more than @{length_error} %; 2: the state would not be finite. */
 unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen);
 
 /* At each sample of the controllers, before the first of @{ticks} ticks. Finite commands are limited, not refused.

@@ -20,17 +20,7 @@ typedef uint@{precision}_t bits;
 static const char magic[] = "@{magic}";
 static const char *const names[] = {@{names}};
 
-static bits bits_of(real x)
-{
-    bits same;
-    memcpy(&same, &x, sizeof same);
-    return same;
-}
-
-static bool same(real a, real b)
-{
-    return bits_of(a) == bits_of(b) || (isnan(a) && isnan(b)); /* the bits of a NaN are the processor's own */
-}
+@{same_bits}
 
 static uint32_t advance(@{name} *held, const real *row, uint32_t k, real *results)
 {

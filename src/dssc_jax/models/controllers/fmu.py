@@ -27,7 +27,7 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Command, Info, Measurement, Params, ReferencePoint, Scalar
 from dssc_jax.core.smoothness import not_smooth
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.models.controllers.library import LibraryGains
+from dssc_jax.models.controllers.library import unloaded
 from dssc_jax.models.controllers.nominal import L0
 
 COMMAND_KEY = "command"
@@ -109,7 +109,6 @@ class FmuController:
     def controller(self) -> Controller:
         """The controller."""
         quantities = {signal: variable.quantity for signal, variable in self.outputs}
-        rates = {"y_dot"} & {signal for signal, _ in self.inputs}
         return Controller(
             params_type(self.parameters, "l0", L0, 1.0),
             self.init,
@@ -118,7 +117,7 @@ class FmuController:
             info=named_type("Info", quantities, {}) if quantities else None,
             native=self.fmu.file,
             begin=self.begin,
-            takes_rate=bool(rates),
+            takes_rate=any(signal == "y_dot" for signal, _ in self.inputs),
         )
 
 
@@ -134,17 +133,8 @@ def loaded_controller(table: TomlTable) -> Controller:
     return FmuController(fmu_of(table), table).controller()
 
 
-UNLOADED = Controller(
-    LibraryGains,
-    init=lambda gains, measurement, reference: no_words(),
-    step=lambda gains, state, measurement, reference, dt: (state, Command(0.0, 0.0), ()),
-    smooth=not_smooth(WITHOUT_DERIVATIVE),
-    native="a file",
-)
-"""Placeholder for an FMU in lists of kinds, where its file is not known; no study gets it."""
-
 FMU_CONTROLLER = Entry(
-    {None: UNLOADED},
+    {None: unloaded(WITHOUT_DERIVATIVE)},
     "a controller in an FMU for co-simulation; `parameters` sets the FMU's parameters and initial values",
     loaded=loaded_controller,
     keys={

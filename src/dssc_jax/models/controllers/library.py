@@ -158,17 +158,23 @@ def loaded_controller(table: TomlTable) -> Controller:
     return controller_of(library, str(name))
 
 
-UNLOADED = Controller(
-    LibraryGains,
-    init=lambda gains, measurement, reference: (),
-    step=lambda gains, state, measurement, reference, dt: (state, Command(0.0, 0.0), ()),
-    smooth=not_smooth(WITHOUT_DERIVATIVE),
-    native="a file",
-)
-"""Placeholder for a library in lists of kinds, where its file is not known; no study gets it."""
+def unloaded(reason: str) -> Controller:
+    """Placeholder for native code in lists of kinds, where its file is not known; no study gets it.
+
+    Args:
+        reason: Why it has no derivative.
+    """
+    return Controller(
+        LibraryGains,
+        init=lambda gains, measurement, reference: (),
+        step=lambda gains, state, measurement, reference, dt: (state, Command(0.0, 0.0), ()),
+        smooth=not_smooth(reason),
+        native="a file",
+    )
+
 
 LIBRARY = Entry(
-    {None: UNLOADED},
+    {None: unloaded(WITHOUT_DERIVATIVE)},
     "a controller in C of your own; the parameters that its file exports are further fields",
     loaded=loaded_controller,
     keys={

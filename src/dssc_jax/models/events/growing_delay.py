@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import CommandEvent
+from dssc_jax.core.events import AT, CommandEvent
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -18,7 +18,7 @@ MOST_SAMPLES = 200
 class GrowingParams(NamedTuple):
     """The delay is rate times the time since the event, at most ``memory`` samples."""
 
-    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    at: Annotated[Scalar, AT]
     rate: Annotated[Scalar, Quantity("1", "growth of the delay, seconds a second", at_least=0.0)]
     memory: Annotated[
         float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST_SAMPLES, law=False)

@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import Condition, Load, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, Load, VehicleEvent
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -15,14 +15,14 @@ class PayloadParams(NamedTuple):
     Velocity and body rate do not jump: what is picked up moves with the vehicle already.
     """
 
-    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    at: Annotated[Scalar, AT]
     mass: Annotated[Scalar, Quantity("kg", "mass that is added; below 0: dropped")]
     offset: Annotated[tuple[Scalar, ...], Quantity("m", "its place from the centre of mass, body axes")] = (
         0.0,
         0.0,
         0.0,
     )
-    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+    until: Annotated[Scalar | None, UNTIL] = None
 
 
 def prepare(params: PayloadParams) -> PayloadParams:

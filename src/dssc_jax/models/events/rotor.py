@@ -5,13 +5,10 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import Condition, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
 from dssc_jax.core.numerics import is_known
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Scalar
-
-AT = Quantity("s", "time of the event", at_least=0.0)
-UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0)
 
 
 class RotorParams(NamedTuple):

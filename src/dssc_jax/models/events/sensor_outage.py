@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Sensor
-from dssc_jax.core.events import SensorEvent, Wrapped
+from dssc_jax.core.events import AT, SensorEvent, Wrapped
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Scalar, State
 
@@ -16,7 +16,7 @@ ROUNDING = 1e-9  # samples
 class OutageParams(NamedTuple):
     """When the sensor freezes, and for how long."""
 
-    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    at: Annotated[Scalar, AT]
     duration: Annotated[Scalar, Quantity("s", "time for which the last reading is shown", at_least=0.0)]
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated, NamedTuple
 
-from dssc_jax.core.events import Condition, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, VehicleEvent
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 
@@ -10,10 +10,10 @@ from dssc_jax.core.signals import Scalar
 class SagParams(NamedTuple):
     """The share of the voltage that remains. Rotors turn at that share of their speed: thrust falls with its square."""
 
-    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    at: Annotated[Scalar, AT]
     voltage: Annotated[Scalar, Quantity("1", "share of the voltage that remains", above=0.0, at_most=1.5)]
     rise: Annotated[Scalar | None, Quantity("s", "time in which it falls; absent: at once", above=0.0)] = None
-    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+    until: Annotated[Scalar | None, UNTIL] = None
 
 
 def change(params: SagParams, condition: Condition, share: Scalar, rotors: int) -> Condition:

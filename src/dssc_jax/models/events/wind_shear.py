@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.events import Condition, Shear, VehicleEvent
+from dssc_jax.core.events import AT, UNTIL, Condition, Shear, VehicleEvent
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -12,11 +12,11 @@ from dssc_jax.core.vectors import Vec3
 class ShearParams(NamedTuple):
     """The wind of the study, and gradient times the height of the vehicle above ``height``."""
 
-    at: Annotated[Scalar, Quantity("s", "time of the event", at_least=0.0)]
+    at: Annotated[Scalar, AT]
     gradient: Annotated[tuple[Scalar, ...], Quantity("1/s", "change of the wind x, y, z with height")]
     height: Annotated[Scalar, Quantity("m", "height z at which the shear adds nothing")] = 0.0
     rise: Annotated[Scalar | None, Quantity("s", "time in which it sets in; absent: at once", above=0.0)] = None
-    until: Annotated[Scalar | None, Quantity("s", "time at which it ends; absent: never", at_least=0.0)] = None
+    until: Annotated[Scalar | None, UNTIL] = None
 
 
 def prepare(params: ShearParams) -> ShearParams:

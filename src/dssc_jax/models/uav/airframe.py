@@ -222,7 +222,7 @@ def note_missing_places(known: Mapping[str, float], notes: list[str]) -> None:
     for axis in "XYZ":
         names = [f"CA_ROTOR{index}_P{axis}" for index in range(count)]
         absent = [name for name in names if name not in known]
-        if 0 < len(absent) < count and (axis != "Z" or len(absent) == 1):
+        if len(absent) < count:
             missing += absent
     if missing:
         notes.append(f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}")
