@@ -237,6 +237,8 @@ def test_a_cut_and_a_damaged_log(tmp_path):
     (tmp_path / "cut.ulg").write_bytes(content[: len(content) * 2 // 3])
     cut = list_topics(tmp_path / "cut.ulg")
     assert cut.damaged is None
+    assert cut.cut
+    assert not whole.cut
     assert 0 < sum(topic.messages for topic in cut.topics) < sum(topic.messages for topic in whole.topics)
     damaged = content + struct.pack("<Hc", 4, b"?") + bytes(4)
     (tmp_path / "damaged.ulg").write_bytes(damaged)

@@ -25,6 +25,8 @@ def show_log(log: LogContents) -> None:
         say(f"{count} dropouts of together {lost:.3g} s")
     if log.damaged is not None:
         say(f"damaged: byte {log.damaged} is no message, and the list ends there")
+    if log.cut:
+        say("cut off: the file ends within a message, and what was to come is not in it")
     if log.topics and not log.fields:
         head = ("topic", "messages", "a second", "first [s]", "last [s]")
         show_table(head, [topic_row(topic) for topic in log.topics])

@@ -57,6 +57,7 @@ class LogContents:
         segments: When the vehicle was armed and airborne.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message.
+        cut: Whether the file ends within a message, as where the power failed while it was written.
         fields: Fields of the chosen topics, or the columns of a table.
     """
 
@@ -67,6 +68,7 @@ class LogContents:
     segments: tuple[Segment, ...]
     dropouts: tuple[int, float]
     damaged: int | None
+    cut: bool
     fields: tuple[FieldValues, ...]
 
     def summary(self) -> dict[str, object]:
@@ -108,6 +110,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             tuple(segments_of(data, begin)),
             listed.dropouts,
             listed.damaged,
+            listed.cut,
             tuple(fields),
         )
 
@@ -144,7 +147,7 @@ def table_contents(path: Path) -> LogContents:
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
     time = columns.get(TIME, np.zeros(1))
     span = float(np.nanmax(time) - np.nanmin(time))
-    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, fields)
+    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, False, fields)
 
 
 def topic_table(

@@ -103,7 +103,7 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
         return predicted[0], slopes
 
     if len(study.loop.channels) > 1:
-        return native_prediction(study, names, samples)
+        return prediction_by_lanes(study, names, samples)
     compiled = jax.jit(with_slopes, compiler_options=plain_options())
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +115,7 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
     return predict
 
 
-def native_prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
+def prediction_by_lanes(study: Study, names: Sequence[str], samples: int) -> Prediction:
     """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
 
     A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants

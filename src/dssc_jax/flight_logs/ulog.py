@@ -84,6 +84,7 @@ class LogTopics(NamedTuple):
         topics: Its topics, by name.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message; None: there is none.
+        cut: Whether the file ends within a message.
     """
 
     system: dict[str, str]
@@ -91,6 +92,7 @@ class LogTopics(NamedTuple):
     topics: tuple[LogTopic, ...]
     dropouts: tuple[int, float]
     damaged: int | None
+    cut: bool
 
 
 class LogWarning(UserWarning):
@@ -187,7 +189,7 @@ def list_topics(path: Path) -> LogTopics:
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(counted.topics(), key=lambda topic: topic.name))
     duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
-    return LogTopics(system, duration, topics, counted.dropouts, damaged)
+    return LogTopics(system, duration, topics, counted.dropouts, damaged, counted.cut)
 
 
 def log_begin(file: BinaryIO) -> int:
@@ -212,6 +214,7 @@ class Scan:
         self._first: dict[int, int] = {}
         self._last: dict[int, int] = {}
         self.dropouts = (0, 0.0)
+        self.cut = False
 
     def run(self, file: BinaryIO) -> int | None:
         """Read all messages; the position of the first byte that is no message, None if there is none."""
@@ -220,11 +223,13 @@ class Scan:
         while True:
             head = read(MESSAGE.size)
             if len(head) < MESSAGE.size:
+                self.cut = len(head) > 0
                 return None
             size, kind = MESSAGE.unpack(head)
             body = read(size)
             if len(body) < size:
-                return None  # the log was cut off while it was written
+                self.cut = True
+                return None
             known = self._count(body) if kind == data else kind in KINDS and self._note(kind, body)
             if not known:
                 return file.tell() - size - MESSAGE.size
