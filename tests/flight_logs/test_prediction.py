@@ -3,7 +3,7 @@
 import numpy as np
 
 import dssc_jax as dj
-from dssc_jax.flight_logs.prediction import prediction_by_lanes, prediction
+from dssc_jax.flight_logs.prediction import prediction, prediction_by_lanes
 
 
 def test_lanes_predict_outputs_and_derivatives_of_xla():
