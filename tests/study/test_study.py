@@ -107,7 +107,7 @@ BAD = {
     "ssc with varying functions": ({"controller.kind": "ssc"}, "controller.functions.kind: ssc has constant functions"),
     "missing gain": ({"controller": {"kind": "pi", "l0": 1.0, "k_p": 1.0}}, "controller.k_i: is required and missing"),
     "missing slot": ({"controller": {"kind": "dssc", "l0": 1.0, "rho": 1.0}}, "controller.functions: is required"),
-    "missing kind": ({"plant": {"k_p": 1.0}}, "plant.kind: is required and missing; valid names are normal_form"),
+    "missing kind": ({"plant": {"k_p": 1.0}}, "plant.kind: is required and missing; valid names are .*normal_form"),
     "unknown metric": (
         {"requirement": [{"metric": "eror_rms", "max": 1.0}]},
         "unknown metric 'eror_rms'; did you mean 'error_rms'",
