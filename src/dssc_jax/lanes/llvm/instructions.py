@@ -237,7 +237,18 @@ class Instructions:
         if operation in ("floor", "ceil", "round", "trunc"):
             return names[0]
         notation = SIGNED if dtype.kind == "i" else UNSIGNED
-        return self.emit(f"{INTEGERS.get(operation) or notation[operation]} {kind} {names[0]}, {names[1]}")
+        result = self.emit(f"{INTEGERS.get(operation) or notation[operation]} {kind} {names[0]}, {names[1]}")
+        if operation == "add" and dtype.kind == "u" and not wide:
+            return self.opaque(kind, result)
+        return result
+
+    def opaque(self, kind: str, name: str) -> str:
+        """The same number, which LLVM does not take apart.
+
+        Loop strength reduction tries the orders of a sum of scalars that contains the loop's counter. The words of a
+        random number are such sums, of twenty rounds, and take it several seconds.
+        """
+        return self.emit(f"freeze {kind} {name}")
 
     def zero(self, dtype: np.dtype, wide: bool) -> str:
         """Zero."""
