@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from dssc_jax.analyses.theory.describing import limit_cycle
+from dssc_jax.analyses.theory.describing import limit_cycles
 from dssc_jax.analyses.theory.linearised import at_rest, kind_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.runs import run as running
@@ -63,7 +63,7 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
     }
     largest = running.run(resting.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
     known = study.loop.controller[0].describing is not None
-    cycles = [limit_cycle(resting, {mu: value}) if known else None for value in values]
+    cycles = limit_cycles(resting, [{mu: value} for value in values]) if known else [None] * len(values)
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
     unit = study.units[0].of("y/s")

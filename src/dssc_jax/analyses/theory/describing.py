@@ -12,7 +12,7 @@ References:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax
@@ -48,6 +48,11 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
         ConfigError: the law's describing function is not known, or the unmodelled dynamics have no form in continuous
             time.
     """
+    return limit_cycles(study, [point or {}])[0]
+
+
+def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[LimitCycle | None]:
+    """The limit cycle at each of several points, by one compiled program; see :func:`limit_cycle`."""
     resting = at_rest(study)
     describing = resting.loop.controller[0].describing
     if describing is None:
@@ -56,12 +61,15 @@ def limit_cycle(study: Study, point: Mapping[str, float] | None = None) -> Limit
             f"the describing function of '{kind_of(resting, 'controller')}' is not known",
         )
     require_continuous_dynamics(resting, resting.loop.unmodelled[0])
-    values = {**medians(resting), **(point or {})}
-    with jax.enable_x64(True):
-        opened = jax.jit(lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options())
-        response = jax.tree.map(np.asarray, opened(values))
-    balance = describing(resting.params(values).controller[0])
-    return solve_balance(response, balance)
+    opened = jax.jit(lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options())
+    middle = medians(resting)
+    cycles = []
+    for point in points:
+        values = {**middle, **point}
+        with jax.enable_x64(True):
+            response = jax.tree.map(np.asarray, opened(values))
+        cycles.append(solve_balance(response, describing(resting.params(values).controller[0])))
+    return cycles
 
 
 def solve_balance(response: Linearised, balance: HarmonicBalance) -> LimitCycle | None:

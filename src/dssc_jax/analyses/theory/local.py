@@ -165,7 +165,9 @@ def local_margin(
     eigenvalues_of, taken = spectrum_with_notes(swept, kind)
 
     def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        eigenvalues = eigenvalues_of(place({name: column[lanes] for name, column in laws.items()}, values))
+        repeated = np.resize(lanes, draws)  # as many as all draws: a program of another size would be compiled anew
+        placed = place({name: column[repeated] for name, column in laws.items()}, np.resize(values, draws))
+        eigenvalues = eigenvalues_of(placed)[: len(lanes)]
         if kind == Time.CONTINUOUS:
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
