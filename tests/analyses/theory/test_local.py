@@ -41,10 +41,10 @@ def test_state_dependent_functions_by_growth_of_a_small_deviation():
 @pytest.mark.parametrize("order", [1, 2])
 def test_continuous_time_is_met_to_first_order_in_the_sample_time(order):
     options = OPTIONS | {"bisections": 30}
-    exact = critical(dj.theory.local_margin(random_gains(order, CONSTANT), kind="continuous", **options))
+    exact = critical(dj.theory.local_margin(random_gains(order, CONSTANT, draws=40), kind="continuous", **options))
     gaps = []
     for sample_time in (0.005, 0.0025):
-        study = random_gains(order, CONSTANT, sample_time=sample_time)
+        study = random_gains(order, CONSTANT, draws=40, sample_time=sample_time)
         gaps.append(critical(dj.theory.local_margin(study, **options)) / exact - 1.0)
     assert gaps[0] / gaps[1] == pytest.approx(2.0, abs=0.05)
     assert np.abs(gaps[1]).max() < 0.02
