@@ -147,7 +147,7 @@ def test_llvm_does_not_take_the_sums_of_random_words_apart(width):
         if instruction.startswith("freeze i32 "):
             frozen.add(instruction.rpartition(" ")[2])
     assert frozen <= sums
-    assert (len(frozen) > 100) == (width == 1)
+    assert (len(frozen) >= 2 * 20) == (width == 1)  # two blocks of twenty rounds
     np.testing.assert_allclose(*both(lane, np.arange(9, dtype=np.uint32), width=width), rtol=ROUNDING)
 
 
