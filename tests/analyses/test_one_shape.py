@@ -64,6 +64,7 @@ RUN = {
     "compare-log": lambda study: dj.compare_log(study, LOG),
     "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), [LOG] * 9),
     "probability": lambda study: dj.probability(study, 0.1),
+    "select": lambda study: dj.select(study, candidates=8, keep=2, within=0.3),
     "rare": lambda study: dj.rare(study, None, SPENT),
     "falsify": lambda study: dj.falsify(study, budget=40),
     "tune": lambda study: dj.tune(study),

@@ -31,6 +31,9 @@ VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 1024
 WIDTH, MOST_STRATIFIED = 0.02, 1_000_000
 """Failure probability: width of the interval, and largest number of draws in the strata."""
 
+RACED, KEPT, INDIFFERENCE, MOST_RACED = 1024, 10, 0.02, 1_000_000
+"""Selection: candidates, how many are chosen, difference that does not matter, largest number of simulations."""
+
 HALVINGS = 3
 """Region: how often the cells of the coarse lattice are halved."""
 

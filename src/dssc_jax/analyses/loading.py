@@ -19,6 +19,7 @@ KINDS = {
     "compare": "dssc_jax.analyses.comparison:Comparison",
     "sensitivity": "dssc_jax.analyses.sensitivity:Sensitivity",
     "probability": "dssc_jax.analyses.probability:FailureProbability",
+    "select": "dssc_jax.analyses.selection:Selection",
     "rare": "dssc_jax.analyses.rare_events.rare:RareEvent",
     "falsify": "dssc_jax.analyses.falsification.falsify:Falsified",
     "tune": "dssc_jax.analyses.tuning:Tuned",

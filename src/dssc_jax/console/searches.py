@@ -5,6 +5,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
+from dssc_jax.analyses.selection import Selection
 from dssc_jax.analyses.tuning.objective import Verdict
 from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
@@ -24,6 +25,28 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
     if answer.gradients:
         console.print(f"gradients: {answer.gradients.text}")
     show_search(tuned.study, answer.search)
+    show_files(files)
+
+
+def show_selection(found: Selection, files: list[Path]) -> None:
+    """Print the chosen candidates, what is claimed of them, and the cost."""
+    answer = found.answer
+    console = output()
+    console.print(f"[bold]{escape(found.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    console.print(f"{found.headline} ({100 * answer.confidence:g} %, all together)", markup=False)
+    rows = []
+    for place, chosen in enumerate(answer.chosen):
+        values = (f"{value:.5g}" for value in chosen.values.values())
+        rows.append((str(place + 1), *values, f"{chosen.failures:,} of {chosen.draws:,}"))
+    show_table(("", *answer.ranges, "failed draws"), rows)
+    if answer.within > answer.wanted_within:
+        console.print(f"the simulations did not suffice for {answer.wanted_within:g}; ask for more with --most")
+    ratio = answer.equal_simulations / answer.simulations
+    console.print(
+        f"{answer.simulations:,} simulations, {ratio:.1f} times fewer than with as many draws for every candidate; "
+        f"{answer.left} candidates were left at the end"
+    )
+    console.print("the shares of failures are those on which the choice was made; `run` judges it on the study's draws")
     show_files(files)
 
 

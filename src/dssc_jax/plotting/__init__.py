@@ -20,6 +20,7 @@ from dssc_jax.plotting.margins import margin
 from dssc_jax.plotting.rare import rare
 from dssc_jax.plotting.regions import region
 from dssc_jax.plotting.searches import falsification, tuning
+from dssc_jax.plotting.selection import selection
 from dssc_jax.plotting.strata import strata
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, STYLE, write, write_png_and_svg
 from dssc_jax.plotting.sweeps import probability, standing, sweep, typical
@@ -52,6 +53,7 @@ __all__ = [
     "region",
     "save_all",
     "save_figure",
+    "selection",
     "sensitivity",
     "signals",
     "standing",

@@ -9,6 +9,7 @@ from dssc_jax.statistics.paired import (
     compare_failures,
     compare_metrics,
     difference_interval,
+    log_evidence_of_less,
     mcnemar,
 )
 from dssc_jax.statistics.planning import assured_draws, chernoff_draws, expected_draws, plan, worst_case_draws
@@ -55,6 +56,7 @@ __all__ = [
     "distance_of_mass",
     "draws_as_narrow",
     "expected_draws",
+    "log_evidence_of_less",
     "lognormal_interval",
     "mass_within",
     "mcnemar",

@@ -9,6 +9,8 @@ from scipy import special
 from dssc_jax.statistics.order import quantile_interval
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson
 
+STAKES = np.geomspace(0.003, 0.97, 16)
+"""Shares of the largest stake, of bets that are mixed evenly."""
 DISCORDANCE = 0.2  # share of the error spent on how often the two differ; the rest goes to which of them fails
 
 
@@ -166,3 +168,38 @@ def compare_metrics(
         only_b=int(np.count_nonzero(gone_b & ~gone_a)),
         neither=int(np.count_nonzero(gone_a & gone_b)),
     )
+
+
+def log_evidence_of_less(only_a: ArrayLike, only_b: ArrayLike, draws: ArrayLike, margin: float) -> np.ndarray:
+    """Logarithm of the evidence that P(a fails) - P(b fails) is less than a margin, from paired draws.
+
+    The evidence is the capital of bets against the difference being ``margin`` or more: with stake s, a draw on which
+    a alone fails multiplies it by 1 - s (1 - margin), one on which b alone fails by 1 + s (1 + margin), and any other
+    by 1 + s margin. Stakes are mixed evenly. If the difference is at least ``margin``, the capital is a supermartingale
+    that begins with 1, so it ever exceeds 1/e with a probability of at most e (Ville), however often one looks.
+
+    Args:
+        only_a: Draws on which a alone failed, any shape.
+        only_b: Draws on which b alone failed, broadcastable.
+        draws: All draws, broadcastable.
+        margin: In [0, 1).
+
+    Raises:
+        ValueError: The margin is out of range.
+
+    Example:
+        >>> float(log_evidence_of_less(0, 40, 1000, 0.0).round(2))
+        24.35
+
+    Reference:
+        I. Waudby-Smith, A. Ramdas, "Estimating means of bounded random variables by betting", J. Royal Statistical
+        Society B 86 (2024) 1-27.
+    """
+    if not 0.0 <= margin < 1.0:
+        raise ValueError(f"margin must be in [0, 1), got {margin}")
+    a, b, n = np.broadcast_arrays(np.asarray(only_a, float), np.asarray(only_b, float), np.asarray(draws, float))
+    capital = np.full(a.shape, -np.inf)
+    for stake in STAKES / (1.0 - margin):
+        grown = a * np.log1p(-stake * (1.0 - margin)) + b * np.log1p(stake * (1.0 + margin))
+        capital = np.logaddexp(capital, grown + (n - a - b) * np.log1p(stake * margin))
+    return capital - np.log(len(STAKES))

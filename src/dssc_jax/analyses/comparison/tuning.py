@@ -106,7 +106,7 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
         return {}
     plain = plain_values(study, extents)
     trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **plain})
-    candidates = candidate_points(trial, extents, budget)
+    candidates = candidate_points(trial, extents, budget.candidates, budget.seed)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
     all_scores = scores(evaluator, candidates, np.arange(budget.draws))
     best = min(range(len(all_scores)), key=all_scores.__getitem__)
@@ -151,10 +151,14 @@ def merit(study: Study, results: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where(np.isnan(values), -np.inf, -values)
 
 
-def candidate_points(study: Study, extents: Mapping[str, tuple[float, float]], budget: Tuning) -> dict[str, np.ndarray]:
-    """The candidates: the study's own gains first, the others spread evenly in the logarithm."""
-    sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(budget.seed))
-    unit = sobol.random(max(1, 1 << (budget.candidates - 1).bit_length()))[: budget.candidates]
+def candidate_points(
+    study: Study, extents: Mapping[str, tuple[float, float]], count: int, seed: int
+) -> dict[str, np.ndarray]:
+    """The candidates, shape (count,) for each number: the study's own values first, the others spread evenly
+    in the logarithm.
+    """
+    sobol = qmc.Sobol(len(extents), rng=np.random.default_rng(seed))
+    unit = sobol.random(max(1, 1 << (count - 1).bit_length()))[:count]
     low, high = np.array(list(extents.values())).T[:, :, None]
     columns = np.exp(np.log(low) + unit.T * np.log(high / low))
     leaves = study.leaves()

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 
 import typer
 
-from dssc_jax.analyses.defaults import BUDGET, CLIMBS, ROUNDS, SEGMENTS
+from dssc_jax.analyses.defaults import BUDGET, CLIMBS, INDIFFERENCE, KEPT, MOST_RACED, RACED, ROUNDS, SEGMENTS
 from dssc_jax.cli.declarations.types import DrawsOptions, Json, NoCheck, OutputOptions, SeededOptions
 
 Budget = Annotated[
@@ -35,6 +35,32 @@ class Tune(DrawsOptions):
     ] = None
     no_check: NoCheck = False
     as_json: Json = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Select(OutputOptions, SeededOptions):
+    """The candidates among many values of some numbers that fail least often.
+
+    Candidates are spread evenly in the logarithm of the ranges, and all are simulated on the same draws. Those that are
+    surely not among the best leave the race early. With 95 % confidence, each chosen candidate fails at most --within
+    more often than any other candidate. The draws differ from the study's own; `run` judges the choice on those. The
+    study's [sweep] and number of draws are ignored.
+    """
+
+    also: ClassVar = ("best", "rank", "gains")
+
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--over", metavar="NAME=LO:HI", help="A number and its range; may be repeated [the controller's gains]."
+        ),
+    ] = None
+    candidates: Annotated[int, typer.Option("--candidates", metavar="N", help="Number of candidates.")] = RACED
+    keep: Annotated[int, typer.Option("--keep", metavar="K", help="Number of candidates to choose.")] = KEPT
+    within: Annotated[
+        float, typer.Option("--within", metavar="D", help="Difference of failure probabilities that does not matter.")
+    ] = INDIFFERENCE
+    most: Annotated[int, typer.Option("--most", metavar="N", help="Largest number of simulations.")] = MOST_RACED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,5 @@
+"""The candidates among many that fail least often."""
+
+from dssc_jax.analyses.selection.selection import Selection, select
+
+__all__ = ["Selection", "select"]

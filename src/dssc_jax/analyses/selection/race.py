@@ -1,0 +1,172 @@
+"""A race of candidates on common draws: those that are surely not among the best are simulated no more.
+
+Let the best be the K candidates with the smallest failure probabilities. A candidate leaves the race when the draws are
+evidence that K others fail less often. One of the best leaves only if the evidence is wrong for one of the others, so
+that K N pairs matter out of N^2, whatever the race looks like. The race ends when the draws are evidence that each of
+the K that failed least often fails at most ``within`` more often than each of the others that are left. If no evidence
+on the best is wrong, each chosen candidate then fails at most ``within`` more often than any other: either all of the
+best are chosen, or the evidence compares the chosen ones with one of the best that is not.
+
+Where K candidates hardly ever fail, nothing fails less often by more than that: a candidate whose failure probability
+is surely less than ``within`` may be chosen without a look at the others.
+
+The evidence holds at all numbers of draws at once (:func:`dssc_jax.statistics.log_evidence_of_less`), so the race may
+look as often as it likes. A third of the error is spent on those that leave, a third on the end, and a third on those
+that hardly ever fail.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dssc_jax.statistics import CONFIDENCE, log_evidence_of_less
+
+FIRST = 48
+"""Draws before the first look."""
+GROWTH = 1.3
+"""Draws at a look, relative to the one before."""
+HOPEFUL = 0.25
+"""Share of ``within`` up to which a candidate's share of failures may lead to a small failure probability."""
+TRIED = 4
+"""Candidates that are tried as such, in numbers of those to find."""
+HALVINGS = 20  # of the interval in which the proved difference is sought
+
+Failing = Callable[[np.ndarray, slice], np.ndarray]
+"""(candidates, draws) -> whether each candidate fails on each draw, shape (candidates, draws)."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """How a race ended.
+
+    Args:
+        chosen: The chosen candidates, the best first.
+        draws: Draws of each candidate, shape (N,).
+        failures: How many of them failed, shape (N,).
+        within: Each chosen one fails at most this much more often than any other, with the confidence.
+        left: Number of candidates that had not left at the end.
+        simulations: Number of simulations.
+    """
+
+    chosen: np.ndarray
+    draws: np.ndarray
+    failures: np.ndarray
+    within: float
+    left: int
+    simulations: int
+
+
+class Tally:
+    """Draws and failures of each candidate so far, and the number of simulations.
+
+    Args:
+        failing: Simulates candidates on draws.
+        count: Number of candidates.
+    """
+
+    def __init__(self, failing: Failing, count: int) -> None:
+        self.failing = failing
+        self.draws = np.zeros(count, int)
+        self.failures = np.zeros(count, int)
+        self.simulations = 0
+
+    def simulate(self, candidates: np.ndarray, draws: slice) -> np.ndarray:
+        """Whether candidates fail on draws, shape (candidates, draws)."""
+        failed = self.failing(candidates, draws)
+        self.simulations += failed.size
+        return failed
+
+    def extend(self, candidates: np.ndarray, goal: int) -> None:
+        """Simulate candidates, which have as many draws as each other, on further draws."""
+        failed = self.simulate(candidates, slice(int(self.draws[candidates[0]]), goal))
+        self.failures[candidates] += np.count_nonzero(failed, axis=1)
+        self.draws[candidates] = goal
+
+
+def race(failing: Failing, count: int, keep: int, within: float, most: int) -> Race:
+    """Find the candidates that fail least often.
+
+    Args:
+        failing: Simulates candidates on draws.
+        count: Number N of candidates.
+        keep: Number K of those to find, less than ``count``.
+        within: Difference of failure probabilities that does not matter, in (0, 1).
+        most: Largest number of simulations; the last look may pass it by one growth.
+    """
+    needed = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))
+    tally = Tally(failing, count)
+    running = np.arange(count)
+    failed = np.zeros((count, 0), bool)
+    goal = FIRST
+    while True:
+        fresh = tally.simulate(running, slice(failed.shape[1], goal))
+        failed = np.concatenate([failed, fresh], axis=1)
+        tally.draws[running] = goal
+        tally.failures[running] = failed.sum(axis=1)
+        alone = only_first(failed)
+        worse_than = log_evidence_of_less(alone, alone.T, goal, 0.0) >= needed
+        stays = worse_than.sum(axis=0) < keep
+        running, failed, alone = running[stays], failed[stays], alone[np.ix_(stays, stays)]
+        order = np.argsort(tally.failures[running], kind="stable")
+        best, others = order[:keep], order[keep:]
+        against = (alone[np.ix_(best, others)], alone[np.ix_(others, best)].T, goal)
+        chosen = running[best]
+        shown = within
+        if others.size and not np.all(log_evidence_of_less(*against, within) >= needed):
+            small = hardly_failing(tally, running[order], keep, within, needed)
+            if small is not None:
+                chosen = small
+            elif tally.simulations >= most:
+                shown = proved_difference(against, needed)
+            else:
+                goal = math.ceil(GROWTH * goal)
+                continue
+        return Race(chosen, tally.draws, tally.failures, shown, len(running), tally.simulations)
+
+
+def hardly_failing(tally: Tally, order: np.ndarray, keep: int, within: float, needed: float) -> np.ndarray | None:
+    """As many candidates as are to be found, the best first, whose failure probability is surely small; None if not.
+
+    Args:
+        tally: Draws and failures of all; updated.
+        order: The candidates of the race, the best first; all have the same draws.
+        keep: Number of candidates to find.
+        within: What is small.
+        needed: Logarithm of the evidence that counts.
+    """
+    most = math.ceil(2.0 * needed / within)  # some more than it takes without a failure
+    found: list[int] = []
+    for begin in range(0, TRIED * keep, keep):
+        tried = order[begin : begin + keep]
+        while True:
+            failures, draws = tally.failures[tried], tally.draws[tried]
+            proved = log_evidence_of_less(failures, 0, draws, within) >= needed
+            found += tried[proved].tolist()
+            tried = tried[~proved & (failures <= HOPEFUL * within * draws) & (draws < most)]
+            if not tried.size:
+                break
+            tally.extend(tried, 2 * int(tally.draws[tried[0]]))
+        if len(found) >= keep:
+            best = np.argsort(tally.failures[found] / tally.draws[found], kind="stable")
+            return np.array(found)[best[:keep]]
+    return None
+
+
+def only_first(failed: np.ndarray) -> np.ndarray:
+    """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N)."""
+    some = failed.astype(np.float32)  # exact up to 2^24 draws
+    return some @ (1.0 - some.T)
+
+
+def proved_difference(against: tuple[np.ndarray, np.ndarray, int], needed: float) -> float:
+    """The smallest difference, as far as bisection tells, that the evidence excludes for every pair; at most 1."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if np.all(log_evidence_of_less(*against, middle) >= needed):
+            high = middle
+        else:
+            low = middle
+    return high

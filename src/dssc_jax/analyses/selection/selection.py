@@ -1,0 +1,227 @@
+"""``select``: the candidates among many values of a study's numbers that fail least often."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+import dssc_jax.plotting as plotting
+from dssc_jax.analyses.comparison.tuning import candidate_points, plain_values, ranges
+from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST_RACED, RACED
+from dssc_jax.analyses.selection.race import Race, race
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.engine.batching import BLOCK
+from dssc_jax.engine.evaluation import Evaluator, require_independent
+from dssc_jax.results.analysis import Analysis
+from dssc_jax.statistics import CONFIDENCE
+from dssc_jax.study import Study, takes_file
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A chosen candidate."""
+
+    values: Annotated[dict[str, float], Quantity("those of the numbers", "its values, by dotted name")]
+    draws: Annotated[int, Quantity("1", "draws on which it was simulated")]
+    failures: Annotated[int, Quantity("1", "how many of them failed")]
+
+
+@dataclass(frozen=True)
+class SelectionAnswer:
+    """The candidates that fail least often, what is claimed of them, and the cost."""
+
+    requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
+    ranges: Annotated[dict[str, tuple[float, float]], Quantity("those of the numbers", "where candidates lie")]
+    candidates: Annotated[int, Quantity("1", "number of candidates")]
+    chosen: list[Chosen]
+    within: Annotated[
+        float, Quantity("1", "a chosen candidate fails at most this much more often than any other candidate")
+    ]
+    wanted_within: Annotated[float, Quantity("1", "the difference that was asked for")]
+    confidence: Annotated[float, Quantity("1", "confidence of this statement on all candidates together")]
+    left: Annotated[int, Quantity("1", "candidates that had not left the race at its end")]
+    simulations: Annotated[int, Quantity("1", "number of simulations")]
+    equal_simulations: Annotated[int, Quantity("1", "simulations if all candidates had as many draws as the chosen")]
+    seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+@dataclass(eq=False)
+class Selection(Analysis):
+    """The candidates among many that fail least often.
+
+    The dataset has along ``candidate`` the value of each number under its dotted name, ``draws``, ``failures``, and
+    ``place``: 0 for the best, -1 for a candidate that was not chosen.
+
+    Args:
+        ranges: Where the candidates lie, by dotted name of the number.
+        within: A chosen candidate fails at most this much more often than any other.
+        wanted_within: The difference that was asked for.
+        left: Candidates that had not left the race at its end.
+        simulations: Number of simulations.
+        seconds: Computing time.
+    """
+
+    kind = "select"
+    title = "The best of many candidates"
+    table = ("candidate",)
+
+    ranges: dict[str, tuple[float, float]]
+    within: float
+    wanted_within: float
+    left: int
+    simulations: int
+    seconds: float
+
+    @property
+    def chosen(self) -> np.ndarray:
+        """Index of each chosen candidate, the best first."""
+        place = self.dataset["place"].values
+        return np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :]
+
+    @property
+    def headline(self) -> str:
+        """The answer in one line."""
+        return (
+            f"the best {len(self.chosen)} of {self.dataset.sizes['candidate']} candidates: each fails at most "
+            f"{self.within:.3g} more often than any other"
+        )
+
+    def figure(self) -> Figure:
+        """Plot the answer."""
+        return plotting.selection(self)
+
+    @property
+    def answer(self) -> SelectionAnswer:
+        """The numbers that summary.json holds."""
+        columns = {str(name): array.values for name, array in self.dataset.items()}
+        draws, failures = columns["draws"], columns["failures"]
+        chosen = [
+            Chosen({name: float(columns[name][i]) for name in self.ranges}, int(draws[i]), int(failures[i]))
+            for i in self.chosen
+        ]
+        requirements = tuple(requirement.text for requirement in self.study.requirements)
+        return SelectionAnswer(
+            requirements=requirements or ("the draw stays finite",),
+            ranges=self.ranges,
+            candidates=len(draws),
+            chosen=chosen,
+            within=self.within,
+            wanted_within=self.wanted_within,
+            confidence=CONFIDENCE,
+            left=self.left,
+            simulations=self.simulations,
+            equal_simulations=len(draws) * int(draws.max()),
+            seconds=self.seconds,
+        )
+
+
+@takes_file
+def select(
+    study: Study,
+    *,
+    over: Mapping[str, tuple[float, float]] | None = None,
+    candidates: int = RACED,
+    keep: int = KEPT,
+    within: float = INDIFFERENCE,
+    most: int = MOST_RACED,
+    progress: ProgressCallback | None = None,
+) -> Selection:
+    """Find the candidates that fail least often among many values of some numbers, with 95 % confidence.
+
+    All candidates are simulated on the same independent draws. Those that are surely not among the best leave early.
+    The draws differ from those of a run of the study, on which the choice can be judged.
+
+    Args:
+        study: The study, or its file; its sweep and its number of draws are ignored.
+        over: The range of each number, by dotted name, with 0 < low < high; the number's law is replaced. Candidates
+            are the study's values, where it has them, and points spread evenly in the logarithm. Without any, the
+            tunable gains of the controller range from a tenth to ten times their value.
+        candidates: Number of candidates.
+        keep: Number of those to choose.
+        within: Difference of failure probabilities that does not matter.
+        most: Largest number of simulations; if they do not suffice, the answer has the difference that they prove.
+        progress: Called with the simulations done; the total is not known beforehand.
+
+    Raises:
+        ConfigError: a number or range is not admissible, nothing can be chosen, or draws are not independent.
+
+    Example:
+        >>> import dssc_jax as dj
+        >>> study = dj.Study.load("studies/motor.toml").override({"loop.sample_time": 0.01})
+        >>> found = dj.select(study, over={"controller.k_p": (20.0, 400.0)}, candidates=16, keep=3, within=0.2)
+        >>> len(found.answer.chosen)
+        3
+    """
+    began = time.perf_counter()
+    require_independent(study, "a race of candidates")
+    if not 0.0 < within < 1.0 or most < 1:
+        raise ConfigError("select", f"needs `within` in (0, 1) and `most` >= 1, got {within:g} and {most}")
+    if not 1 <= keep < candidates <= MOST_CANDIDATES:
+        rule = f"needs 1 <= `keep` < `candidates` <= {MOST_CANDIDATES}"
+        raise ConfigError("select", f"{rule}, got {keep} and {candidates}")
+    study = study.without_sweep()
+    extents = extents_of(study, over)
+    seed = (study.config.seed + 1) % 2**32
+    trial = study.override({"seed": seed, **plain_values(study, extents)})
+    points = candidate_points(trial, extents, candidates, seed)
+    evaluator = Evaluator(trial, extents, BLOCK)
+    finished = 0
+
+    def failing(running: np.ndarray, draws: slice) -> np.ndarray:
+        nonlocal finished
+        fresh = evaluator.drawn(draws)
+        count = draws.stop - draws.start
+        per_batch = max(1, BLOCK // count)
+        rows = []
+        for begin in range(0, len(running), per_batch):
+            part = running[begin : begin + per_batch]
+            values = {name: np.tile(column, len(part)) for name, column in fresh.items()}
+            values |= {name: np.repeat(column[part], count) for name, column in points.items()}
+            results = evaluator(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
+            rows.append((results["outcome"] != Outcome.OK).reshape(len(part), count))
+            finished += len(part) * count
+            if progress:
+                progress(finished, None)
+        return np.concatenate(rows)
+
+    found = race(failing, candidates, keep, within, most)
+    dataset = selection_dataset(study, points, found)
+    seconds = time.perf_counter() - began
+    return Selection(study, dataset, extents, found.within, within, found.left, found.simulations, seconds)
+
+
+def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
+    """The range of each number; raises ConfigError if there is none."""
+    if over is None:
+        extents = ranges(study, {}) if len(study.loop.controller) == 1 else {}
+        if not extents:
+            raise ConfigError("select", "finds no gains of the controller that can be tuned; state numbers and ranges")
+        return extents
+    for name, (low, high) in over.items():
+        if not 0.0 < low < high < np.inf:
+            raise ConfigError(name, f"needs a range with 0 < LO < HI, got {low:g} and {high:g}")
+    return dict(over)
+
+
+def selection_dataset(study: Study, points: Mapping[str, np.ndarray], found: Race) -> xr.Dataset:
+    """The dataset of :class:`Selection`."""
+    place = np.full(len(found.draws), -1)
+    place[found.chosen] = np.arange(len(found.chosen))
+    columns = {}
+    for name, column in points.items():
+        quantity = study.quantities[name]
+        columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
+    columns["draws"] = ("candidate", found.draws, {"units": "1", "long_name": "number of draws"})
+    columns["failures"] = ("candidate", found.failures, {"units": "1", "long_name": "draws that failed"})
+    columns["place"] = (
+        "candidate",
+        place,
+        {"units": "1", "long_name": "place among the chosen, 0: the best, -1: none"},
+    )
+    return xr.Dataset(columns, attrs={"title": study.name})
