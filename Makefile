@@ -31,8 +31,10 @@ check: lint types test  ## what CI runs
 measure: $(VENV)/run  ## regenerate docs/measurements.md and the figures of the documentation
 	$(BIN)/python benchmarks/measure.py
 
-bench: $(VENV)/bench $(VENV)/simulators/done  ## regenerate docs/performance.md: beside C, Numba, NumPy; growth; other simulators
-	$(BIN)/python -m benchmarks.speed --simulators $(VENV)/simulators/bin/python
+bench: $(VENV)/bench $(VENV)/test $(VENV)/simulators/done  ## regenerate docs/performance.md: beside C, Numba, NumPy; growth; commands; other simulators
+	$(BIN)/python -m benchmarks.speed
+	$(BIN)/python -m benchmarks.speed.waiting
+	$(BIN)/python -m benchmarks.speed.others $(VENV)/simulators/bin/python $(wildcard $(VENV)/simulators-newest/bin/python)
 
 paper: $(VENV)/run  ## regenerate docs/paper.md: the article's figures and a table of its claims
 	$(BIN)/python -m benchmarks.paper
@@ -112,9 +114,12 @@ $(VENV)/bench: $(VENV)/run
 	touch $@
 
 # Other people's simulators, which want their own versions of what we use; the page tells where they do not install.
+# Elodin wants a newer Python.
 $(VENV)/simulators/done:
 	$(PYTHON) -m venv $(VENV)/simulators
-	for name in crazyflow "rotorpy torch"; do \
+	if command -v python3.13; then python3.13 -m venv $(VENV)/simulators-newest && \
+		$(VENV)/simulators-newest/bin/python -m pip install --quiet --disable-pip-version-check elodin; fi
+	for name in crazyflow "rotorpy torch torchdiffeq roma"; do \
 		$(VENV)/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
 	touch $@
 

@@ -2,9 +2,8 @@
 
 import argparse
 import os
-from pathlib import Path
 
-from benchmarks.speed import narrow, others, page, scaling
+from benchmarks.speed import narrow, page, scaling
 from benchmarks.speed.contest import OURS, SIZES, C, available, contest
 from benchmarks.speed.workloads import CASES, Case
 from dssc_jax.lanes.llvm import machine
@@ -24,7 +23,6 @@ def main() -> None:
         "--processor", action="store_true", help="with --with-c, by processor time, where other programs run, too"
     )
     parser.add_argument("--rounds", type=int, default=9, help="turns of each program (9)")
-    parser.add_argument("--simulators", type=Path, metavar="PYTHON", help="a Python that has crazyflow or RotorPy")
     options = parser.parse_args()
     if (options.narrow or options.processor) and not options.with_c:
         parser.error("--narrow and --processor need --with-c")
@@ -43,11 +41,8 @@ def main() -> None:
         page.write_with_c(contests, options.narrow, options.processor)
     if options.quick or options.with_c:
         return
-    print("growth, a mission, the start of commands, other simulators", flush=True)
-    found = page.Everything(
-        contests, scaling.curves(), scaling.mission(), others.start(), others.simulators(options.simulators)
-    )
-    page.write(found)
+    print("growth, a mission", flush=True)
+    page.write(page.Everything(contests, scaling.curves(), scaling.mission()))
 
 
 if __name__ == "__main__":

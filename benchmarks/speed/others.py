@@ -1,18 +1,23 @@
-"""What other simulators do: ``simulators.py`` under a Python that has them, and how long commands take."""
+"""Other simulators beside our engine, into a part of docs/performance.md: ``python -m benchmarks.speed.others PYTHON``.
 
+Every simulator runs in a Python of its users, under ``simulators.py``; our engine and they take turns.
+"""
+
+import argparse
 import json
 import subprocess
-import sys
-import time
+from contextlib import ExitStack
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from benchmarks.speed.contest import ROOT, environment
+from benchmarks.page import put
+from benchmarks.speed.contest import OURS, ROOT, SIZES, Worker
+from benchmarks.speed.workloads import Case
 
-STUDY = "mu_robustness"
-IMPORTS = "import dssc_jax.study, dssc_jax.runs.run, dssc_jax.console.results"
-AGAIN = 5  # starts with a filled cache; their median is told
+PAGE = ROOT / "docs" / "performance.md"
+CASES = (Case("uav"), Case("uav", precision=32))
 
 
 class Other(NamedTuple):
@@ -31,85 +36,54 @@ class Other(NamedTuple):
     difference: str
 
 
-def simulators(python: Path | None) -> list[Other]:
-    """Every simulator that this Python has; none without a Python."""
-    if python is None or not python.exists():
-        return []
+def simulators(python: Path) -> list[Other]:
+    """Every simulator that this Python has.
+
+    Raises:
+        CalledProcessError: this Python cannot run the program.
+    """
     program = Path(__file__).with_name("simulators.py")
     with TemporaryDirectory() as folder:  # MuJoCo leaves a log where it runs
         done = subprocess.run([python.absolute(), program], capture_output=True, text=True, check=True, cwd=folder)
     return [Other(**json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")]
 
 
-class Sweep(NamedTuple):
-    """Seconds of a sweep as a command, start of the process included.
-
-    Args:
-        table: Until the result is told.
-        end: Until the figures are drawn, and the process has ended.
-        compiling: Of that, compiling.
-        running: Of that, running the loops.
-    """
-
-    table: float
-    end: float
-    compiling: float
-    running: float
-
-
-WAITED = {
-    "simulate paper_case1": ("simulate", "paper_case1"),
-    "run uav_robustness --draws 16 --set loop.duration=45.0": (
-        "run", "uav_robustness", "--draws", "16", "--set", "loop.duration=45.0"),
-    "tune tune_uav": ("tune", "tune_uav"),
-}  # fmt: skip
-"""Commands that people wait for, beside the main study."""
+def measured(pythons: list[Path], rounds: int) -> tuple[list[list[float]], list[list[Other]]]:
+    """Rates of our cases, and all simulators, round by round."""
+    ours: list[list[float]] = []
+    others: list[list[Other]] = []
+    with ExitStack() as stack:
+        folder = stack.enter_context(TemporaryDirectory())
+        workers = [stack.enter_context(Worker(OURS, case, *SIZES["uav"], folder)) for case in CASES]
+        steps = [worker.answer()["steps"] for worker in workers]
+        for _ in range(rounds):
+            ours.append([count / worker.ask("run")["seconds"] for count, worker in zip(steps, workers, strict=True)])
+            others.append([other for python in pythons for other in simulators(python)])
+            print(ours[-1], others[-1], flush=True)
+    return ours, others
 
 
-class Start(NamedTuple):
-    """Seconds of commands: help, imports alone, the main study with an empty cache, and with a filled one.
-
-    ``waited`` has the seconds of :data:`WAITED` with an empty cache and with a filled one.
-    """
-
-    help: float
-    imports: float
-    cold: Sweep
-    warm: Sweep
-    waited: dict[str, tuple[float, float]]
+def row(name: str, rates: tuple[float, ...], difference: str) -> str:
+    """A row of the table, in millions of steps a second."""
+    return f"| {name} | {median(rates) / 1e6:.3g} | {difference} |"
 
 
-def start() -> Start:
-    """Time the commands, the cache in a folder of its own."""
-    with TemporaryDirectory() as folder:
-        own = environment({"XDG_CACHE_HOME": folder})
+def main() -> None:
+    """Measure and write the part."""
+    parser = argparse.ArgumentParser(description=__doc__, prog="python -m benchmarks.speed.others")
+    parser.add_argument("pythons", nargs="+", type=Path, metavar="PYTHON", help="a Python that has a simulator")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each simulator (3)")
+    options = parser.parse_args()
+    ours, others = measured(options.pythons, options.rounds)
+    lines = ["| simulator | million steps per second | what differs |", "|---|---|---|"]
+    for case, rates in zip(CASES, zip(*ours, strict=True), strict=True):
+        lines.append(row(f"dssc_jax, {case.text}", rates, "the contest's vehicle, with all that the others lack"))
+    for turns in zip(*others, strict=True):
+        rates = tuple(turn.rate for turn in turns)
+        lines.append(row(f"{turns[0].name} {turns[0].version}", rates, turns[0].difference))
+    lines += ["", f"Medians of {options.rounds} turns, on all cores where a cell does not say one."]
+    put("simulators", "\n".join(lines), PAGE)
 
-        def seconds(until: str, *words: str, within: Path = ROOT) -> tuple[float, float]:
-            began, told = time.perf_counter(), 0.0
-            process = subprocess.Popen([sys.executable, *words], env=own, cwd=within, stdout=subprocess.PIPE, text=True)
-            with process:
-                for line in process.stdout or ():
-                    told = told or (time.perf_counter() - began if line.startswith(until) else 0.0)
-            if process.returncode:
-                raise RuntimeError(f"{' '.join(words)} ended with status {process.returncode}")
-            return told, time.perf_counter() - began
 
-        def sweep(name: str) -> Sweep:
-            out = Path(folder) / name
-            told, end = seconds("result", "-m", "dssc_jax.cli", "sweep", STUDY, "--out", str(out))
-            times = json.loads((out / "manifest.json").read_text())["times"]
-            return Sweep(told, end, times["compile_seconds"], times["run_seconds"])
-
-        told = seconds("", "-m", "dssc_jax.cli", "--help")[1]
-        imported = sorted(seconds("", "-c", IMPORTS)[1] for _ in range(AGAIN))[AGAIN // 2]
-        cold, *warm = (sweep(f"sweep-{i}") for i in range(1 + AGAIN))
-
-        def waited(number: int, words: tuple[str, ...]) -> tuple[float, float]:
-            folders = [Path(folder) / f"waited-{number}-{turn}" for turn in range(2)]
-            for within in folders:
-                within.mkdir()
-            first, again = (seconds("", "-m", "dssc_jax.cli", *words, within=within)[1] for within in folders)
-            return first, again
-
-        commands = {name: waited(number, words) for number, (name, words) in enumerate(WAITED.items())}
-        return Start(told, imported, cold, sorted(warm, key=lambda sweep: sweep.end)[AGAIN // 2], commands)
+if __name__ == "__main__":
+    main()

@@ -26,7 +26,6 @@ from benchmarks.speed.contest import (
     quartiles,
     ratios,
 )  # fmt: skip
-from benchmarks.speed.others import Other, Start
 from benchmarks.speed.scaling import Run
 from benchmarks.speed.workloads import ALLOWED, Case
 from dssc_jax import plotting
@@ -53,8 +52,6 @@ class Everything(NamedTuple):
     contests: dict[Case, dict[str, Measured]]
     curves: dict[str, list[Run]]
     mission: Run
-    start: Start
-    others: list[Other]
 
 
 def millions(rate: float) -> str:
@@ -267,9 +264,13 @@ The 1-DOF loop through `dj.run`, without compilation:
 
 A sweep is compiled once, whatever its number of points. Number of times the loop was traced in each run: {traces}.
 
-## A full mission and the start-up time
+## A full mission
 
-{starts_table(found.mission, found.start)}
+{mission_table(found.mission)}
+
+## What people wait for
+
+{stored_part("waiting", DOCS / "performance.md")}
 
 ## Kernels of a GPU
 
@@ -277,43 +278,19 @@ A sweep is compiled once, whatever its number of points. Number of times the loo
 
 ## Other simulators
 
-{others_table(found.others)}
+{stored_part("simulators", DOCS / "performance.md")}
 """
 
 
-def starts_table(mission: Run, start: Start) -> str:
-    """What a user waits for."""
+def mission_table(mission: Run) -> str:
+    """A full mission of many vehicles."""
     what = "10,000 draws of the UAV's mission of 80 s, RK4, float64, with metrics and storage, already compiled"
     rows = [
         [what, f"{mission.seconds:.1f} s"],
         ["its compilation", f"{mission.compile_seconds:.1f} s"],
         ["its peak memory", f"{mission.peak:.2f} GB"],
-        ["`dssc-jax --help`", f"{start.help:.2f} s"],
-        ["imports of a sweep, mostly JAX, pandas and SciPy", f"{start.imports:.1f} s"],
-        *(
-            [
-                f"`dssc-jax sweep mu_robustness`, {cache}",
-                f"{sweep.table:.1f} s to its table, {sweep.end:.1f} s to its end, "
-                f"of which {sweep.compiling:.1f} s compiling and {sweep.running:.1f} s running 73,728 loops of 60 s",
-            ]
-            for cache, sweep in (("empty cache", start.cold), ("again, median of 5", start.warm))
-        ),
-        *(
-            [f"`dssc-jax {name}`", f"{cold:.1f} s with an empty cache, {again:.1f} s again"]
-            for name, (cold, again) in start.waited.items()
-        ),
     ]
     return table(["what", "measured"], rows)
-
-
-def others_table(others: list[Other]) -> str:
-    """What was measured of other simulators, or why not."""
-    if not others:
-        return "No other simulator was measured in this run."
-    return table(
-        ["simulator", "million steps per second", "what differs"],
-        [[f"{other.name} {other.version}", millions(other.rate), other.difference] for other in others],
-    )
 
 
 def versions() -> str:

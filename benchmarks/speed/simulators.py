@@ -1,7 +1,8 @@
 """Rates of other simulators, for a Python that has them and not this package: ``PYTHON simulators.py``.
 
-Prints a JSON object for each one that is installed. What is nearest to our UAV's loop: one vehicle a draw, attitude
-control each step, Runge-Kutta of order 4 at 5 ms, no metrics.
+Prints a JSON object for each one that is installed; ``python -m benchmarks.speed.others`` runs it and writes the page.
+What is nearest to our UAV's loop: one vehicle a draw, attitude control each step, Runge-Kutta of order 4 at 5 ms, no
+metrics.
 """
 
 import json
@@ -83,9 +84,44 @@ def rotorpy() -> tuple[float, str]:
     )
 
 
+def elodin() -> tuple[float, str]:
+    """A world of a few vehicles: it compiles every vehicle anew, so that large worlds are slow."""
+    import elodin as el
+    from jax import numpy as jnp
+
+    vehicles, seconds, weight = 8, 100, 9.81
+
+    @el.map
+    def gravity(force: el.Force, inertia: el.Inertia) -> el.Force:
+        return force + el.SpatialForce(linear=jnp.array([0.0, 0.0, -weight]) * inertia.mass())
+
+    @el.map
+    def attitude(place: el.WorldPos, speed: el.WorldVel, force: el.Force, inertia: el.Inertia) -> el.Force:
+        turn = place.angular()
+        torque = -2.0 * turn.vector()[:3] - 0.5 * speed.angular()
+        thrust = jnp.array([0.0, 0.0, weight]) * inertia.mass()
+        return force + el.SpatialForce(linear=turn @ thrust, torque=turn @ torque)
+
+    world = el.World()
+    for number in range(vehicles):
+        place = el.SpatialTransform(linear=jnp.array([0.0, 0.0, 1.0]))
+        world.spawn(el.Body(world_pos=place), name=f"vehicle{number}")
+    system = el.six_dof(1.0 / RATE, attitude | gravity, integrator=el.Integrator.Rk4)
+    program = world.build(system, simulation_rate=float(RATE), telemetry_rate=1.0)
+
+    def run() -> None:
+        for _ in range(seconds):
+            program.run(RATE)
+
+    return timed(run, vehicles * seconds * RATE), (
+        "float64; rigid body under an attitude controller, compiled by Cranelift; no rotors, velocity loops, wind, "
+        f"outer controllers, metrics or end of a draw; {vehicles} vehicles on one core, stored once a second"
+    )
+
+
 def main() -> None:
     """Every simulator that is installed."""
-    for measure in (crazyflow, rotorpy):
+    for measure in (crazyflow, rotorpy, elodin):
         name = measure.__name__
         if not find_spec(name):
             continue
