@@ -303,9 +303,9 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
     through = responses(a, b, omega, sample_time)
 
     def regulated(weight: float) -> float:
-        return abs(regulator_gain(a, b[:, None], q, weight) @ through)
+        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ through))
 
-    return crossing(regulated, abs(c @ through) ** 2)
+    return crossing(regulated, float(np.abs(c @ through)) ** 2)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:

@@ -86,8 +86,11 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     columns = np.empty(b.shape, complex)
     rows = np.empty(c.shape, complex)
     for i, matrix in enumerate(a if order else ()):
-        balanced, (scale, _) = matrix_balance(matrix, permute=False, separate=True)
-        triangles[i], basis = schur(balanced, output="complex")
+        balancing = matrix_balance(matrix, permute=False, separate=True)
+        scale = balancing[1][0]
+        decomposition = schur(balancing[0], output="complex")
+        basis = decomposition[1]
+        triangles[i] = decomposition[0]
         columns[i] = basis.conj().T @ (b[i] / scale)
         rows[i] = (c[i] * scale) @ basis
 
