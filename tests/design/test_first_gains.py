@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
@@ -32,6 +33,7 @@ def buck(controller=None, **changes):
 def test_a_buck_converter_follows_its_reference(kind):
     found = first_gains(buck(), kind, BANDWIDTH, 1.0)
     run = dj.simulate(buck(found.table))
+    assert found.sensitivity_peak < 2.0
     assert run.attrs["outcome_meaning"] == "ok"
     assert abs(float(run["e"][-1])) < 0.02
     assert float(np.max(np.abs(run["u"]))) <= 1.0 + 1e-12
@@ -41,7 +43,7 @@ def test_a_buck_converter_follows_its_reference(kind):
 def test_the_pid_loop_crosses_one_at_the_bandwidth_with_its_phase_margin():
     found = first_gains(buck(), "pid", BANDWIDTH)
     law = found.table
-    a, b, c = plant_at_start(buck())
+    a, b, c = plant_at_start(buck())[:3]
     transition, columns = held(a, b[:, None], T_S)
     z = np.exp(1j * BANDWIDTH * T_S)
     plant = c @ np.linalg.solve(z * np.eye(2) - transition, columns[:, 0])
@@ -68,7 +70,7 @@ def test_without_a_bandwidth_the_first_that_works_is_taken():
 @pytest.mark.parametrize(
     ("kind", "bandwidth", "limit", "message"),
     [
-        ("dssc", BANDWIDTH, 1.0, "must be one of pid, lqg, ssc"),
+        ("dssc", BANDWIDTH, 1.0, "must be one of pid, lqg, state_feedback, ssc"),
         ("pid", 1e7, None, "must be > 0 and <="),
         ("pid", 2e5, None, "needs a phase lead"),
         ("ssc", BANDWIDTH, None, "is required for 'ssc'"),
@@ -82,3 +84,138 @@ def test_what_cannot_be_designed_gets_its_line(kind, bandwidth, limit, message):
 def test_a_plant_with_the_other_sign_is_refused():
     with pytest.raises(ConfigError, match=r"turn the command's sign|is not stable"):
         first_gains(buck().override({"plant.b": [-SUPPLY / INDUCTANCE, 0.0]}), "pid", BANDWIDTH)
+
+
+DELAY, LAG = 1.3, 1e-6  # samples, s
+BEHIND = [{"kind": "lag", "mu": LAG}, {"kind": "delay", "samples": DELAY, "memory": 3}]
+
+
+def augmented(a, b, actuators=True):
+    """The buck converter behind lag and delay, written out: states x, lag, u(k-1), u(k-2)."""
+    n = len(a)
+    system = np.zeros((n + 1, n + 1))
+    system[:n, :n] = a
+    system[:n, n] = b
+    system[n, n] = -1.0 / LAG
+    transition, columns = held(system, np.append(np.zeros(n), 1.0 / LAG)[:, None], T_S)
+    whole = np.zeros((n + 3, n + 3))
+    whole[: n + 1, : n + 1] = transition
+    whole[: n + 1, n + 1] = (2.0 - DELAY) * columns[:, 0]
+    whole[: n + 1, n + 2] = (DELAY - 1.0) * columns[:, 0]
+    whole[n + 2, n + 1] = 1.0
+    return whole, np.eye(n + 3)[n + 1]
+
+
+def largest(matrix):
+    return np.max(np.abs(np.linalg.eigvals(matrix)))
+
+
+def test_the_pid_loop_has_its_phase_margin_behind_lag_and_delay():
+    study = buck(actuator=BEHIND)
+    bandwidth = 4e4
+    found = first_gains(study, "pid", bandwidth)
+    assert found.taken == ("lag", "delay")
+    law = found.table
+    a, b, c = plant_at_start(study)[:3]
+    whole, entry = augmented(a, b)
+    row = np.append(c, np.zeros(3))
+    z = np.exp(1j * bandwidth * T_S)
+    s = 1j * bandwidth
+    plant = row @ np.linalg.solve(z * np.eye(5) - whole, entry)
+    loop = plant * (law["k_p"] + law["k_i"] / s + law.get("k_d", 0.0) * s / (law.get("filter", 0.0) * s + 1.0))
+    assert abs(loop) == pytest.approx(1.0, rel=2e-3)
+    assert np.degrees(np.angle(loop)) == pytest.approx(-120.0, abs=0.2)
+
+
+def test_the_poles_of_lqg_behind_actuators_are_those_of_the_loop_written_out():
+    """Regulator and filter know the plant alone; python's own Riccati solutions, and the loop with 5 + 3 states."""
+    study = buck(actuator=BEHIND)
+    found = first_gains(study, "lqg", 2e4)
+    law = found.table
+    a, b, c = plant_at_start(study)[:3]
+    transition, columns = held(a, b[:, None], T_S)
+    column = columns[:, 0]
+    extended = np.block([[transition, np.zeros((2, 1))], [T_S * c[None, :], np.ones((1, 1))]])
+    q = np.zeros((3, 3))
+    q[:2, :2] = np.outer(c, c)
+    q[2, 2] = law["integral_weight"]
+    entry = np.append(column, 0.0)[:, None]
+    p = solve_discrete_are(extended, entry, q, [[law["command_weight"]]])
+    gains = np.linalg.solve(law["command_weight"] + entry.T @ p @ entry, entry.T @ p @ extended)[0]
+    p = solve_discrete_are(transition.T, c[:, None], np.outer(column, column), [[law["signal_std"][0] ** 2]])
+    correction = p @ c / (c @ p @ c + law["signal_std"][0] ** 2)
+    whole, plant_entry = augmented(a, b)
+    y = np.concatenate([c, np.zeros(6)])
+    matrix = np.zeros((8, 8))
+    unit = np.eye(8)
+    estimate = unit[5:7] + np.outer(correction, y - c @ unit[5:7])
+    command = -gains[:2] @ estimate - gains[2] * unit[7]
+    matrix[:5, :5] = whole
+    matrix[:5] += np.outer(plant_entry, command)
+    matrix[5:7] = transition @ estimate + np.outer(column, command)
+    matrix[7] = unit[7] + T_S * y
+    assert found.radius == pytest.approx(largest(matrix), abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["lqg", "state_feedback", "ssc"])
+def test_late_decay_behind_actuators_is_that_of_the_largest_pole(kind):
+    found = first_gains(buck(actuator=BEHIND, sensor={"measures": "state"}), kind, 1e4, 1e6)
+    quiet = {"reference": {"kind": "zero"}, "disturbance": {"kind": "none"}, "actuator": BEHIND}
+    study = buck(found.table, sensor={"measures": "state"}, **quiet).override({"plant.x0": [0.0, 1e-3]})
+    y = np.abs(dj.simulate(study)["y"].values)
+    assert max(y[1500:1800]) / max(y[1200:1500]) == pytest.approx(found.radius**300.0, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["pid", "lqg", "state_feedback", "ssc"])
+def test_gains_that_are_stable_without_their_actuators_alone_are_refused(kind):
+    slow = [{"kind": "lag", "mu": 1e-4}, {"kind": "delay", "samples": 3.0}]
+    sensor = {"measures": "state"} if kind == "state_feedback" else {"kind": "ideal"}
+    assert first_gains(buck(sensor=sensor), kind, BANDWIDTH, 1.0).radius < 1.0
+    with pytest.raises(ConfigError, match=r"not stable, behind its linear actuators \(lag \+ delay\)|phase lead"):
+        first_gains(buck(actuator=slow, sensor=sensor), kind, BANDWIDTH, 1.0)
+    found = first_gains(buck(actuator=slow, sensor=sensor), kind, limit=1.0)
+    assert found.bandwidth < BANDWIDTH
+    assert found.radius < 1.0
+    assert found.sensitivity_peak <= 2.0
+
+
+def test_what_is_not_linear_is_named_as_left_out():
+    limit = {"kind": "saturation", "limit": 1.0}
+    found = first_gains(buck(actuator=[limit, *BEHIND], sensor={"kind": "noisy", "position_std": 0.01}), "pid", 4e4)
+    assert found.left_out == ("sensor 'noisy'", "saturation")
+    assert found.table == first_gains(buck(actuator=BEHIND), "pid", 4e4).table
+
+
+def test_lqg_of_several_signals_has_their_noise_in_proportion_to_their_sizes():
+    """Sizes by the plant's own response to the command's disturbance, at four times the bandwidth."""
+    study = buck(sensor={"measures": ["x1", "y"]})
+    bandwidth = 2e4
+    found = first_gains(study, "lqg", bandwidth)
+    a, b, _ = plant_at_start(study)[:3]
+    transition, columns = held(a, b[:, None], T_S)
+    z = np.exp(4j * bandwidth * T_S)
+    current, voltage = np.abs(np.linalg.solve(z * np.eye(2) - transition, columns[:, 0]))
+    first, second = found.table["signal_std"]
+    assert first / second == pytest.approx(current / voltage, rel=1e-3)
+    assert dj.simulate(buck(found.table, sensor={"measures": ["x1", "y"]})).attrs["outcome_meaning"] == "ok"
+
+
+def test_state_feedback_of_states_that_are_not_measured_names_them():
+    a = [[0.0, 1.0, 0.0], [-4.0, -1.0, 2.0], [0.0, 0.0, -10.0]]
+    plant = {"kind": "state_space", "a": a, "b": [0.0, 0.0, 10.0], "c": [1.0, 0.0, 0.0]}
+    loop = {"duration": 1.0, "sample_time": 0.01}
+    table = {"plant": plant, "loop": loop, "disturbance": {"kind": "none"}}
+    with pytest.raises(ConfigError, match="shows y and y', and the regulator feeds back all 3 states; add measures"):
+        first_gains(buck(**table), "state_feedback", 5.0)
+    found = first_gains(buck(**table, sensor={"measures": "state"}), "state_feedback", 5.0)
+    assert len(found.table["signals"]) == 3
+
+
+def test_the_pid_loop_of_a_first_order_lag_cancels_it():
+    """k (s + 1/tau)/s: an integrator of the bandwidth, but for the half sample of the hold."""
+    tau, gain, bandwidth = 3.0, 5.0, 0.2
+    plant = {"kind": "transfer_function", "numerator": [gain], "denominator": [tau, 1.0]}
+    table = buck(plant=plant, loop={"duration": 60.0, "sample_time": 0.01})
+    law = first_gains(table, "pid", bandwidth).table
+    assert law["k_i"] / law["k_p"] == pytest.approx(1.0 / tau, rel=5e-3)
+    assert law["k_p"] == pytest.approx(bandwidth * tau / gain, rel=5e-3)

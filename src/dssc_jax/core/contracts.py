@@ -368,8 +368,7 @@ class Unmodelled(NamedTuple):
             command. The random key is that of the channel and the sample.
         linear: ``(params) -> LinearSystem`` from the command to the output; its state lists the leaves of ``state``.
         held: Whether the output is constant from one sample to the next, and ``step`` changes nothing.
-        moments: ``(params, state, command, dt) -> Moments`` of the output over dt. None: by Simpson's rule, from the
-            output at the start, middle and end of dt, which must then resolve it.
+        moments: ``(params, state, command, dt) -> Moments`` of the output over dt; None: by Simpson's rule.
         smooth: As in :class:`Plant`.
         continuous: Whether the slope of ``step`` at dt = 0 is that of a model in continuous time.
         time_constant: Name of the parameter that scales their time, over which oscillations are predicted; empty: none.
@@ -377,9 +376,9 @@ class Unmodelled(NamedTuple):
         advance: ``(params, dt) -> Mover``, called once for a draw, in place of ``step`` and ``moments``. Beside
             ``linear`` it advances what acts before the linear part, whose states it leaves, and gives the linear part's
             input; ``held`` then says that this input is constant from one sample to the next.
-        follow: ``(params, state, start, end, dt) -> state`` over dt while the command runs straight from start to end,
-            as behind a lag in a chain. None: ``step`` with its mean.
+        follow: ``(params, state, start, end, dt) -> state`` for a command straight from start to end; None: its mean.
         order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
+        superposes: Whether ``sample`` and ``output`` are linear in state and command; ``linear`` implies it.
     """
 
     params: type
@@ -398,3 +397,4 @@ class Unmodelled(NamedTuple):
     advance: Callable[[Params, Scalar], Mover] | None = None
     follow: Callable[[Params, State, Scalar, Scalar, Scalar], State] | None = None
     order: int | None = None
+    superposes: bool = False

@@ -1,52 +1,70 @@
 """First gains for a plant of one's own, from a bandwidth and the sample time, in the plant's units.
 
-The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly, with
-the command held. All three rules then work with numbers of that plant alone, whatever its units:
+The plant is linearised at its start, with the command that keeps it there if there is one, and sampled exactly with the
+command held, behind those of its actuators that are linear. All rules then work with numbers of that system alone,
+whatever its units:
 
-* PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it.
-* LQG: y weighted with 1; the weight of u is that at which the regulator's loop crosses 1 at the bandwidth, and the
-  noise of y that at which the filter's does so at four times that; integral action a decade below.
-* Both have no integral action where the plant has a zero at rest.
+* PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it. Of a
+  plant with less lag than 84 degrees there, the integral acts higher, for a margin of 90 degrees: a first-order lag is
+  cancelled.
+* LQG: y weighted with 1; the weight of u is that at which the regulator's loop crosses 1 at the bandwidth. The noise of
+  the measured signals has the proportions in which a disturbance at the command moves them (Bryson's rule), and the
+  size at which the filter's loop crosses 1 at four times the bandwidth; integral action a decade below.
+* State feedback: the regulator of LQG, with all states measured, or y and y' of a plant of order two.
+* These have no integral action where the plant has a zero at rest.
 * DSSC: its special case SSC, with constants. In sliding it synthesises a PI law of sigma, whose loop has a double pole
   at the bandwidth; e follows at a third of that.
 
-A design of PID or LQG counts only if its sampled closed loop is stable. These gains begin a study: margins, draws and
-tuning follow.
+Regulator, filter and SSC are rules for the plant alone. So a design counts only if its sampled closed loop is stable
+with the linear actuators; without a stated bandwidth, one with a peak of abs(S) of at most 2 is looked for. These gains
+begin a study: margins, draws and tuning follow.
 
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapters 11 and 12.
-    B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), sections 5.3 and 8.2.
+    B. D. O. Anderson, J. B. Moore, Optimal Control: Linear Quadratic Methods (1990), sections 5.3, 6.1 and 8.2.
+    A. E. Bryson, Y.-C. Ho, Applied Optimal Control (1975), section 5.2, for the weights from signals' sizes.
 """
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.core.signals import PlantInput, Scalar
+from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.models.controllers.lqg import SampledPlant, filter_gain, regulator_gain, sampled_system
-from dssc_jax.study.fitting import medians
+from dssc_jax.design.linear_plant import (
+    ActuatorsBefore,
+    LinearPlant,
+    PlantAtStart,
+    actuators_before,
+    closed,
+    plant_at_start,
+    sampled_plant,
+)
+from dssc_jax.models.controllers import CONTROLLERS
+from dssc_jax.models.controllers.lqg import filter_gain, gain_at_rest, regulator_gain, sampled_system
+from dssc_jax.study.components import parse_component
+from dssc_jax.study.fitting import medians, setting_of
 from dssc_jax.study.study import Study
 
 PHASE_MARGIN = math.radians(60.0)
 MOST_LEAD = math.radians(65.0)  # of one lead element
+MOST_LAG = math.radians(85.0)  # of the integral part at the bandwidth
+MOST_ADVANCE = math.radians(10.0)  # of a plant with a gain at rest that PID can make cross
 DECADE = 10.0
 FILTER_RATIO = 4.0  # of the filter's bandwidth to the regulator's
 SLOW_ERROR = 3.0  # of the bandwidth to l0
 MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
 PLACES = 9  # bisections' decades of a weight on either side
 DIGITS = 4
-HALVINGS = 8
-NEWTON_STEPS = 20
-AT_REST = 1e-9  # share of the rate of change without a command that may be left
+HALVINGS = 14
+MOST_PEAK = 2.0  # of abs(S), where no bandwidth is stated
+FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
 
 
 class FirstController(StrEnum):
@@ -54,21 +72,8 @@ class FirstController(StrEnum):
 
     PID = "pid"
     LQG = "lqg"
+    STATE_FEEDBACK = "state_feedback"
     SSC = "ssc"
-
-
-class LinearPlant(NamedTuple):
-    """A plant of one channel at its start, sampled: x(k+1) = A x + B u, y = c x, and T_s [s]."""
-
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    sample_time: float
-
-    def response(self, omega: float) -> complex:
-        """From the held command to the sampled output at an angular frequency [rad/s]."""
-        z = np.exp(1j * omega * self.sample_time)
-        return complex(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
 
 
 class FirstGains(NamedTuple):
@@ -77,62 +82,38 @@ class FirstGains(NamedTuple):
     Args:
         table: ``[controller]`` of a study.
         bandwidth: The frequency that it is made for [rad/s].
-        radius: Largest modulus of the poles of the sampled closed loop, below 1; NaN for SSC, which switches.
+        radius: Largest modulus of the poles of the sampled closed loop, below 1; of SSC while it slides.
+        sensitivity_peak: Largest abs(S) of that loop, broken at the command.
+        taken: Kinds of the actuators in that loop.
+        left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
     """
 
     table: TomlTable
     bandwidth: float
     radius: float
+    sensitivity_peak: float
+    taken: tuple[str, ...]
+    left_out: tuple[str, ...]
 
 
-def plant_at_start(study: Study) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, b and c of a study's plant, linearised at its start with the median in place of each law.
-
-    The command is the one that keeps the plant at its start; 0 where there is none.
-
-    Raises:
-        ConfigError: the plant has several channels.
-    """
-    loop = study.loop
-    if len(loop.channels) > 1:
-        raise ConfigError(f"{study.source}: plant.kind", "first gains are those of a plant with one command")
-    params = medians(study.template).plant
-    with arithmetic():
-        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
-        inputs = (0.0,) * len(loop.inputs)
-
-        def slope(x: jax.Array, u: Scalar) -> jax.Array:
-            rate = loop.plant.derivative(params, unravel(x), PlantInput(u, 0.0, None, inputs), 0.0)
-            return ravel_pytree(rate)[0]
-
-        command = holding_command(slope, start)
-
-        def output(x: jax.Array) -> Scalar:
-            return loop.plant.measure(params, unravel(x), PlantInput(command, 0.0, None, inputs)).y
-
-        a, b = jax.jacfwd(slope, argnums=(0, 1))(start, command)
-        c = jax.grad(output)(start)
-    return np.asarray(a, float), np.asarray(b, float), np.asarray(c, float)
-
-
-def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float:
-    """The command with which a state stays where it is, by Newton's method; 0 where there is none.
+class Subject(NamedTuple):
+    """What first gains are made for.
 
     Args:
-        slope: ``(x, u) -> x'``.
-        start: The state x.
+        study: The study.
+        plant: Its plant at the start, in continuous time.
+        alone: The same, sampled without actuators.
+        actuators: Its actuators.
+        whole: The plant sampled behind the linear ones.
+        limit: Largest size of the command, in its unit; None: none.
     """
-    command = 0.0
-    for _ in range(NEWTON_STEPS):
-        rate = np.asarray(slope(start, command), float)
-        effect = np.asarray(jax.jacfwd(slope, argnums=1)(start, command), float)
-        size = float(effect @ effect)
-        if not size > 0.0:
-            return 0.0
-        command -= float(effect @ rate) / size
-    left = np.max(np.abs(np.asarray(slope(start, command), float)))
-    moved = np.max(np.abs(np.asarray(slope(start, 0.0), float)))
-    return command if left <= AT_REST * moved else 0.0
+
+    study: Study
+    plant: PlantAtStart
+    alone: LinearPlant
+    actuators: ActuatorsBefore
+    whole: LinearPlant
+    limit: float | None
 
 
 def first_gains(
@@ -142,9 +123,9 @@ def first_gains(
 
     Args:
         study: The study; what it says of its controller is not used.
-        kind: ``pid``, ``lqg`` or ``ssc``.
+        kind: ``pid``, ``lqg``, ``state_feedback`` or ``ssc``.
         bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: a twentieth of pi/T_s, or the first
-            half of it, and so on, for which there are gains.
+            half of it, and so on, with a peak of abs(S) of at most 2; else the one with the smallest peak.
         limit: Largest size of the command, in its unit; ``ssc`` needs it, the others respect it.
 
     Raises:
@@ -152,49 +133,90 @@ def first_gains(
     """
     if kind not in list(FirstController):
         raise ConfigError("`kind`", f"must be one of {', '.join(FirstController)}, got '{kind}'")
-    sample_time = study.loop.sample_time
-    fastest = math.pi / sample_time
-    if bandwidth is None:
-        return fastest_of(study, kind, limit, 0.05 * fastest)
-    chosen = bandwidth
-    if not 0.0 < chosen <= MOST_SHARE * fastest:
-        rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {chosen:.4g}"
-        raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
     if limit is not None and not limit > 0.0:
         raise ConfigError("`limit`", f"must be > 0, got {limit:g}")
-    if kind == FirstController.LQG and study.loop.measures:
-        rule = "measures other signals than y, and the first gains of LQG are those for y alone"
-        raise ConfigError(f"{study.source}: sensor", f"{rule}; leave `measures` out, or state weights of your own")
-    a, b, c = plant_at_start(study)
-    discrete = sampled_system(a, b[:, None], sample_time)
-    plant = LinearPlant(discrete.a, discrete.b, c, sample_time)
-    if kind == FirstController.SSC:
-        return ssc(study, a, b, c, chosen, limit)
-    table, radius = pid(plant, chosen) if kind == FirstController.PID else lqg(plant, chosen)
-    if not radius < 1.0:
-        rule = f"gives at {chosen:.4g} rad/s a sampled loop that is not stable (largest pole {radius:.4g})"
-        raise ConfigError("`bandwidth`", f"{rule}; ask for another one, or for 'lqg'")
-    limits = {} if limit is None else {"low": -limit, "high": limit}
-    return FirstGains(rounded(table | limits), chosen, radius)
+    sample_time = study.loop.sample_time
+    fastest = math.pi / sample_time
+    if bandwidth is not None and not 0.0 < bandwidth <= MOST_SHARE * fastest:
+        rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {bandwidth:.4g}"
+        raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
+    plant = plant_at_start(study)
+    actuators = actuators_before(study)
+    alone = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
+    subject = Subject(study, plant, alone, actuators, sampled_plant(plant, actuators, sample_time), limit)
+    if bandwidth is None:
+        return fastest_of(subject, kind, 0.05 * fastest)
+    found = designed(subject, kind, bandwidth)
+    if found.radius < 1.0:
+        return found
+    behind = f", behind its linear actuators ({' + '.join(actuators.taken)})" if actuators.taken else ""
+    rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{behind} (largest pole {found.radius:.4g})"
+    raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
 
 
-def fastest_of(study: Study, kind: str, limit: float | None, start: float) -> FirstGains:
-    """The first gains at the first of a bandwidth, its half, and so on, for which there are any; raises ConfigError."""
+def designed(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
+    """The design of a kind at a bandwidth, whose loop need not be stable; raises ConfigError if there is none."""
+    rules = {
+        FirstController.PID: pid,
+        FirstController.LQG: lqg,
+        FirstController.STATE_FEEDBACK: state_feedback,
+        FirstController.SSC: ssc,
+    }
+    study = subject.study
+    table = rounded(rules[FirstController(kind)](subject, bandwidth))
+    controller = parse_component(table, CONTROLLERS, "controller")
+    if controller.model.fit is not None:
+        setting = setting_for(study)
+        with errors_under("controller"):
+            controller = replace(controller, params=controller.model.fit(controller.params, setting))
+    loop = closed(subject.whole, controller)
+    radius = loop.radius
+    peak = loop.sensitivity_peak if radius < 1.0 else math.inf
+    return FirstGains(table, bandwidth, radius, peak, subject.actuators.taken, subject.actuators.left_out)
+
+
+def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
+    """The design at the first of a bandwidth, its half, and so on, that has a good loop; else the best that is stable.
+
+    Raises:
+        ConfigError: none is stable.
+    """
     refusal: ConfigError | None = None
+    best: FirstGains | None = None
+    bandwidth = start
     for half in range(HALVINGS):
+        bandwidth = start * 0.5**half
         try:
-            return first_gains(study, kind, start * 0.5**half, limit)
+            found = designed(subject, kind, bandwidth)
         except ConfigError as error:
             refusal = refusal or error
-    assert refusal is not None  # raised at least once
-    raise refusal
+            continue
+        if found.sensitivity_peak <= MOST_PEAK:
+            return found
+        if found.radius < 1.0 and (best is None or found.sensitivity_peak < best.sensitivity_peak):
+            best = found
+    if best is not None:
+        return best  # such as of a plant that is unstable itself
+    if refusal is not None:
+        raise refusal
+    rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
+    raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
 
 
-def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
-    """The PID controller, and the largest pole of its loop; raises ConfigError."""
+def pid(subject: Subject, omega: float) -> TomlTable:
+    """The PID controller; raises ConfigError."""
+    plant = subject.whole
     at = plant.response(omega)
-    corner = omega / DECADE if acts_at_rest(plant, omega) else 0.0
-    needed = math.remainder(PHASE_MARGIN - math.pi - np.angle(at) + math.atan(corner / omega), 2.0 * math.pi)
+    phase = float(np.angle(at))
+    phase -= 2.0 * math.pi if phase > math.radians(66.0) else 0.0  # a large lag, where no lead is meant
+    integrates = acts_at_rest(plant, omega)
+    if phase > MOST_ADVANCE:
+        rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(phase):.0f} degrees"
+        remedy = "ask for another bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
+        raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
+    behind = min(max(0.5 * math.pi + phase, math.atan(1.0 / DECADE)), MOST_LAG)
+    corner = omega * math.tan(behind) if integrates else 0.0
+    needed = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
     if needed > MOST_LEAD:
         rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
         remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
@@ -205,17 +227,18 @@ def pid(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
     filtered = 1.0 / (ratio * omega) if lead else 0.0
     s = 1j * omega
     gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
-    if needed < -math.radians(90.0):
-        rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(float(np.angle(at))):.0f} degrees"
-        remedy = "ask for a higher bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
-        raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
     k_i = gain * corner
     k_p = gain * (1.0 + corner * ahead) - k_i * filtered
     k_d = gain * ahead - k_p * filtered if lead else 0.0
     table: TomlTable = {"kind": "pid", "k_p": k_p} | ({"k_i": k_i} if k_i else {})
     if lead:
         table |= {"k_d": k_d, "filter": filtered}
-    return table, pid_radius(plant, k_p, k_i, k_d, filtered)
+    return table | limits(subject)
+
+
+def limits(subject: Subject) -> TomlTable:
+    """The limits of the command, as fields of a controller."""
+    return {} if subject.limit is None else {"low": -subject.limit, "high": subject.limit}
 
 
 def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
@@ -223,76 +246,121 @@ def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
     return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
 
 
-def pid_radius(plant: LinearPlant, k_p: float, k_i: float, k_d: float, filtered: float) -> float:
-    """Largest pole of the sampled loop, with the controller as it is sampled: states x, I, D and the last y."""
-    n = len(plant.a)
-    h = plant.sample_time
-    y = np.append(plant.c, np.zeros(3))
-    unit = np.eye(n + 3)[n + 2]
-    derivative = (filtered * np.eye(n + 3)[n + 1] - k_d * (y - unit)) / (filtered + h)
-    u = -k_p * y + np.eye(n + 3)[n] + derivative
-    matrix = np.zeros((n + 3, n + 3))
-    matrix[:n, :n] = plant.a
-    matrix[:n] += np.outer(plant.b, u)
-    matrix[n] = np.eye(n + 3)[n] - h * k_i * y if k_i else 0.0
-    matrix[n + 1] = derivative
-    matrix[n + 2] = y
-    return spectral_radius(matrix)
-
-
-def spectral_radius(matrix: np.ndarray) -> float:
-    """Largest modulus of a matrix's eigenvalues."""
-    return float(np.max(np.abs(np.linalg.eigvals(matrix))))
-
-
-def lqg(plant: LinearPlant, omega: float) -> tuple[TomlTable, float]:
-    """The LQG controller of y alone, and the largest pole of its loop; raises ConfigError."""
-    system = SampledPlant(plant.a, plant.b, plant.b[:, None])
-    q = np.outer(plant.c, plant.c)
-    size = abs(plant.response(omega))
-    noise = np.outer(plant.b, plant.b)
+def lqg(subject: Subject, omega: float) -> TomlTable:
+    """The LQG controller of y, or of all measured signals; raises ConfigError."""
+    study, plant = subject.study, subject.alone
+    nominal = nominal_of(study)
+    names = [signal.name for signal in study.loop.measures] or ["y"]
+    rows = nominal.signals if study.loop.measures else nominal.output[None, :]
     z = plant.sample_time
     faster = min(FILTER_RATIO * omega, 0.5 * math.pi / z)
-
-    def regulated(weight: float) -> float:
-        gains = regulator_gain(system.a, system.b[:, None], q, weight)
-        return loop_size(plant.a, plant.b, gains, omega, z)
+    sampled = sampled_system(nominal.a, np.column_stack([nominal.command, nominal.disturbances]), z)
+    entering = sampled.disturbances[:, 0]
+    sizes = np.abs(rows @ responses(sampled.a, entering, faster, z))
+    for name, size in zip(names, sizes, strict=True):
+        if not size > 1e-12 * np.max(sizes):
+            rule = f"'{name}' does not move with a disturbance at the command, so its noise has no scale"
+            raise ConfigError(f"{study.source}: sensor.measures", f"{rule}; leave it out, or state weights of your own")
+    scaled = rows / sizes[:, None]
+    noise = np.outer(entering, entering)
 
     def filtered(deviation: float) -> float:
-        correction = filter_gain(system.a, plant.c[None, :], noise, deviation**2 * np.eye(1))
-        return loop_size(plant.a, plant.a @ correction[:, 0], plant.c, faster, z)
+        correction = filter_gain(sampled.a, scaled, noise, deviation**2 * np.eye(len(rows)))
+        return float(np.linalg.norm(scaled @ responses(sampled.a, sampled.a @ correction, faster, z), 2))
 
-    weight = crossing(regulated, size**2)
-    deviation = crossing(filtered, abs(plant.response(faster)))
-    integral = (omega / DECADE) ** 2 if acts_at_rest(plant, omega) else 0.0
-    table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight, "integral_weight": integral}
-    table |= {"signal_std": [deviation], "disturbance_std": [1.0]}
-    return table, lqg_radius(plant, weight, integral, deviation)
+    deviation = crossing(filtered, 1.0)
+    weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, z)
+    table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight}
+    table |= {"integral_weight": integral_weight(plant, omega)}
+    table |= {"signal_std": [float(deviation * size) for size in sizes], "disturbance_std": [1.0]}
+    return table | limits(subject)
 
 
-def lqg_radius(plant: LinearPlant, weight: float, integral: float, deviation: float) -> float:
-    """Largest pole: by the separation of regulator and filter, the larger of theirs."""
+def nominal_of(study: Study) -> NominalPlant:
+    """The nominal linear plant to which LQG is fitted; raises ConfigError."""
+    nominal = setting_for(study).plant
+    if nominal is None:
+        rule = "has no linear form, which LQG needs for its model"
+        raise ConfigError(f"{study.source}: plant.kind", f"{rule}; ask for 'pid', or state a linear plant near it")
+    return nominal
+
+
+def setting_for(study: Study) -> LoopSetting:
+    """What a controller of the study is fitted to."""
+    loop = study.loop
+    with arithmetic():
+        return setting_of(loop.plant, medians(study.template).plant, loop.sample_time, loop.measures)
+
+
+def integral_weight(plant: LinearPlant, omega: float) -> float:
+    """The weight of the integral of y with which it acts a decade below the bandwidth; 0 without a gain at rest."""
+    return (omega / DECADE) ** 2 if acts_at_rest(plant, omega) else 0.0
+
+
+def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
+    """The weight of u^2 beside y^2 at which the regulator's loop crosses 1 at a frequency; raises ConfigError."""
+    q = np.outer(c, c)
+    through = responses(a, b, omega, sample_time)
+
+    def regulated(weight: float) -> float:
+        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ through))
+
+    return crossing(regulated, float(np.abs(c @ through)) ** 2)
+
+
+def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
+    """(z - A)^-1 columns at an angular frequency."""
+    return np.linalg.solve(np.exp(1j * omega * sample_time) * np.eye(len(a)) - a, columns)
+
+
+def state_feedback(subject: Subject, omega: float) -> TomlTable:
+    """The regulator of LQG as feedback of measured states, or of y and y'; raises ConfigError."""
+    study, plant = subject.study, subject.plant
+    z = subject.alone.sample_time
+    sampled = sampled_system(plant.a, plant.b[:, None], z)
+    weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, z)
     n = len(plant.a)
-    matrix, column, q = plant.a, plant.b, np.outer(plant.c, plant.c)
+    integral = integral_weight(subject.alone, omega)
+    a, b, q = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
     if integral:
-        matrix = np.block([[matrix, np.zeros((n, 1))], [plant.sample_time * plant.c[None, :], np.ones((1, 1))]])
-        column = np.append(column, 0.0)
+        a = np.block([[a, np.zeros((n, 1))], [z * plant.c[None, :], np.ones((1, 1))]])
+        b = np.append(b, [[0.0]], axis=0)
         q = np.block([[q, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
-    gains = regulator_gain(matrix, column[:, None], q, weight)
-    correction = filter_gain(plant.a, plant.c[None, :], np.outer(plant.b, plant.b), deviation**2 * np.eye(1))
-    regulated = spectral_radius(matrix - np.outer(column, gains))
-    return max(regulated, spectral_radius(plant.a - plant.a @ np.outer(correction[:, 0], plant.c)))
-
-
-def loop_size(a: np.ndarray, column: np.ndarray, row: np.ndarray, omega: float, sample_time: float) -> float:
-    """|row (z - A)^-1 column| at an angular frequency."""
-    z = np.exp(1j * omega * sample_time)
-    return float(abs(row @ np.linalg.solve(z * np.eye(len(a)) - a, column)))
+    gains = regulator_gain(a, b, q, weight)
+    feedback = gains[:n]
+    names = tuple(signal.name for signal in study.loop.measures)
+    rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
+    shares = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
+    if np.any(plant.through * shares[: len(plant.through)] != 0.0) or (
+        np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback))
+    ):
+        shown = ", ".join(names) if names else "y and y'"
+        rule = f"shows {shown}, and the regulator feeds back all {n} states"
+        remedy = "add measures = \"state\" to [sensor], or ask for 'lqg', which estimates them"
+        raise ConfigError(f"{study.source}: sensor", f"{rule}; {remedy}")
+    forward = gain_at_rest(sampled, plant.c, feedback)
+    k_i = float(gains[n]) if integral else 0.0
+    proportional: TomlTable = {"signals": list(map(float, shares)), "feedforward": forward}
+    if not names:
+        k_1 = float(shares[0])
+        k_2 = float(shares[1]) if n > 1 else 0.0
+        proportional = {"k_1": k_1, "k_2": k_2, "feedforward": forward - k_1}
+        if k_1 < 0.0 or k_2 < 0.0:
+            rule = f"needs the gains k_1 = {k_1:.4g} and k_2 = {k_2:.4g}, and they are at least 0"
+            raise ConfigError(f"{study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
+    if k_i < 0.0:
+        raise ConfigError(f"{study.source}: plant", "has a negative gain at rest; turn the command's sign")
+    table: TomlTable = {"kind": "state_feedback"} | proportional | ({"k_i": k_i} if k_i else {})
+    tracking = {"tracking": DECADE / omega} if k_i and subject.limit is not None else {}
+    return table | tracking | limits(subject)
 
 
 def crossing(size: Callable[[float], float], guess: float) -> float:
     """The positive number at which a falling function is 1, by bisection of its logarithm; raises ConfigError."""
-    low, high = guess * 10.0**-PLACES, guess * 10.0**PLACES
+    low = high = guess
+    for _ in range(PLACES):  # from the guess on: a Riccati equation far from it may have no solution in floating point
+        low = low if size(low) > 1.0 else 0.1 * low
+        high = high if size(high) < 1.0 else 10.0 * high
     if not size(low) > 1.0 > size(high):
         raise ConfigError("`bandwidth`", "is out of reach of every weight for this plant; ask for another one")
     for _ in range(80):
@@ -304,8 +372,10 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
     return math.sqrt(low * high)
 
 
-def ssc(study: Study, a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, limit: float | None) -> FirstGains:
+def ssc(subject: Subject, omega: float) -> TomlTable:
     """SSC, whose loop in sliding is sigma'' + k_p K_P sigma' + k_p K_I sigma; raises ConfigError."""
+    study, limit = subject.study, subject.limit
+    a, b, c = subject.plant.a, subject.plant.b, subject.plant.c
     if abs(c @ b) > 1e-9 * (np.abs(c) @ np.abs(b)) or not c @ a @ b > 0.0:
         rule = "is not of relative degree two with k_p > 0 from command to output, as SSC needs"
         raise ConfigError(f"{study.source}: plant", f"{rule}; ask for 'pid' or 'lqg'")
@@ -314,8 +384,7 @@ def ssc(study: Study, a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float,
     gain = float(c @ a @ b)
     averaging = max(2.0 * study.loop.sample_time, 0.1 / omega)
     functions = {"kind": "constant", "k_o": gain / (2.0 * omega * averaging), "tau_av": averaging, "tau_m": 2.0 / omega}
-    table = {"kind": "ssc", "l0": omega / SLOW_ERROR, "rho": limit, "functions": rounded(functions)}
-    return FirstGains(rounded(table), omega, math.nan)
+    return {"kind": "ssc", "l0": omega / SLOW_ERROR, "rho": limit, "functions": functions}
 
 
 def rounded(table: TomlTable) -> TomlTable:
@@ -324,6 +393,8 @@ def rounded(table: TomlTable) -> TomlTable:
     for name, value in table.items():
         if isinstance(value, list):
             found[name] = [float(f"{item:.{DIGITS}g}") for item in value]
+        elif isinstance(value, dict):
+            found[name] = rounded(value)
         else:
             found[name] = float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
     return found

@@ -8,12 +8,15 @@ from pydantic import BaseModel, Field, ValidationError
 
 from dssc_jax.core.chains import Element, chain
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.signals import Params
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.actuators import UNMODELLED
-from dssc_jax.study.components import Component, parse_component
+from dssc_jax.study.components import Component, as_table, parse_component
 from dssc_jax.study.numbers import Number
+from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import STRICT, StudyTable
 from dssc_jax.study.table_errors import explain
+from dssc_jax.study.tables import PARAMETERS
 
 ACTUATOR = "actuator"
 SLOT = "unmodelled"
@@ -86,6 +89,23 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
         acting = [(path, part) for path, table, part in elements if in_channel(table, channel) and part.kind != "none"]
         components.append(chained(acting, f"{SLOT}.{index}"))
     return components
+
+
+def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tuple[Element, Params]]:
+    """The actuators of a study of one channel in their order, with their parameters.
+
+    Args:
+        table: The study's table.
+        config: Its fixed tables.
+    """
+    parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
+    elements = []
+    for content in parameters.resolved(tables_of(config, SLOT), SLOT):
+        plain = {name: value for name, value in content.items() if name not in ELEMENT_FIELDS}
+        part = parse_component(plain, UNMODELLED, SLOT)
+        if part.kind != "none":
+            elements.append((Element(part.kind, part.model), part.params))
+    return elements
 
 
 def chained(elements: list[tuple[str, Component]], place: str) -> Component:

@@ -6,6 +6,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.plants.linear import DELAYED_BY_A_SAMPLE
 
 
 def plant_table(system: Any) -> TomlTable:
@@ -37,7 +38,8 @@ def plant_table(system: Any) -> TomlTable:
         if b.shape[1] != 1 or c.shape[0] != 1:
             raise ConfigError("plant", f"must have one input and one output, got {b.shape[1]} and {c.shape[0]}")
         if np.any(d):
-            raise ConfigError("plant", f"must not pass its input directly to its output, got D = {d.item():g}")
+            rule = f"must not pass its input directly to its output, got D = {d.item():g}"
+            raise ConfigError("plant", f"{rule}: {DELAYED_BY_A_SAMPLE}")
         return {"kind": "state_space", "a": a.tolist(), "b": b[:, 0].tolist(), "c": c[0].tolist()}
     if hasattr(system, "zeros") and hasattr(system, "gain") and hasattr(system, "to_tf"):
         system = system.to_tf()
@@ -46,7 +48,7 @@ def plant_table(system: Any) -> TomlTable:
     numerator = coefficients(system.num, name)
     denominator = coefficients(system.den, name)
     if len(numerator) >= len(denominator):
-        raise ConfigError("plant", "must have more poles than zeros: a plant does not pass its input to its output")
+        raise ConfigError("plant", f"must have more poles than zeros: {DELAYED_BY_A_SAMPLE}")
     return {"kind": "transfer_function", "numerator": numerator, "denominator": denominator}
 
 

@@ -169,3 +169,21 @@ def test_what_is_refused():
         dj.sensitivity(study.override({"draws": 512, "plant.k_p": 1.0, "plant.a_p": 1.0}))
     with pytest.raises(dj.ConfigError, match="draws >= 256, got 64"):
         dj.sensitivity(study)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "sobol"}, "needs draws >= 256, got 20"),
+        ({"method": "shapley"}, "needs draws >= 256, got 20"),
+        ({"method": "morris"}, "Morris screening of . factors needs draws >= .*, got 20"),
+        ({"method": "sobol", "confidence": 1.5}, r"must lie in \(0, 1\), got 1.5"),
+        ({"method": "range"}, "must be one of sobol, shapley, morris"),
+    ],
+)
+def test_arguments_are_refused_before_anything_is_compiled(monkeypatch, arguments, message):
+    """Nor is a draw simulated to see whether the loop has noise."""
+    monkeypatch.setattr("dssc_jax.analyses.sensitivity.analysis.Engine", None)
+    study = dj.Study.from_table({**TABLE, "draws": 20})
+    with pytest.raises(dj.ConfigError, match=message):
+        dj.sensitivity(study, **arguments)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.analyses.loop_margins import classical_margins, common_grid, grid_with_poles, response_of
+from dssc_jax.engine.linearisation.response import some_margins
 
 SAMPLE_TIME, LOOPS = 0.05, 100
 
@@ -107,3 +108,32 @@ def test_loops_with_different_numbers_of_crossings_have_finite_phases():
         both = classical_margins(response_of(a, b, c), grid_with_poles(common_grid(poles), poles), SAMPLE_TIME)
     np.testing.assert_allclose(both.phase[0], 0.5 * np.pi - np.arcsin(0.25), rtol=1e-9)
     assert np.isfinite(both.delay).all()
+
+
+def test_the_response_is_that_of_a_solve_at_each_angle():
+    """Of delays, whose poles have no basis of eigenvectors, and of states whose units differ by 1e9."""
+    rng = np.random.default_rng(3)
+    a = 0.3 * rng.standard_normal((3, 7, 7))
+    a[1] = np.diag(np.ones(6), -1)
+    scale = 10.0 ** np.linspace(-4.0, 5.0, 7)
+    a[2] *= scale[:, None] / scale
+    b, c = rng.standard_normal((2, 3, 7))
+    b[2] *= scale
+    c[2] /= scale
+    angles = np.sort(rng.uniform(0.0, np.pi, (3, 50)), axis=1)
+    found = response_of(a, b, c)(angles)
+    for i in range(3):
+        for theta, value in zip(angles[i], found[i], strict=True):
+            exact = c[i] @ np.linalg.solve(np.exp(1j * theta) * np.eye(7) - a[i], b[i])
+            assert value == pytest.approx(exact, rel=1e-10)
+
+
+def test_some_margins_are_those_of_all():
+    rng = np.random.default_rng(5)
+    a = 0.2 * rng.standard_normal((4, 3, 3))
+    b, c = rng.standard_normal((2, 4, 3))
+    poles = np.linalg.eigvals(a)
+    arguments = response_of(a, b, c), grid_with_poles(common_grid(poles), poles), SAMPLE_TIME
+    every = classical_margins(*arguments)
+    for name in (*every._fields, "modulus"):
+        np.testing.assert_array_equal(some_margins(*arguments, [name])[name], getattr(every, name))

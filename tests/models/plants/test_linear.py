@@ -133,7 +133,11 @@ def test_what_is_no_plant_is_refused(system, complaint):
         (SPACE | {"a": [1.0]}, "plant.a: must be a list of numbers"),
         (SPACE | {"b": [0.0, 0.0, 0.0]}, "the command does not reach the output"),
         (SPACE | {"x0": [0.0] * 4}, "plant.x0: must have at most 3 numbers"),
-        (FUNCTION | {"numerator": [1.0, 2.0, 3.0, 4.0]}, "strictly proper; got 4"),
+        (
+            {"kind": "state_space", "a": [[-1.0]], "b": [1.0], "c": [1.0], "d": 0.5},
+            "plant.d: must be 0, got 0.5: the command takes effect after the sample",
+        ),
+        (FUNCTION | {"numerator": [1.0, 2.0, 3.0, 4.0]}, "got 4: the command takes effect after the sample"),
         (FUNCTION | {"denominator": [0.0, 1.0, 2.0, 3.0]}, "plant.denominator.0: is the coefficient of the highest"),
     ],
 )

@@ -1,14 +1,15 @@
 """Run a sensitivity analysis: simulate a method's design, and compute its quantities for every output."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.sensitivity.morris import morris_design
-from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_of
+from dssc_jax.analyses.sensitivity.morris import morris_design, require_morris
+from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_of, row_count
 from dssc_jax.analyses.sensitivity.result import Sensitivity, sensitivity_dataset
 from dssc_jax.analyses.sensitivity.shapley import shapley_design
-from dssc_jax.analyses.sensitivity.sobol import sobol_design
+from dssc_jax.analyses.sensitivity.sobol import require_sobol, sobol_design
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate, is_noisy
@@ -16,10 +17,23 @@ from dssc_jax.engine.sampling import Arrays, values_at_levels
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
-SENSITIVITY_METHODS: dict[str, Callable[[Study, bool, float], RowDesign]] = {
-    "sobol": sobol_design,
-    "shapley": shapley_design,
-    "morris": morris_design,
+
+class MethodOfDesign(NamedTuple):
+    """A method of sensitivity analysis.
+
+    Args:
+        design: ``(study, whether in-loop noise is a factor, confidence) -> RowDesign``.
+        require: ``(study)`` raises ConfigError where the method cannot treat it, before anything is compiled.
+    """
+
+    design: Callable[[Study, bool, float], RowDesign]
+    require: Callable[[Study], object]
+
+
+SENSITIVITY_METHODS = {
+    "sobol": MethodOfDesign(sobol_design, require_sobol),
+    "shapley": MethodOfDesign(shapley_design, row_count),
+    "morris": MethodOfDesign(morris_design, require_morris),
 }
 
 
@@ -47,9 +61,12 @@ def sensitivity(
         raise ConfigError("method", f"must be one of {', '.join(SENSITIVITY_METHODS)}, got {method!r}")
     if not study.laws:
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
+    if not 0.0 < confidence < 1.0:
+        raise ConfigError("confidence", f"must lie in (0, 1), got {confidence:g}")
+    SENSITIVITY_METHODS[method].require(study)
     engine = Engine(study, min(BLOCK, study.config.draws))
     noisy = is_noisy(engine)
-    design = SENSITIVITY_METHODS[method](study, noisy, confidence)
+    design = SENSITIVITY_METHODS[method].design(study, noisy, confidence)
     count = len(design.samples) * design.rows
     results: list[Arrays] = []
     for sample in design.samples:

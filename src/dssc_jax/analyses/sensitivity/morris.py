@@ -92,6 +92,25 @@ def with_interval(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.stack([estimate, np.maximum(estimate - half, 0.0), estimate + half], axis=1)
 
 
+def require_morris(study: Study, noisy: bool = False) -> int:
+    """The number of trajectories.
+
+    Args:
+        study: The study.
+        noisy: Whether in-loop noise is a factor.
+
+    Raises:
+        ConfigError: inputs are correlated, or there are too few draws.
+    """
+    require_uncorrelated(study, "the moves of Morris screening are those of")
+    factors = len(study.laws) + noisy
+    count = study.config.draws // (factors + 1)
+    if count < FEWEST:
+        rule = f"Morris screening of {factors} factors needs draws >= {FEWEST * (factors + 1)}"
+        raise ConfigError(study.source, f"{rule}, got {study.config.draws}")
+    return count
+
+
 def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of a screening: as many trajectories as the study's number of draws allows.
 
@@ -103,13 +122,9 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_uncorrelated(study, "the moves of Morris screening are those of")
+    count = require_morris(study, noisy)
     laws = len(study.laws)
     factors = laws + noisy
-    count = study.config.draws // (factors + 1)
-    if count < FEWEST:
-        rule = f"Morris screening of {factors} factors needs draws >= {FEWEST * (factors + 1)}"
-        raise ConfigError(study.source, f"{rule}, got {study.config.draws}")
     levels, order = trajectories(count, factors, (study.config.seed, stream("morris")))
     indices = np.tile(np.arange(count), (factors + 1, 1))
     if noisy:

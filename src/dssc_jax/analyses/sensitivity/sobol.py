@@ -102,6 +102,16 @@ def controlled(
     return share - np.einsum("nri,ri->nr", replicates, coefficients).reshape(-1)
 
 
+def require_sobol(study: Study) -> int:
+    """The number of A's rows.
+
+    Raises:
+        ConfigError: inputs are correlated, or there are too few draws.
+    """
+    require_uncorrelated(study, "Sobol indices divide up the variance of")
+    return row_count(study)
+
+
 def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """The design of Sobol indices: A, B, and AB_i for each factor.
 
@@ -113,8 +123,7 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_uncorrelated(study, "Sobol indices divide up the variance of")
-    rows = row_count(study)
+    rows = require_sobol(study)
     factors = len(study.laws)
     a, b = map(inside, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
     indices_a = np.arange(rows)

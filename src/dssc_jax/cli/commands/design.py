@@ -11,11 +11,11 @@ from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import load_study
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.files import design_toml, load_design
 from dssc_jax.design.first_gains import FirstController, first_gains
 from dssc_jax.results.summary import jsonable
-from dssc_jax.study import read_toml
-from dssc_jax.study.actuators import SLOT, kind_in
+from dssc_jax.study import Study, read_toml
 from dssc_jax.study.library import find
 from dssc_jax.study.tables import to_toml, toml_entries
 
@@ -46,23 +46,35 @@ def print_first_gains(options: Design) -> int:
     """Find the first gains for a study, write the study with them, and print them."""
     if options.as_latex:
         raise ConfigError("--latex", "prints a certificate, which first gains do not have")
-    study = load_study(str(options.bounds), {}, local=options.allow_local).without_sweep()
+    study = load_study(str(options.bounds), {}, options.allow_local, options.allow_native).without_sweep()
     found = first_gains(study, options.controller or FirstController.PID, options.bandwidth, options.limit)
     if options.out is not None:
-        out = options.out
-        text = to_toml({**study.table, "controller": found.table})
-        attempt(out, lambda: files.write_text(out, text))
-    actuators = kind_in(study.config, SLOT)
+        write_study(options.out, {**study.table, "controller": found.table})
     if options.as_json:
         content = {"study": study.name, "bandwidth": found.bandwidth, "largest_pole": found.radius}
-        content |= {"actuators_left_out": actuators}
+        content |= {"sensitivity_peak": found.sensitivity_peak, "actuators": found.taken, "left_out": found.left_out}
         print(json.dumps(jsonable({**content, "controller": found.table}), allow_nan=False))
         return DONE
     print(toml_entries(found.table, "controller").strip())
     sampled = f"T_s = {study.loop.sample_time:g} s"
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
-    remark = "" if actuators == "none" else f" without its actuators ({actuators})"
-    if not math.isnan(found.radius):
-        print(f"largest pole of the sampled loop{remark} {found.radius:.6g}, below 1: stable")
+    behind = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
+    sliding = " while it slides" if found.table["kind"] == FirstController.SSC else ""
+    decay = study.loop.sample_time / -math.log(found.radius) if found.radius > 0.0 else 0.0
+    print(f"largest pole of the sampled loop{behind}{sliding} {found.radius:.6g}, below 1: stable")
+    print(f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / found.bandwidth:.3g} s")
+    print(f"peak of its sensitivity abs(S) {found.sensitivity_peak:.3g}")
+    if found.left_out:
+        print(f"left out, so that the whole loop has less margin: {', '.join(found.left_out)}")
     print("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
     return DONE
+
+
+def write_study(out: Path, table: TomlTable) -> None:
+    """Write a study with its first gains; raises ConfigError where the other sections do not fit them."""
+    try:
+        Study.from_table(table)
+    except ConfigError as error:
+        rule = f"the study would not be valid with these gains: {error}"
+        raise ConfigError("--out", f"{rule}; change that section, or copy [controller] without --out") from None
+    attempt(out, lambda: files.write_text(out, to_toml(table)))

@@ -31,8 +31,9 @@ class Check:
 class Design:
     """Find gains with a certificate from bounds; or first gains for the plant of a study.
 
-    Of a study, its plant and T_s matter, and not its actuators: the gains of a PID, LQG or SSC controller follow from
-    the bandwidth, in the plant's units, and --out writes the study with them; `loop` gives their margins. Of bounds,
+    Of a study, its plant, its linear actuators, what it measures and T_s matter: the gains of PID, LQG, state feedback
+    or SSC follow from the bandwidth, in the plant's units, and the sampled loop with them is stable. --out writes the
+    study with them; `loop` gives their margins. Of bounds,
     [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the smallest
     guaranteed error at a sampling period of 1 ms.
     """
@@ -44,7 +45,8 @@ class Design:
         None
     )
     controller: Annotated[
-        str | None, typer.Option("--controller", metavar="KIND", help="Of a study: pid, lqg or ssc [pid].")
+        str | None,
+        typer.Option("--controller", metavar="KIND", help="Of a study: pid, lqg, state_feedback or ssc [pid]."),
     ] = None
     bandwidth: Annotated[
         float | None,
@@ -56,6 +58,7 @@ class Design:
         float | None, typer.Option("--limit", metavar="U", help="Of a study: largest command, in its unit.")
     ] = None
     allow_local: Local = False
+    allow_native: Native = False
     as_json: Json = False
     as_latex: Latex = False
 

@@ -61,7 +61,7 @@ class Compare(OutputOptions, DrawsOptions):
     ]
     tune: Annotated[
         int | None,
-        typer.Option("--tune", metavar="N", help=f"Candidates tried for each controller; 0: none [{CANDIDATES}]."),
+        typer.Option("--tune", metavar="N", min=0, help=f"Candidates for each controller; 0: none [{CANDIDATES}]."),
     ] = None
 
 

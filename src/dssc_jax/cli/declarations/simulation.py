@@ -145,7 +145,7 @@ class Explore(LogOptions):
         typer.Option("--slider", metavar="NAME", help="Number to move, by dotted name; may be repeated."),
     ] = None
     draws: Annotated[
-        int | None, typer.Option("--draws", metavar="N", help="Number of draws [1000; 64 for a vehicle].")
+        int | None, typer.Option("--draws", metavar="N", min=1, help="Number of draws [1000; 64 for a vehicle].")
     ] = None
     logs: Annotated[
         list[Path] | None,

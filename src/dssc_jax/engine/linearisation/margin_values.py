@@ -16,7 +16,7 @@ from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, closure, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
-from dssc_jax.engine.linearisation.response import classical_margins, grid_with_poles, own_grids, response_of
+from dssc_jax.engine.linearisation.response import grid_with_poles, own_grids, response_of, some_margins
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
@@ -177,7 +177,7 @@ class MarginValues:
             a, b, c = (part[stable] for part in loops)
             opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
             angles = grid_with_poles(own_grids(poles[stable]), np.concatenate([poles[stable], opened], axis=1))
-            margins = classical_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time)
+            margins = some_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time, columns)
             for name, column in columns.items():
-                column[lanes[stable]] = getattr(margins, name)
+                column[lanes[stable]] = margins[name]
         return columns

@@ -7,9 +7,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state, undisturbed
+from dssc_jax.closed_loop.break_points import break_points, sample_map, undisturbed
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.linearisation.part_slopes import LaneLoop
@@ -183,11 +185,17 @@ class RestingLoop:
         self.study = at_origin(study)
         self.places = places
         self.linearise = linearisation(self.study, places, resting=True)
-        self.start = jax.jit(jax.vmap(self._start), compiler_options=plain_options())
+        self.initial = jax.jit(jax.vmap(self._initial), compiler_options=plain_options())
 
-    def _start(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+    def _initial(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
         loop, params = linearised_loop(self.study, values, self.places, resting=True)
-        return start_state(loop, params, draw_key(self.study.config.seed, index))
+        return ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0]
+
+    def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
+        """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
+        with arithmetic():
+            begin = np.asarray(self.initial(values, indices))
+        return self.linearise(values, indices, begin, 0, self.smooth(len(indices))).after
 
     def smooth(self, count: int) -> np.ndarray:
         """Findings of a loop whose parts are all smooth, shape (count, parts)."""
@@ -200,8 +208,7 @@ class RestingLoop:
             values: Of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
-        with arithmetic():
-            states = np.asarray(self.start(values, indices))
+        states = self.start(values, indices)
         smooth = self.smooth(len(indices))
         trial = 0
         while True:
@@ -215,10 +222,11 @@ class RestingLoop:
                 return Resting(states, matrices, settled, felt)
             trial += 1
             states = states.copy()
-            for draw in np.flatnonzero(moving):
-                kept = felt[draw]
-                slope = np.eye(int(np.count_nonzero(kept))) - matrices.a[draw][np.ix_(kept, kept)]
-                states[draw, kept] += np.linalg.lstsq(slope, move[draw, kept])[0]
+            for kept in np.unique(felt[moving], axis=0):
+                draws = np.flatnonzero(moving & np.all(felt == kept, axis=1))
+                slopes = np.eye(int(np.count_nonzero(kept))) - matrices.a[np.ix_(draws, kept, kept)]
+                inverse = np.linalg.pinv(slopes, rcond=len(slopes[0]) * np.finfo(float).eps)
+                states[np.ix_(draws, kept)] += (inverse @ move[np.ix_(draws, kept)][..., None])[..., 0]
 
 
 def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:

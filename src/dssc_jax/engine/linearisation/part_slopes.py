@@ -220,12 +220,28 @@ def slopes_of(
 
 
 def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """Classify every part at the operating points of many draws.
+    """Classify every part at the operating points of many draws; what is not examined counts as smooth.
 
     Args:
         lane: The loop of a draw, in which parts that are smooth nowhere have been replaced.
         places: The parts.
     """
+    examined = [index for index, place in enumerate(places) if place.examined]
+    chosen = [places[index] for index in examined]
+    if not chosen:
+        return lambda values, indices, states, k: np.full((len(indices), len(places)), Finding.SMOOTH.value)
+    examine_chosen = examination_of(lane, chosen)
+
+    def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
+        findings = np.full((len(indices), len(places)), Finding.SMOOTH.value)
+        findings[:, examined] = examine_chosen(values, indices, states, k)
+        return findings
+
+    return examine
+
+
+def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
+    """The same for parts that are all examined."""
 
     def lane_maps(
         values: LaneValues, index: jax.Array, state: jax.Array, k: jax.Array

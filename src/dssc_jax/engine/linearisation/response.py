@@ -13,19 +13,26 @@ References:
     P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020) 78-95.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import matrix_balance, schur
 
 FREQUENCIES = 240  # of the common grid
 FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
 DECADES = 6.0  # largest span below the Nyquist frequency
+MOST_ENTRIES = 2_000_000  # of the states of all loops at the angles that are computed at once
 ROOT_STEPS = 14
 PEAK_STEPS = 24
 SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 HALF_POWER = 0.5  # |T|^2 at the bandwidth
+GAINS = {"gain_upper", "gain_lower"}
+AT_CROSSINGS = {"phase", "delay", "crossover"}
+PEAKS = {"disk": 0.5, "sensitivity_peak": 1.0, "complementary_peak": 0.0}
+"""Margins that follow from the peak of |G + offset|, by name, with the offset."""
 
 Response = Callable[[np.ndarray], np.ndarray]
 """Angles theta = omega T_s of shape (n, m) -> G(e^(i theta)), shape (n, m)."""
@@ -64,21 +71,45 @@ class ClassicalMargins(NamedTuple):
 
 
 def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
-    """G(z) = c (z - A)^-1 b of n loops.
+    """G(z) = c (z - A)^-1 b of n loops, by the Schur form of each balanced A, at any number of angles.
+
+    A is triangular in that form, also where it has no basis of eigenvectors, as with delays. Back substitution then
+    takes the angles of all loops at once.
 
     Args:
         a: Shape (n, states, states).
         b: Shape (n, states).
         c: Shape (n, states).
     """
-    identity = np.eye(a.shape[-1])
+    order = a.shape[-1]
+    triangles = np.empty(a.shape, complex)
+    columns = np.empty(b.shape, complex)
+    rows = np.empty(c.shape, complex)
+    for i, matrix in enumerate(a if order else ()):
+        balancing = matrix_balance(matrix, permute=False, separate=True)
+        scale = balancing[1][0]
+        decomposition = schur(balancing[0], output="complex")
+        basis = decomposition[1]
+        triangles[i] = decomposition[0]
+        columns[i] = basis.conj().T @ (b[i] / scale)
+        rows[i] = (c[i] * scale) @ basis
 
     def at(angles: np.ndarray) -> np.ndarray:
-        values = np.empty(angles.shape, complex)
-        for column, theta in enumerate(angles.T):
-            matrix = np.exp(1j * theta)[:, None, None] * identity - a
-            values[:, column] = np.einsum("ni,ni->n", c, np.linalg.solve(matrix, b[..., None])[..., 0])
-        return values
+        width = max(1, MOST_ENTRIES // max(1, order * len(angles)))
+        parts = [some(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+
+    def some(angles: np.ndarray) -> np.ndarray:
+        z = np.exp(1j * angles)
+        total = np.zeros(angles.shape, complex)
+        x = np.empty((order, *angles.shape), complex)
+        for i in reversed(range(order)):
+            right = np.broadcast_to(columns[:, i, None], angles.shape)
+            for j in range(i + 1, order):
+                right = right + triangles[:, i, j, None] * x[j]
+            x[i] = right / (z - triangles[:, i, i, None])
+            total += rows[:, i, None] * x[i]
+        return total
 
     return at
 
@@ -102,7 +133,10 @@ def own_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
         poles: Closed-loop eigenvalues, shape (n, states).
         count: Number of angles.
     """
-    return np.stack([common_grid(row, count) for row in poles])
+    rates = np.abs(np.log(np.where(np.abs(poles) > SMALLEST_FACTOR, poles, 1.0).astype(complex)))
+    slowest = np.min(np.where(rates > 10.0**-DECADES, rates, np.inf), axis=1)
+    first = np.maximum(FIRST_FREQUENCY * np.minimum(slowest, 1.0), np.pi * 10.0**-DECADES)
+    return np.geomspace(first, np.pi * (1.0 - 1e-9), count, axis=1)
 
 
 def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
@@ -230,8 +264,47 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
         angles: Ascending angles from 0 to pi at which crossings and peaks are looked for, shape (n, m).
         sample_time: T_s [s].
     """
+    return ClassicalMargins(**some_margins(respond, angles, sample_time, ClassicalMargins._fields))
+
+
+def some_margins(
+    respond: Response, angles: np.ndarray, sample_time: float, names: Collection[str]
+) -> dict[str, np.ndarray]:
+    """The margins with these names, fields of :class:`ClassicalMargins` or ``modulus``, and no others.
+
+    Args:
+        respond: G of the loops.
+        angles: As of :func:`classical_margins`.
+        sample_time: T_s [s].
+        names: Which margins.
+    """
     g = respond(angles)
-    upper, lower = gain_margins(respond, angles, g)
+    found: dict[str, np.ndarray] = {}
+    if GAINS & set(names):
+        found["gain_upper"], found["gain_lower"] = gain_margins(respond, angles, g)
+    if AT_CROSSINGS & set(names):
+        found |= margins_at_crossings(respond, angles, g, sample_time)
+    for name, offset in PEAKS.items():
+        if name in names or (name == "sensitivity_peak" and "modulus" in names):
+            found[name] = refined_peak(partial(offset_size, respond, offset), angles, np.abs(g + offset))
+    if "disk" in found:
+        found["disk"] = 1.0 / found["disk"]
+    if "modulus" in names:
+        found["modulus"] = 1.0 / found["sensitivity_peak"]
+    if "bandwidth" in names:
+        found["bandwidth"] = bandwidth(respond, angles, g) / sample_time
+    return {name: found[name] for name in names}
+
+
+def offset_size(respond: Response, offset: float, angles: np.ndarray) -> np.ndarray:
+    """|G + offset|."""
+    return np.abs(respond(angles) + offset)
+
+
+def margins_at_crossings(
+    respond: Response, angles: np.ndarray, g: np.ndarray, sample_time: float
+) -> dict[str, np.ndarray]:
+    """Phase and delay margin, and the frequency of the phase margin, where the loop gain is 1."""
     crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
     at = np.where(crossed, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
     lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
@@ -244,21 +317,7 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
         phase = np.take_along_axis(size, nearest, 1)[:, 0]
         frequency = np.take_along_axis(crossings, nearest, 1)[:, 0] / sample_time
         crossover = np.where(np.isfinite(phase), frequency, np.nan)
-
-    def largest(offset: float) -> np.ndarray:
-        return refined_peak(lambda theta: np.abs(respond(theta) + offset), angles, np.abs(g + offset))
-
-    return ClassicalMargins(
-        gain_upper=upper,
-        gain_lower=lower,
-        phase=phase,
-        delay=delays.min(axis=1, initial=np.inf),
-        disk=1.0 / largest(0.5),
-        sensitivity_peak=largest(1.0),
-        complementary_peak=largest(0.0),
-        crossover=crossover,
-        bandwidth=bandwidth(respond, angles, g) / sample_time,
-    )
+    return {"phase": phase, "delay": delays.min(axis=1, initial=np.inf), "crossover": crossover}
 
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -51,6 +51,7 @@ class LoopPart(NamedTuple):
         label: Slot, channel and kind in words.
         smoothness: Its declaration.
         remaining: That of what is differentiated: of its substitute, if that is always taken, else its own.
+        imported: Whether its model is code of the user's, of the form ``module:object``.
     """
 
     slot: str
@@ -58,6 +59,15 @@ class LoopPart(NamedTuple):
     label: str
     smoothness: Smoothness
     remaining: Smoothness
+    imported: bool = False
+
+    @property
+    def examined(self) -> bool:
+        """Whether it is looked at near its operating points: if it has boundaries, or is code of the user's.
+
+        The package's own parts that are smooth everywhere are tested once, with the package.
+        """
+        return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
     @property
     def replaced(self) -> bool:
@@ -162,7 +172,7 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     if smoothness.substitute is not None and smoothness.extent == SmoothExtent.NOWHERE:
         substitute, values = smoothness.substitute(params)
         remaining = declared_smoothness(substitute, values)
-    return LoopPart(slot, index, label, smoothness, remaining)
+    return LoopPart(slot, index, label, smoothness, remaining, ":" in kind)
 
 
 def stated(places: Sequence[LoopPart]) -> list[str]:

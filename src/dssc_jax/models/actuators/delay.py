@@ -63,4 +63,5 @@ DELAY = Unmodelled(
     held=True,
     smooth=SMOOTH,
     timing=Timing.INVARIANT,
+    superposes=True,
 )

@@ -31,6 +31,13 @@ OUTPUT = Quantity("SI", "entry of the output row c")
 PLANT_NUMERATOR = Quantity("SI", "numerator's coefficient, highest power of s first")
 PLANT_DENOMINATOR = Quantity("SI", "denominator's coefficient, highest power of s first")
 DISTURBANCE_INPUT = Quantity("SI", "entry of the disturbance's input column e; absent: b")
+FEEDTHROUGH = Quantity("SI", "feedthrough of the command to y; only 0 is possible", law=False)
+DELAYED_BY_A_SAMPLE = (
+    "the command takes effect after the sample that decided it, so y must not show it at once. Give the fast part that "
+    "stands behind D as one more state, d/(T s + 1), such as the lag of a sensor; or keep y = c x, name the whole in "
+    "[plant.outputs.NAME] with its `d`, and list NAME in [sensor] measures: it shows d u(k-1), the last command"
+)
+"""Why a plant has no feedthrough to y, and what to do."""
 INITIAL_STATE = Quantity("SI", "initial state; the rest of it is zero")
 
 MatrixRows = tuple[tuple[Scalar, ...], ...]
@@ -46,7 +53,8 @@ class StateSpaceParams(NamedTuple):
         disturbance: Input column e of the disturbance; None: that of the command, so that the disturbance is matched.
         x0: First entries of the initial state; all further ones are zero.
         outputs: Signals beside y, by their names in the study.
-        inputs: Input columns of disturbances beside d, by their names in the study.
+        inputs: Input columns of disturbances beside that of ``disturbance``, by their names in the study.
+        d: Feedthrough of the command to y, which must be 0.
         degree: Relative degree from the command to y; found before tracing.
         disturbance_degree: Relative degree from the disturbance to y; likewise.
     """
@@ -58,6 +66,7 @@ class StateSpaceParams(NamedTuple):
     x0: Annotated[tuple[Scalar, ...], INITIAL_STATE] = ()
     outputs: Outputs = None
     inputs: Inputs = None
+    d: Annotated[Scalar, FEEDTHROUGH] = 0.0
     degree: int | None = None
     disturbance_degree: int | None = None
 
@@ -119,6 +128,8 @@ def state_space_gain(params: StateSpaceParams) -> Scalar:
 def prepare_state_space(params: StateSpaceParams) -> StateSpaceParams:
     """Check the sizes, and find the relative degree of the nominal plant; raises ConfigError."""
     order = len(params.a)
+    if params.d != 0.0:
+        raise ConfigError("d", f"must be 0, got {params.d:g}: {DELAYED_BY_A_SAMPLE}")
     if not 1 <= order <= MOST_STATES:
         raise ConfigError("a", f"must have 1 to {MOST_STATES} rows, got {order}")
     for i, row in enumerate(params.a):
@@ -172,8 +183,8 @@ def prepare_transfer_function(params: RationalParams) -> RationalParams:
     if not 1 <= order <= MOST_STATES:
         raise ConfigError("denominator", f"must have 2 to {MOST_STATES + 1} coefficients, got {order + 1}")
     if not 1 <= len(params.numerator) <= order:
-        rule = f"must have 1 to {order} coefficients: fewer than the denominator, so that the plant is strictly proper"
-        raise ConfigError("numerator", f"{rule}; got {len(params.numerator)}")
+        rule = f"must have 1 to {order} coefficients, fewer than the denominator, got {len(params.numerator)}"
+        raise ConfigError("numerator", f"{rule}: {DELAYED_BY_A_SAMPLE}")
     for name in ("numerator", "denominator"):
         if nominal_values(getattr(params, name))[0] == 0.0:
             raise ConfigError(f"{name}.0", "is the coefficient of the highest power and must not be zero; leave it out")

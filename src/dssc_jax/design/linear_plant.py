@@ -1,0 +1,340 @@
+"""A study's plant at its start, with the linear actuators before it, sampled exactly; and the loop with a controller.
+
+The plant is linearised at its start. The actuators that declare themselves linear (lags, transfer functions, delays)
+stay before it; the others count as a gain of 1, and are named. With the command held, the whole is one discrete system,
+x(k+1) = A x(k) + B u(k). It follows from one matrix exponential of the plant and the actuators in continuous time, and
+from the derivative of what the others do at a sample.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.chains import chain
+from dssc_jax.core.contracts import Controller, Unmodelled
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.named import signals_in
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.sampled_linear import LinearSystem
+from dssc_jax.core.signals import Measurement, Params, PlantInput, ReferencePoint, Scalar
+from dssc_jax.models.controllers.lqg import sampled_system
+from dssc_jax.study.actuators import acting_elements
+from dssc_jax.study.components import Component
+from dssc_jax.study.fitting import medians
+from dssc_jax.study.study import Study
+
+NEWTON_STEPS = 20
+AT_REST = 1e-9  # share of the rate of change without a command that may be left
+GRID = 600  # frequencies of the sensitivity's peak
+DECADES = 6.0  # of this grid, below the Nyquist frequency
+
+
+class PlantAtStart(NamedTuple):
+    """A plant of one channel, linearised at its start: x' = A x + b u, y = c x, y' = r x, s = C x + D u.
+
+    Args:
+        a: Shape (n, n).
+        b: Shape (n,).
+        c: Shape (n,).
+        rate: r, shape (n,).
+        signals: C, a row for each measured signal, shape (m, n).
+        through: D, shape (m,).
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    rate: np.ndarray
+    signals: np.ndarray
+    through: np.ndarray
+
+
+class LinearPlant(NamedTuple):
+    """Plant and linear actuators, sampled: x(k+1) = A x + B u, y = c x; the first entries of x are the plant's state.
+
+    Args:
+        a: Shape (n, n).
+        b: Shape (n,).
+        c: Shape (n,).
+        rate: Row of y', shape (n,).
+        signals: Rows of the measured signals, shape (m, n).
+        sample_time: T_s [s].
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    rate: np.ndarray
+    signals: np.ndarray
+    sample_time: float
+
+    def response(self, omega: float) -> complex:
+        """From the held command to the sampled output at an angular frequency [rad/s]."""
+        z = np.exp(1j * omega * self.sample_time)
+        return complex(self.c @ np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b))
+
+
+class ActuatorsBefore(NamedTuple):
+    """The actuators of a study: those in the linearised loop, and the kinds that are left out.
+
+    Args:
+        model: The linear ones as one; None: there are none.
+        params: Their parameters, in plain numbers.
+        taken: Their kinds.
+        left_out: What the loop with these lacks: the kinds of all others, of sensors and of a differentiator.
+    """
+
+    model: Unmodelled | None
+    params: Params
+    taken: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+class ClosedLoop(NamedTuple):
+    """The sampled closed loop x(k+1) = A x + b w, u = c x, with w added to the command u; in plain numbers."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+    @property
+    def radius(self) -> float:
+        """Largest modulus of its poles."""
+        return float(np.max(np.abs(np.linalg.eigvals(self.a))))
+
+    @property
+    def sensitivity_peak(self) -> float:
+        """Largest abs(S) up to the Nyquist frequency, S = 1 + c (z - A)^-1 b."""
+        angles = np.append(
+            np.geomspace(np.pi * 10.0**-DECADES, np.pi, GRID), np.abs(np.angle(np.linalg.eigvals(self.a)))
+        )
+        eye = np.eye(len(self.a))
+        at = np.linalg.solve(np.exp(1j * angles)[:, None, None] * eye - self.a, self.b[:, None])[..., 0]
+        return float(np.max(np.abs(1.0 + at @ self.c)))
+
+
+def plant_at_start(study: Study) -> PlantAtStart:
+    """A study's plant, linearised at its start with the median in place of each law.
+
+    The command is the one that keeps the plant at its start; 0 where there is none.
+
+    Raises:
+        ConfigError: the plant has several channels, or no derivative.
+    """
+    loop = study.loop
+    where = f"{study.source}: plant.kind"
+    if len(loop.channels) > 1:
+        raise ConfigError(where, "first gains are those of a plant with one command")
+    if loop.plant.begin is not None:
+        rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
+        raise ConfigError(where, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
+    params = medians(study.template).plant
+    with arithmetic():
+        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
+        inputs = (0.0,) * len(loop.inputs)
+
+        def slope(x: jax.Array, u: Scalar) -> jax.Array:
+            rate = loop.plant.derivative(params, unravel(x), PlantInput(u, 0.0, None, inputs), 0.0)
+            return ravel_pytree(rate)[0]
+
+        def measured(x: jax.Array, u: Scalar) -> jax.Array:
+            state = unravel(x)
+            drive = PlantInput(u, 0.0, None, inputs)
+            measurement = loop.plant.measure(params, state, drive)
+            values = {"y": measurement.y, "y_dot": measurement.y_dot}
+            values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
+            if loop.measures:
+                values |= signals_in(loop.plant.monitor(params, state, drive))
+            names = ("y", "y_dot", *(signal.name for signal in loop.measures))
+            return jnp.stack([jnp.asarray(values[name], float) for name in names])
+
+        command = holding_command(slope, start)
+        a, b = map(np.asarray, jax.jacfwd(slope, argnums=(0, 1))(start, command))
+        rows, through = map(np.asarray, jax.jacfwd(measured, argnums=(0, 1))(start, command))
+    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], through[2:])
+
+
+def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float:
+    """The command with which a state stays where it is, by Newton's method; 0 where there is none.
+
+    Args:
+        slope: ``(x, u) -> x'``.
+        start: The state x.
+    """
+    command = 0.0
+    for _ in range(NEWTON_STEPS):
+        rate = np.asarray(slope(start, command), float)
+        effect = np.asarray(jax.jacfwd(slope, argnums=1)(start, command), float)
+        size = float(effect @ effect)
+        if not size > 0.0:
+            return 0.0
+        command -= float(effect @ rate) / size
+    left = np.max(np.abs(np.asarray(slope(start, command), float)))
+    moved = np.max(np.abs(np.asarray(slope(start, 0.0), float)))
+    return command if left <= AT_REST * moved else 0.0
+
+
+def actuators_before(study: Study) -> ActuatorsBefore:
+    """The actuators of a study of one channel, those that declare themselves linear as one."""
+    linear = []
+    left_out = kinds_between(study)
+    for element, params in acting_elements(study.table, study.config):
+        if element.model.linear is not None or element.model.superposes:
+            linear.append((element, medians(params)))
+        else:
+            left_out.append(element.kind)
+    if not linear:
+        return ActuatorsBefore(None, (), (), tuple(left_out))
+    model, params = linear[0][0].model, linear[0][1]
+    if len(linear) > 1:
+        model = chain(tuple(element for element, _ in linear))
+        params = tuple(params for _, params in linear)
+    return ActuatorsBefore(model, params, tuple(element.kind for element, _ in linear), tuple(left_out))
+
+
+def kinds_between(study: Study) -> list[str]:
+    """The parts between plant and controller that a linearised loop without them lacks."""
+    config = study.config
+    found = []
+    for slot, neutral in (("sensor", "ideal"), ("differentiator", "none")):
+        kind = getattr(config, slot).get("kind", neutral)
+        found += [] if kind == neutral else [f"{slot} '{kind}'"]
+    for signal in study.loop.measures:
+        kind = config.sensor.get(signal.name, {}).get("kind", "ideal")
+        found += [] if kind == "ideal" else [f"sensor '{kind}' of {signal.name}"]
+    return found
+
+
+def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: float) -> LinearPlant:
+    """The plant behind the linear actuators with the command held over a sample.
+
+    The state lists that of the plant, that of the actuators, and what their part that acts at the samples gave over the
+    last sample. A signal through which the command passes shows what reached the plant just before the sample.
+    """
+    n = len(plant.a)
+    at_sample = actuators_at_sample(actuators, sample_time)
+    system = at_sample.system
+    order = len(system.a)
+    total = n + order
+    a = np.zeros((total, total))
+    a[:n, :n] = plant.a
+    a[:n, n:] = np.outer(plant.b, system.c)
+    a[n:, n:] = system.a
+    held = sampled_system(a, np.append(plant.b * system.d, system.b)[:, None], sample_time)
+    after_sample = np.zeros((total, total + 1))  # the state with which the sample begins, of the state and of u
+    after_sample[:n, :n] = np.eye(n)
+    after_sample[n:, n:] = np.column_stack([at_sample.state, at_sample.state_input])
+    given = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
+    given_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
+    both = held.a @ after_sample + np.outer(held.b, np.append(given, given_input))
+    transition = np.zeros((total + 1, total + 1))
+    transition[:total, :total] = both[:, :total]
+    transition[total, :total] = given
+    reaching = np.concatenate([np.zeros(n), system.c, [system.d]])
+
+    def wide(row: np.ndarray) -> np.ndarray:
+        return np.append(row, np.zeros(order + 1))
+
+    signals = [wide(row) + d * reaching for row, d in zip(plant.signals, plant.through, strict=True)]
+    return LinearPlant(
+        transition,
+        np.append(both[:, total], given_input),
+        wide(plant.c),
+        wide(plant.rate),
+        np.reshape(signals, (len(signals), total + 1)),
+        sample_time,
+    )
+
+
+class SystemArrays(NamedTuple):
+    """x' = A x + b u, y = c x + d u, in plain numbers."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: float
+
+
+class ActuatorsAtSample(NamedTuple):
+    """Linear actuators at a sample, z <- S z + s u and v = V z + w u, and the system that v drives until the next one.
+
+    Args:
+        state: S, shape (n, n).
+        state_input: s, shape (n,).
+        output: V, shape (n,), of the state after the sample.
+        output_input: w.
+        system: From v to what reaches the plant; its state is z.
+    """
+
+    state: np.ndarray
+    state_input: np.ndarray
+    output: np.ndarray
+    output_input: float
+    system: SystemArrays
+
+
+def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> ActuatorsAtSample:
+    """The parts of linear actuators, by the derivative of what they do; it is the same at every state."""
+    model, params = actuators.model, actuators.params
+    if model is None:
+        nothing = np.zeros((0, 0))
+        return ActuatorsAtSample(nothing, np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
+    with arithmetic():
+        begin, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.init(params)))
+        key = jax.random.key(0)
+
+        def sample(z: jax.Array, u: Scalar) -> jax.Array:
+            return ravel_pytree(model.sample(params, unravel(z), u, key, sample_time))[0]
+
+        def driving(z: jax.Array, u: Scalar) -> Scalar:
+            if model.advance is not None:
+                return jnp.asarray(model.advance(params, sample_time)(unravel(z), u)[1].mean, float)
+            return jnp.asarray(u if model.linear is not None else model.output(params, unravel(z), u), float)
+
+        state, state_input = map(np.asarray, jax.jacfwd(sample, argnums=(0, 1))(begin, 0.0))
+        output, output_input = map(np.asarray, jax.jacfwd(driving, argnums=(0, 1))(begin, 0.0))
+        system = as_arrays(model.linear(params) if model.linear is not None else None, len(begin))
+    return ActuatorsAtSample(state, state_input, output, float(output_input), system)
+
+
+def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
+    """A system with arrays as its parts; None: a gain of 1, and states that stand still."""
+    if system is None:
+        return SystemArrays(np.zeros((order, order)), np.zeros(order), np.zeros(order), 1.0)
+    a, b, c = (np.asarray(part, float) for part in system[:3])
+    return SystemArrays(a, b, c, float(system.d))
+
+
+def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
+    """The loop with a controller, by the derivative of its second sample at rest."""
+    model: Controller = controller.model
+    gains = controller.params
+    dt = plant.sample_time
+    rows = np.vstack([plant.c, plant.rate, plant.signals])
+    with arithmetic():
+
+        def sample(state: Any, shown: jax.Array) -> tuple[Any, Scalar]:
+            measurement = Measurement(shown[0], shown[1], tuple(shown[2:]))
+            after, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
+            return after, command.total
+
+        quiet = jnp.zeros(len(rows))
+        begin = model.init(gains, Measurement(0.0, 0.0, tuple(quiet[2:])), ReferencePoint(0.0, 0.0, 0.0))
+        begin, _ = sample(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), begin), quiet)
+        at, unravel = ravel_pytree(begin)
+
+        def flat(state: jax.Array, shown: jax.Array) -> jax.Array:
+            after, command = sample(unravel(state), shown)
+            return jnp.append(ravel_pytree(after)[0], command)
+
+        of_state, of_shown = map(np.asarray, jax.jacfwd(flat, argnums=(0, 1))(at, quiet))
+    order = len(at)
+    command = np.append(of_shown[order] @ rows, of_state[order])
+    a = np.block([[plant.a, np.zeros((len(plant.a), order))], [of_shown[:order] @ rows, of_state[:order]]])
+    b = np.append(plant.b, np.zeros(order))
+    return ClosedLoop(a + np.outer(b, command), b, command)
