@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.flight_logs.comparison import LogAnswer, LogComparison
+from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 
 SIGNIFICANCE = 0.05  # of the test of a log
@@ -48,23 +48,14 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     answer = comparison.answer
     say = partial(output().print, soft_wrap=True, markup=False)
     say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {answer.samples} samples")
-    rows = []
-    for name, signal in answer.signals.items():
-        row = (
-            f"{name} [{signal.unit}]",
-            plain_number(signal.largest_departure),
-            f"{100 * signal.outside_share:.3g} %",
-            plain_number(signal.first_outside),
-            plain_number(signal.outside_to_the_end_since),
-        )
-        rows.append(row)
-    show_table(("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows)
-    for name, largest in answer.without_spread.items():
-        say(
-            f"{name} is the same in all draws: its rank among them means nothing; the log differs from them by at "
-            f"most {largest:.4g} {answer.signals[name].unit}"
-        )
-    show_rank(answer)
+    if answer.p_value is None:
+        say(NO_SPREAD)
+    else:
+        show_table(*places_table(answer))
+    if answer.without_spread:
+        show_table(*distances_table(answer))
+    if answer.p_value is not None:
+        show_rank(answer, answer.p_value)
     for name, signal in answer.signals.items():
         if signal.replay is not None:
             say(
@@ -78,6 +69,31 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
         place = f" of {channel}" if channel else ""
         say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
     show_files(files)
+
+
+def places_table(answer: LogAnswer) -> Table:
+    """Head and rows on the place of each signal among the draws, of those that differ between draws."""
+    rows = []
+    for name, signal in answer.signals.items():
+        if signal.outside_share is None:
+            continue
+        row = (
+            f"{name} [{signal.unit}]",
+            plain_number(signal.largest_departure),
+            f"{100 * signal.outside_share:.3g} %",
+            plain_number(signal.first_outside),
+            plain_number(signal.outside_to_the_end_since),
+        )
+        rows.append(row)
+    return ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows
+
+
+def distances_table(answer: LogAnswer) -> Table:
+    """Head and rows on the distance of the log from signals that are the same in all draws."""
+    rows = []
+    for name, largest in answer.without_spread.items():
+        rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
+    return ("the same in all draws, without a rank", "the log differs by at most"), rows
 
 
 def show_next_flight(found: NextFlight, files: list[Path]) -> None:
@@ -125,17 +141,14 @@ def counts_table(test: StudyTest) -> Table:
     return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
 
 
-def show_rank(answer: LogAnswer) -> None:
-    """Print the p-value and what it says; without one, why."""
+def show_rank(answer: LogAnswer, p_value: float) -> None:
+    """Print the p-value and what it says."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    if answer.p_value is None:
-        say("no p-value: no law of the study spreads a logged signal; give uncertain numbers or sensors their laws")
-        return
     say(
-        f"p = {answer.p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
+        f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
-    if answer.p_value > SIGNIFICANCE:
+    if p_value > SIGNIFICANCE:
         say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")

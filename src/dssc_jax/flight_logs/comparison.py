@@ -28,6 +28,10 @@ MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
 DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
+NO_SPREAD = (
+    "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain numbers, "
+    "disturbances or sensors their laws"
+)
 RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
 
 
@@ -48,7 +52,9 @@ class SignalAnswer:
     unit: Annotated[str, Quantity("", "unit of the signal")]
     samples: Annotated[int, Quantity("1", "logged samples that are compared")]
     largest_departure: Annotated[float | None, Quantity("1", "largest standardised departure from the draws")]
-    outside_share: Annotated[float, Quantity("1", "share of samples outside the range of the draws")]
+    outside_share: Annotated[
+        float | None, Quantity("1", "share of samples outside the range of the draws; None: they are all the same")
+    ]
     first_outside: Annotated[float | None, Quantity("s", "first time outside")]
     outside_to_the_end_since: Annotated[float | None, Quantity("s", "time since which it stays outside")]
     replay: ReplayedCommand | None = field(metadata={MERGED: True})
@@ -65,7 +71,7 @@ class LogAnswer:
     every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
     least_p_value: Annotated[float, Quantity("1", "smallest p-value that so many draws allow")]
-    draws_at_least_as_extreme: Annotated[int, Quantity("1", "draws that depart at least as far")]
+    draws_at_least_as_extreme: Annotated[int | None, Quantity("1", "draws that depart at least as far")]
     statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure")]
     statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of that of the draws")]
     without_spread: Annotated[
@@ -141,8 +147,7 @@ class LogComparison(Analysis):
         """The answer in one line."""
         decisive = self.decisive()
         if decisive is None:
-            distances = ", ".join(f"{name} by {x:.3g} {self.unit(name)}" for name, x in self.without_spread().items())
-            return f"all draws are the same, so a rank among them means nothing; the log differs from them, {distances}"
+            return NO_SPREAD
         signal, time = decisive
         largest = self.dataset["statistic"].values[-1]
         return (
@@ -160,6 +165,7 @@ class LogComparison(Analysis):
         statistics = self.dataset["statistic"].values
         of_draws = statistics[:-1]
         draws = len(of_draws)
+        ranked = self.p_value is not None
         signal, time = self.decisive() or (None, None)
         quantiles = None
         if np.isfinite(of_draws).all():
@@ -172,8 +178,8 @@ class LogComparison(Analysis):
             every=self.every,
             p_value=self.p_value,
             least_p_value=1.0 / (draws + 1),
-            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])),
-            statistic=None if self.p_value is None else float(statistics[-1]),
+            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])) if ranked else None,
+            statistic=float(statistics[-1]) if ranked else None,
             statistic_of_draws=quantiles,
             without_spread=self.without_spread(),
             decisive_signal=signal,
@@ -190,15 +196,16 @@ class LogComparison(Analysis):
         logged = signal["logged"].values
         known = np.isfinite(logged)
         departure = signal["departure"].values[known]
+        spread = not np.isnan(departure).all()
         slack = RANGE_ROUNDING * max(np.max(np.abs(logged[known]), initial=0.0), 1e-300)
         below_range = logged < signal["lowest"].values - slack
         above_range = logged > signal["highest"].values + slack
-        outside = known & (below_range | above_range)
+        outside = known & (below_range | above_range) & spread
         return SignalAnswer(
             unit=self.unit(name),
             samples=int(known.sum()),
-            largest_departure=None if np.isnan(departure).all() else float(np.nanmax(departure)),
-            outside_share=float(outside.sum() / max(known.sum(), 1)),
+            largest_departure=float(np.nanmax(departure)) if spread else None,
+            outside_share=float(outside.sum() / known.sum()) if spread else None,
             first_outside=float(time[outside][0]) if outside.any() else None,
             outside_to_the_end_since=start_of_last_excursion(time[known], outside[known]),
             replay=replayed_command(time, logged, signal["commanded"].values),
