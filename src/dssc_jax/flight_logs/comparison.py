@@ -29,8 +29,8 @@ DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
 NO_SPREAD = (
-    "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain numbers, "
-    "disturbances or sensors their laws"
+    "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
+    "numbers, disturbances or sensors their laws"
 )
 RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
 
