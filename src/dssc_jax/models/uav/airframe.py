@@ -176,7 +176,7 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
     notes.append(
         "drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out"
         if "SIH_KDV" in known
-        else "drag is 0: the file does not set SIH_KDV"
+        else "drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it"
     )
     if "SIH_T_MAX" in known:
         properties["max_thrust"] = known["SIH_T_MAX"]

@@ -102,6 +102,11 @@ class Vehicle(NamedTuple):
         return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
 
     @property
+    def has_drag(self) -> bool:
+        """Whether the air acts on the vehicle, for at least one value of its laws."""
+        return any(extent(drag)[1] > 0.0 for drag in (*self.structure_drag, self.propeller_drag))
+
+    @property
     def nominal_thrust_limit(self) -> float:
         """f_max with laws at their medians, as the inner loop knows it [N]."""
         if self.max_thrust is None:
