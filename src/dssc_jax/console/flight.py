@@ -63,12 +63,20 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
                 f"{signal.unit} (at {signal.replay.largest_difference_at:.4g} s), "
                 f"rms {signal.replay.rms_difference:.4g} of {signal.replay.rms_logged:.4g}"
             )
+    if answer.held_samples:
+        say(held_text(answer.held_samples, answer.replayed_samples, "replay"))
     for channel, reason in answer.not_replayed.items():
         say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
     for channel, largest in answer.reference_differences.items():
         place = f" of {channel}" if channel else ""
         say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
     show_files(files)
+
+
+def held_text(held: Mapping[str, int], samples: int, subject: str) -> str:
+    """How many samples of each signal are the log's, where it lacks some; the others hold its last value."""
+    counts = ", ".join(f"{name} at {samples - count}" for name, count in held.items())
+    return f"{subject}: of {samples} samples, the log has {counts}; between them its last value is held"
 
 
 def places_table(answer: LogAnswer) -> Table:
@@ -161,6 +169,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     say = partial(output().print, soft_wrap=True, markup=False)
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
+    if summary["held_commands"]:
+        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands"))
     rows = []
     for name, number in summary["numbers"].items():
         low, high = number["interval_90"]

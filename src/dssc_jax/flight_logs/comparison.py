@@ -17,7 +17,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.figure import log_comparison
-from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
+from dssc_jax.flight_logs.reader import FlightLog, channel_signals, held_samples, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves, curves_of_draws, replayed_channel, study_references
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
@@ -80,6 +80,11 @@ class LogAnswer:
     decisive_signal: Annotated[str | None, Quantity("", "signal with the largest departure")]
     decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure")]
     signals: dict[str, SignalAnswer]
+    replayed_samples: Annotated[int, Quantity("1", "samples of the replay")]
+    held_samples: Annotated[
+        dict[str, int],
+        Quantity("1", "samples of the replay at which the log lacks the signal, and its last value counts"),
+    ]
     not_replayed: Annotated[dict[str, str], Quantity("", "why a channel was not replayed")]
     reference_differences: Annotated[
         dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
@@ -99,6 +104,8 @@ class LogComparison(Analysis):
         log: Name of the log.
         start: Time of the log at which the study begins [s].
         every: Samples from one compared sample to the following one.
+        replayed: Samples of the replay.
+        held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
     """
@@ -110,6 +117,8 @@ class LogComparison(Analysis):
     log: str
     start: float
     every: int
+    replayed: int
+    held: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
 
@@ -185,6 +194,8 @@ class LogComparison(Analysis):
             decisive_signal=signal,
             decisive_time=time,
             signals={str(name): self.signal_answer(str(name)) for name in self.dataset["signal"].values},
+            replayed_samples=self.replayed,
+            held_samples=self.held,
             not_replayed=self.not_replayed,
             reference_differences=self.references,
         )
@@ -300,6 +311,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     logged = {}
     replays = {}
     not_replayed = {}
+    held = {}
     differences = {}
     for index, (channel, signals) in enumerate(zip(loop.channels, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
@@ -311,6 +323,8 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
             not_replayed[channel] = replay
         else:
             replays[signal_name(channel, "u_total")] = replay
+            inputs = {name: values for name, values in signals.items() if name != "u_total"}
+            held |= {signal_name(channel, name): count for name, count in held_samples(inputs).items()}
     signals = [
         Signal(index, quantity, signal_name(channel, quantity))
         for index, channel in enumerate(loop.channels)
@@ -323,7 +337,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     replayed = np.array([replays.get(signal.name, missing) for signal in signals])[:, ::stride]
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
-    return LogComparison(study, dataset, log.name, log.start, stride, not_replayed, differences)
+    return LogComparison(study, dataset, log.name, log.start, stride, samples, held, not_replayed, differences)
 
 
 def is_compared(signals: dict[str, np.ndarray]) -> bool:

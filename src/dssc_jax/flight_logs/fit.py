@@ -30,6 +30,7 @@ from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
     forward_filled,
+    held_samples,
     nearest_offsets,
     samples_within,
     signal_name,
@@ -132,6 +133,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
     replayed = []
+    held: dict[str, int] = {}
     for row, channel in enumerate(loop.channels):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
@@ -141,6 +143,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
+            held |= held_samples({signal_name(channel, "u_total"): command})
             continue
         replay = replayed_channel(study, row, signals, references[row])
         if isinstance(replay, str):
@@ -150,7 +153,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         raise ConfigError(log.name, f"{rule} in every channel" if len(loop.channels) > 1 else rule)
-    return SampledLog(outputs, offsets, commands, tuple(replayed))
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed))
 
 
 def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
@@ -192,6 +195,8 @@ def fitted_minimum(problem: FitProblem, search: MinimumSearch, kept: dict[str, f
         dict(zip(channels, noises, strict=True)),
         kept,
         sum(len(readings.values) for readings in problem.readings),
+        problem.log.outputs.shape[1],
+        problem.log.held,
         problem.log.replayed,
         search.starts,
         search.best.starts,

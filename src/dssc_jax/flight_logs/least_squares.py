@@ -60,6 +60,7 @@ class SampledLog(NamedTuple):
     outputs: np.ndarray  # measured outputs, NaN where missing
     offsets: np.ndarray  # their times less the sample instants, in samples
     commands: np.ndarray
+    held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
 
 

@@ -349,6 +349,16 @@ def channel_signals(study: Study, log: FlightLog, index: int, reference: np.ndar
     return signals
 
 
+def held_samples(signals: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Number of samples at which :func:`forward_filled` gives another sample's value, by signal, where there are any.
+
+    Args:
+        signals: Values at the samples by name, NaN where missing, shape (samples,).
+    """
+    counts = {name: int(np.count_nonzero(~np.isfinite(values))) for name, values in signals.items()}
+    return {name: count for name, count in counts.items() if 0 < count < len(signals[name])}
+
+
 def forward_filled(values: np.ndarray) -> np.ndarray:
     """The last known value in place of each missing one; the first known one before it. Shape (samples,)."""
     known = np.flatnonzero(np.isfinite(values))
