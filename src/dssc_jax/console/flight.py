@@ -179,7 +179,10 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
     for channel, noise in summary["noise"].items():
         say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
-    say(f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum")
+    starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
+    say(f"{starts}; {summary['simulations']} simulations")
+    if summary["search_cut"]:
+        say(f"the search ended early, {summary['search_cut']}: these are the best numbers so far, others may be better")
     for minimum in summary["other_minima"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
         say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")

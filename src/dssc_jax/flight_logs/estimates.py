@@ -78,6 +78,8 @@ class Fitted:
     starts: int  # of the search
     starts_here: int  # that end in the minimum that was taken
     rivals: tuple[RivalMinimum, ...]
+    simulations: int
+    cut: str  # why the search ended before it was complete; empty: it is complete
 
     @property
     def deviations(self) -> np.ndarray:
@@ -167,6 +169,8 @@ class Fitted:
             "noise_unit": {channel: unit.output for channel, unit in units},
             "starts": self.starts,
             "starts_here": self.starts_here,
+            "simulations": self.simulations,
+            "search_cut": self.cut,
             "other_minima": [rival._asdict() for rival in self.rivals],
             "outside_laws": self.outside_laws(),
             "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},
