@@ -106,6 +106,28 @@ def test_a_log_with_gaps_is_compared_where_it_has_values(study, curves):
     assert "of the controller's samples; a replay needs 95 %" in answer["not_replayed"][""]
 
 
+def test_a_reference_logged_more_rarely_is_held_and_told(study, curves, capsys):
+    """Of five references one is logged: the replay is that of the held staircase, and tells how many are the log's."""
+    y, u, y_dot = curves[61]
+    sine = 0.3 * np.sin(0.02 * np.arange(study.loop.steps))
+    log = logged(y, u, y_dot)
+    time = log.columns["y"].time
+    rare = {"y_ref": Column(time[::5], sine[::5]), "y_ref_dot": Column(time, np.zeros(len(time)))}
+    log = log._replace(columns=log.columns | rare)
+    answer = dj.compare_log(study.override({"draws": 9}), log)
+    held = 4 * study.loop.steps // 5
+    assert answer.summary()["held_samples"] == {"y_ref": held}
+    assert answer.summary()["replayed_samples"] == study.loop.steps
+    staircase = np.array([np.repeat(sine[::5], 5), np.zeros(len(y)), np.zeros(len(y))])
+    expected = commanded(study, 0, np.array([y, y_dot]), staircase)
+    np.testing.assert_allclose(answer.dataset["commanded"].sel(signal="u_total"), expected, rtol=0, atol=1e-12)
+    show_log_comparison(answer, [])
+    said = (
+        f"replay: of {study.loop.steps} samples, the log has y_ref at {held // 4}; between them its last value is held"
+    )
+    assert said in " ".join(capsys.readouterr().out.split())
+
+
 def test_another_controller_is_found_by_the_replay(study, curves):
     y, u, y_dot = curves[0]
     faster, reference = study.override({"controller.k_i": 0.6}), study_references(study, len(y))[0]
@@ -211,13 +233,16 @@ def test_without_spread_there_is_no_rank(deviation, capsys):
     assert summary["p_value"] is None
     assert set(summary["without_spread"]) == {"y", "u_total", "y_dot"}
     assert summary["without_spread"]["y"] == pytest.approx(deviation, rel=1e-3)
-    assert "all draws are the same" in answer.headline
+    assert summary["draws_at_least_as_extreme"] is None
+    assert all(signal["outside_share"] is None for signal in summary["signals"].values())
+    assert answer.headline.startswith("no law of the study spreads what is compared, so every draw is the same")
     assert answer.figure() is not None
     show_log_comparison(answer, [])
     printed = capsys.readouterr().out
-    assert "y is the same in all draws" in printed
-    assert "no p-value" in printed
-    assert "p = " not in printed
+    assert printed.splitlines()[1] == answer.headline
+    assert [line.split()[0] for line in printed.splitlines()[3:6]] == ["y", "y_dot", "u_total"]
+    for rank in ("p = ", "%", "outside", "departure"):
+        assert rank not in printed
 
 
 def test_signals_without_spread_are_left_out_of_the_rank():

@@ -10,11 +10,12 @@ import dssc_jax as dj
 from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.fit import covariance_of_kept, fit_log, information_by_names
 from dssc_jax.flight_logs.least_squares import unseen_minima
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, noise_between_neighbours
 from dssc_jax.flight_logs.replay import curves_of_draws
+from dssc_jax.flight_logs.search_limits import SearchLimits
 from tests.cli.conftest import last_json
 
 DT = 0.02
@@ -335,3 +336,51 @@ def test_parameters_are_fitted_as_numbers_are(noisy):
     assert proposal["parameters"]["m"]["unit"] == "kg"
     assert proposal["parameters"]["m"].keys() == {"truncated_normal", "unit", "meaning"}
     assert study.override({f"parameters.{name}": law for name, law in proposal["parameters"].items()}).laws
+
+
+def test_the_search_ends_at_its_limit_with_the_best_so_far(motor):
+    """Three simulations allow no screening; the medians of the laws still lead to the truth."""
+    study, log = motor
+    counted = []
+    fitted = fit_log(
+        study,
+        log,
+        ["unmodelled.mu"],
+        limits=SearchLimits(3),
+        progress=lambda done, total: counted.append((done, total)),
+    )
+    assert fitted.cut == "after 3 simulations"
+    assert fitted.summary()["starts"] == 1
+    assert counted[:4] == [(1, 3), (2, 3), (3, 3), (3, 3)]
+    assert fitted.law("unmodelled.mu").kind == "lognormal"
+
+
+def test_a_damaged_log_is_refused_unless_it_is_allowed(motor):
+    study, log = motor
+    damaged = log._replace(damaged=True)
+    with pytest.raises(ConfigError, match=r"is damaged: messages are lost.*`allow_damaged`"):
+        fit_log(study, damaged, ["unmodelled.mu"])
+    assert fit_log(study, damaged, ["unmodelled.mu"], allow_damaged=True, limits=SearchLimits(3)).starts == 1
+
+
+def test_kept_numbers_widen_the_others_as_the_prior_does():
+    """The block of the inverse of information plus the kept numbers' prior is the covariance that is told."""
+    random = np.random.default_rng(4)
+    root = random.normal(size=(6, 3))
+    matrix = root.T @ root
+    names = ["a", "b", "c"]
+    inner = np.linalg.inv(matrix[:2, :2])
+    added = covariance_of_kept(information_by_names(names, matrix), ["a", "b"], ["c"])
+    # without information on c beyond its law, c stays at its prior: drop the part of c that the others leave open
+    schur = matrix[2, 2] - matrix[2, :2] @ inner @ matrix[:2, 2]
+    prior = np.diag([0.0, 0.0, 1.0 - schur])
+    assert np.allclose(inner + added, np.linalg.inv(matrix + prior)[:2, :2])
+
+
+@pytest.fixture(scope="module")
+def motor():
+    """The packaged motor, and a flight of its third draw."""
+    study = dj.Study.load("motor")
+    run = dj.simulate(study, 3)
+    columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
+    return study, FlightLog("run", columns, 0.0)

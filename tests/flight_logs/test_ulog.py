@@ -225,7 +225,8 @@ def test_memory_does_not_grow_with_topics_that_are_not_read(tmp_path):
     assert (values, messages) == (count, count)
     assert listed - before < 0.1 * size
     assert read - before < 0.1 * size
-    topics, begin = read_topics(path, ["rate"])
+    topics, begin, damaged = read_topics(path, ["rate"])
+    assert not damaged
     assert set(topics) == {"rate:0"}
     assert begin == 0.0
 

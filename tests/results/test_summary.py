@@ -323,3 +323,34 @@ def test_a_draw_without_a_robustness_counts_as_infinitely_bad():
     assert point["metrics"]["near"]["q5"] is None
     assert point["metrics"]["near"]["q50"] == ordered[31]
     assert point["metrics"]["near"]["q95"] == ordered[60]
+
+
+SURE = {
+    "name": "sure",
+    "draws": 7,
+    "loop": {"duration": 0.5, "sample_time": 0.05},
+    "plant": {"kind": "normal_form", "k_p": 1.0, "a_p": 0.5, "initial": [1.0, 0.0]},
+    "controller": {"kind": "pid", "k_p": 1.0},
+    "requirement": [{"metric": "error_max", "max": 2.0}],
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "equal"),
+    [
+        ({}, True),
+        ({"sweep": {"controller.k_p": [0.5, 1.0]}}, True),
+        ({"plant.k_p": {"uniform": [0.9, 1.1]}}, False),
+        ({"sensor": {"kind": "noisy", "position_std": 0.01}}, False),
+        ({"draws": 1}, False),
+    ],
+)
+def test_equal_draws_have_no_interval(changes, equal, tmp_path, capsys):
+    """One draw of a deterministic study says as much as seven; noise alone makes them differ."""
+    result = dj.run(dj.Study.from_table(SURE).override(changes), tmp_path / "r")
+    assert result.has_equal_draws == equal
+    assert json.loads((tmp_path / "r" / "summary.json").read_text())["equal_draws"] == equal
+    show_result(result)
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("nothing in the study is random, so all 7 draws are the same, and there is no interval" in said) == equal
+    assert ("95 %" in said) != equal

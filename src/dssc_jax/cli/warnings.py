@@ -9,15 +9,26 @@ from dssc_jax.engine.integration import integration_error
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
+from dssc_jax.study.actuators import kind_in
 
 
 def warn_of_vehicle(study: Study) -> None:
-    """Print a warning for each number of the study's own vehicle that multirotors usually do not have."""
+    """Print a warning of a wind without effect, and for each number that multirotors usually do not have."""
     if isinstance(study, Described):
         return
     vehicle = getattr(study.template.plant, "vehicle", None)
+    if not isinstance(vehicle, Vehicle):
+        return
+    swept = any(
+        name.startswith(("plant.vehicle.structure_drag", "plant.vehicle.propeller_drag")) for name in study.axes
+    )
+    if kind_in(study.config, "wind") != "none" and not vehicle.has_drag and not swept:
+        say(
+            "warning: the wind has no effect, because the vehicle has no drag: give plant.vehicle.structure_drag or "
+            "propeller_drag"
+        )
     table = study.config.plant.get("vehicle")
-    if isinstance(vehicle, Vehicle) and isinstance(table, dict):
+    if isinstance(table, dict):
         for text in implausible(vehicle, table):
             say(f"warning: {text}")
 

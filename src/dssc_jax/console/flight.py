@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from dssc_jax.console.terminal import output, show_files, show_table
-from dssc_jax.flight_logs.comparison import LogAnswer, LogComparison
+from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 
 SIGNIFICANCE = 0.05  # of the test of a log
@@ -48,8 +48,43 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     answer = comparison.answer
     say = partial(output().print, soft_wrap=True, markup=False)
     say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {answer.samples} samples")
+    if answer.p_value is None:
+        say(NO_SPREAD)
+    else:
+        show_table(*places_table(answer))
+    if answer.without_spread:
+        show_table(*distances_table(answer))
+    if answer.p_value is not None:
+        show_rank(answer, answer.p_value)
+    for name, signal in answer.signals.items():
+        if signal.replay is not None:
+            say(
+                f"replay: the analysed controller's {name} differs by at most {signal.replay.largest_difference:.4g} "
+                f"{signal.unit} (at {signal.replay.largest_difference_at:.4g} s), "
+                f"rms {signal.replay.rms_difference:.4g} of {signal.replay.rms_logged:.4g}"
+            )
+    if answer.held_samples:
+        say(held_text(answer.held_samples, answer.replayed_samples, "replay"))
+    for channel, reason in answer.not_replayed.items():
+        say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+    for channel, largest in answer.reference_differences.items():
+        place = f" of {channel}" if channel else ""
+        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
+    show_files(files)
+
+
+def held_text(held: Mapping[str, int], samples: int, subject: str) -> str:
+    """How many samples of each signal are the log's, where it lacks some; the others hold its last value."""
+    counts = ", ".join(f"{name} at {samples - count}" for name, count in held.items())
+    return f"{subject}: of {samples} samples, the log has {counts}; between them its last value is held"
+
+
+def places_table(answer: LogAnswer) -> Table:
+    """Head and rows on the place of each signal among the draws, of those that differ between draws."""
     rows = []
     for name, signal in answer.signals.items():
+        if signal.outside_share is None:
+            continue
         row = (
             f"{name} [{signal.unit}]",
             plain_number(signal.largest_departure),
@@ -58,26 +93,15 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
             plain_number(signal.outside_to_the_end_since),
         )
         rows.append(row)
-    show_table(("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows)
+    return ("signal", "largest departure", "outside the draws", "first at [s]", "to the end since [s]"), rows
+
+
+def distances_table(answer: LogAnswer) -> Table:
+    """Head and rows on the distance of the log from signals that are the same in all draws."""
+    rows = []
     for name, largest in answer.without_spread.items():
-        say(
-            f"{name} is the same in all draws: its rank among them means nothing; the log differs from them by at "
-            f"most {largest:.4g} {answer.signals[name].unit}"
-        )
-    show_rank(answer)
-    for name, signal in answer.signals.items():
-        if signal.replay is not None:
-            say(
-                f"replay: the analysed controller's {name} differs by at most {signal.replay.largest_difference:.4g} "
-                f"{signal.unit} (at {signal.replay.largest_difference_at:.4g} s), "
-                f"rms {signal.replay.rms_difference:.4g} of {signal.replay.rms_logged:.4g}"
-            )
-    for channel, reason in answer.not_replayed.items():
-        say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
-    for channel, largest in answer.reference_differences.items():
-        place = f" of {channel}" if channel else ""
-        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
-    show_files(files)
+        rows.append((f"{name} [{answer.signals[name].unit}]", f"{largest:.4g}"))
+    return ("the same in all draws, without a rank", "the log differs by at most"), rows
 
 
 def show_next_flight(found: NextFlight, files: list[Path]) -> None:
@@ -125,17 +149,14 @@ def counts_table(test: StudyTest) -> Table:
     return ("share of flights beyond", "flights that refute the study", "flights that show less, if it is right"), rows
 
 
-def show_rank(answer: LogAnswer) -> None:
-    """Print the p-value and what it says; without one, why."""
+def show_rank(answer: LogAnswer, p_value: float) -> None:
+    """Print the p-value and what it says."""
     say = partial(output().print, soft_wrap=True, markup=False)
-    if answer.p_value is None:
-        say("no p-value: no law of the study spreads a logged signal; give uncertain numbers or sensors their laws")
-        return
     say(
-        f"p = {answer.p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
+        f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
-    if answer.p_value > SIGNIFICANCE:
+    if p_value > SIGNIFICANCE:
         say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
@@ -148,6 +169,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     say = partial(output().print, soft_wrap=True, markup=False)
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
+    if summary["held_commands"]:
+        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands"))
     rows = []
     for name, number in summary["numbers"].items():
         low, high = number["interval_90"]
@@ -156,7 +179,10 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     show_table(("number", "estimate", "90 % interval", "law in the study"), rows)
     for channel, noise in summary["noise"].items():
         say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
-    say(f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum")
+    starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
+    say(f"{starts}; {summary['simulations']} simulations")
+    if summary["search_cut"]:
+        say(f"the search ended early, {summary['search_cut']}: these are the best numbers so far, others may be better")
     for minimum in summary["other_minima"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
         say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")

@@ -36,20 +36,25 @@ def show_result(result: "Result") -> None:
     axes = result.study.axes
     required = "; ".join(rule.text for rule in result.study.requirements)
     console.print(f"[bold]{escape(result.study.name)}[/bold]  required: {escape(required or STAYS_FINITE)}")
+    equal = result.has_equal_draws
+    if equal:
+        console.print(equal_text(result), markup=False)
     if not axes:
-        console.print(describe_probability(result.failed.values, result.method), markup=False)
+        if not equal:
+            console.print(describe_probability(result.failed.values, result.method), markup=False)
         if effect := result.design_effect:
             console.print(effect_text(effect, result.study.config.draws), markup=False)
         if stopping := result.manifest.get("stopping"):
             console.print(f"the draws decided their number, {stopping['rule']}: {stopping['verdict']}", markup=False)
         if result.stated:
             show_stated(result.stated_errors(result.stated))
-        show_point(result.study, next(result.points()))
+        show_point(result.study, next(result.points()), equal)
     elif len(axes) == 2 and math.prod(map(len, axes.values())) > WIDEST_ROWS:
         show_grid(result, list(axes))
     else:
         show_points(result)
-        show_paired(result)
+        if not equal:
+            show_paired(result)
     for text in filter(None, (result.design_reason, idle_text(result), result.certificate, result.integration)):
         console.print(text, markup=False)
     times = result.manifest["times"]
@@ -61,6 +66,17 @@ def show_result(result: "Result") -> None:
         cluster = result.manifest["cluster"]
         console.print(f"{cluster['workers']} workers, {len(cluster['lost'])} lost on the way", highlight=False)
     console.print(f"result  {result.path}", soft_wrap=True, markup=False)
+
+
+def equal_text(result: "Result") -> str:
+    """That all draws are the same, and what they say."""
+    draws = result.study.config.draws
+    remedy = "set draws = 1, or give uncertain numbers, disturbances or sensors their laws"
+    text = f"nothing in the study is random, so all {draws} draws are the same, and there is no interval: {remedy}"
+    if result.study.axes:
+        return text
+    failed = bool(result.failed.values.flat[0])
+    return f"{'each draw fails' if failed else 'no draw fails'}; {text}"
 
 
 def effect_text(effect: "DesignEffect", draws: int) -> str:
@@ -98,27 +114,39 @@ def show_figures(figures: list[Path]) -> None:
     output().print(f"figures {', '.join(str(path) for path in figures)}", soft_wrap=True, markup=False)
 
 
-def show_point(study: "Study", point: SummaryRow) -> None:
-    """Print each requirement, joint violations, early ends, and the metrics' quantiles."""
+def show_point(study: "Study", point: SummaryRow, equal: bool = False) -> None:
+    """Print each requirement, joint violations, early ends, and the metrics' quantiles.
+
+    Args:
+        study: The study.
+        point: Its only point.
+        equal: Whether all draws are the same, so that intervals are left out.
+    """
+    share = () if equal else SHARE
     if point["requirements"]:
         rows = []
         for requirement in point["requirements"]:
-            cells = failure_cells(requirement, point["draws"])
+            cells = failure_cells(requirement, point["draws"], equal)
             time = requirement["violated_at"]
             timing = str(requirement["first"]), "-" if time is None else f"{time:.4g}"
             rows.append((requirement["text"], *cells, str(requirement["alone"]), *timing))
-        show_table(("requirement", "violated by", *SHARE, "by it alone", "first", "median time [s]"), rows)
+        show_table(("requirement", "violated by", *share, "by it alone", "first", "median time [s]"), rows)
     if point["overlaps"]:
         rows = []
         for pair in point["overlaps"]:
-            rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"]), str(pair["draws"])))
-        show_table(("both", "violated by", *SHARE, "not by early ends"), rows)
+            rows.append((" and ".join(pair["names"]), *failure_cells(pair, point["draws"], equal), str(pair["draws"])))
+        show_table(("both", "violated by", *share, "not by early ends"), rows)
     if point["ended_early"]:
         counts = {name: point["outcomes"][name] for code, name in outcome_codes(study).items() if ended_early(code)}
         ways = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in counts.items() if n)
         output().print(f"ended early, and so violated every requirement: {ways}")
     units = {measure.name: measure.unit for measure in study.measures}
     rows = []
+    if equal:
+        for name, quantiles in point["metrics"].items():
+            rows.append((name_with_unit(name, units[name]), quantile_text({"q50": quantiles["q50"]}, "q50")))
+        show_table(("metric (ended early: inf)", "of every draw"), rows)
+        return
     for name, quantiles in point["metrics"].items():
         texts = [quantile_text(quantiles, level) for level in ("q5", "q50", "q95")]
         rows.append((name_with_unit(name, units[name]), *texts))
@@ -142,8 +170,13 @@ def quantile_text(quantiles: SummaryRow, level: str) -> str:
     return f"{quantiles[level]:.4g} [{number(low, '-inf')}, {number(high, 'inf')}]"
 
 
-def failure_cells(row: SummaryRow, draws: int) -> tuple[str, str, str]:
-    """Failures, their probability, and its interval; without failures the upper bound is given, never 0."""
+def failure_cells(row: SummaryRow, draws: int, equal: bool = False) -> tuple[str, ...]:
+    """Failures, their probability, and its interval; without failures the upper bound is given, never 0.
+
+    Of draws that are all the same, the failures alone.
+    """
+    if equal:
+        return (f"{row['failures']}/{draws}",)
     low, high = row["interval"]
     probability = f"{row['probability']:.4g}" if row["failures"] else f"<= {high:.3g}"
     return f"{row['failures']}/{draws}", probability, f"[{rounded_probability(low)}, {rounded_probability(high)}]"
@@ -155,6 +188,8 @@ def show_points(result: "Result") -> None:
     metric = headline(result).name
     has_several_requirements = len(result.study.requirements) > 1
     result = result.with_theorem()
+    equal = result.has_equal_draws
+    share = () if equal else SHARE
     certifiable = "certified" in result.dataset
     rows = []
     for point in islice(result.points(), WIDEST_ROWS):
@@ -163,9 +198,9 @@ def show_points(result: "Result") -> None:
         shown = "inf" if middle is None else f"{middle:.4g}"
         worst = [most_violated(point)] if has_several_requirements else []
         marks = [VERDICT_MARKS[point["certified"]]] if certifiable else []
-        rows.append((*values, *failure_cells(point, point["draws"]), *worst, shown, *marks))
+        rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, shown, *marks))
     worst = ["most violated"] if has_several_requirements else []
-    show_table((*axes, "failures", *SHARE, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
+    show_table((*axes, "failures", *share, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
     hidden = math.prod(map(len, axes.values())) - len(rows)
     if hidden:
         output().print(f"... and {hidden} more points in summary.json")
@@ -192,8 +227,11 @@ def show_grid(result: "Result", axes: list[str]) -> None:
         cells = [percent_text(percent, count) for percent, count in zip(row, counts, strict=True)]
         rows.append((f"{value:.3g}", *cells))
     draws = failed.shape[-1]
-    bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
-    show_table(head, rows, title=f"failures in % of {draws} draws; '.': {bound}; all intervals in summary.json")
+    legend = f"failures in % of {draws} draws"
+    if not result.has_equal_draws:
+        bound = describe_probability(np.zeros(draws, dtype=bool), result.method)
+        legend += f"; '.': {bound}; all intervals in summary.json"
+    show_table(head, rows, title=legend)
     if by_row * by_column > 1:
         output().print(
             f"... each step is {by_row} of {len(down_values)} values of {escape(down)}, "

@@ -17,7 +17,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.figure import log_comparison
-from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
+from dssc_jax.flight_logs.reader import FlightLog, channel_signals, held_samples, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves, curves_of_draws, replayed_channel, study_references
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
@@ -28,6 +28,10 @@ MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
 DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
+NO_SPREAD = (
+    "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
+    "numbers, disturbances or sensors their laws"
+)
 RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
 
 
@@ -48,7 +52,9 @@ class SignalAnswer:
     unit: Annotated[str, Quantity("", "unit of the signal")]
     samples: Annotated[int, Quantity("1", "logged samples that are compared")]
     largest_departure: Annotated[float | None, Quantity("1", "largest standardised departure from the draws")]
-    outside_share: Annotated[float, Quantity("1", "share of samples outside the range of the draws")]
+    outside_share: Annotated[
+        float | None, Quantity("1", "share of samples outside the range of the draws; None: they are all the same")
+    ]
     first_outside: Annotated[float | None, Quantity("s", "first time outside")]
     outside_to_the_end_since: Annotated[float | None, Quantity("s", "time since which it stays outside")]
     replay: ReplayedCommand | None = field(metadata={MERGED: True})
@@ -65,7 +71,7 @@ class LogAnswer:
     every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
     least_p_value: Annotated[float, Quantity("1", "smallest p-value that so many draws allow")]
-    draws_at_least_as_extreme: Annotated[int, Quantity("1", "draws that depart at least as far")]
+    draws_at_least_as_extreme: Annotated[int | None, Quantity("1", "draws that depart at least as far")]
     statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure")]
     statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of that of the draws")]
     without_spread: Annotated[
@@ -74,6 +80,11 @@ class LogAnswer:
     decisive_signal: Annotated[str | None, Quantity("", "signal with the largest departure")]
     decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure")]
     signals: dict[str, SignalAnswer]
+    replayed_samples: Annotated[int, Quantity("1", "samples of the replay")]
+    held_samples: Annotated[
+        dict[str, int],
+        Quantity("1", "samples of the replay at which the log lacks the signal, and its last value counts"),
+    ]
     not_replayed: Annotated[dict[str, str], Quantity("", "why a channel was not replayed")]
     reference_differences: Annotated[
         dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
@@ -93,6 +104,8 @@ class LogComparison(Analysis):
         log: Name of the log.
         start: Time of the log at which the study begins [s].
         every: Samples from one compared sample to the following one.
+        replayed: Samples of the replay.
+        held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
     """
@@ -104,6 +117,8 @@ class LogComparison(Analysis):
     log: str
     start: float
     every: int
+    replayed: int
+    held: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
 
@@ -141,8 +156,7 @@ class LogComparison(Analysis):
         """The answer in one line."""
         decisive = self.decisive()
         if decisive is None:
-            distances = ", ".join(f"{name} by {x:.3g} {self.unit(name)}" for name, x in self.without_spread().items())
-            return f"all draws are the same, so a rank among them means nothing; the log differs from them, {distances}"
+            return NO_SPREAD
         signal, time = decisive
         largest = self.dataset["statistic"].values[-1]
         return (
@@ -160,6 +174,7 @@ class LogComparison(Analysis):
         statistics = self.dataset["statistic"].values
         of_draws = statistics[:-1]
         draws = len(of_draws)
+        ranked = self.p_value is not None
         signal, time = self.decisive() or (None, None)
         quantiles = None
         if np.isfinite(of_draws).all():
@@ -172,13 +187,15 @@ class LogComparison(Analysis):
             every=self.every,
             p_value=self.p_value,
             least_p_value=1.0 / (draws + 1),
-            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])),
-            statistic=None if self.p_value is None else float(statistics[-1]),
+            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])) if ranked else None,
+            statistic=float(statistics[-1]) if ranked else None,
             statistic_of_draws=quantiles,
             without_spread=self.without_spread(),
             decisive_signal=signal,
             decisive_time=time,
             signals={str(name): self.signal_answer(str(name)) for name in self.dataset["signal"].values},
+            replayed_samples=self.replayed,
+            held_samples=self.held,
             not_replayed=self.not_replayed,
             reference_differences=self.references,
         )
@@ -190,15 +207,16 @@ class LogComparison(Analysis):
         logged = signal["logged"].values
         known = np.isfinite(logged)
         departure = signal["departure"].values[known]
+        spread = not np.isnan(departure).all()
         slack = RANGE_ROUNDING * max(np.max(np.abs(logged[known]), initial=0.0), 1e-300)
         below_range = logged < signal["lowest"].values - slack
         above_range = logged > signal["highest"].values + slack
-        outside = known & (below_range | above_range)
+        outside = known & (below_range | above_range) & spread
         return SignalAnswer(
             unit=self.unit(name),
             samples=int(known.sum()),
-            largest_departure=None if np.isnan(departure).all() else float(np.nanmax(departure)),
-            outside_share=float(outside.sum() / max(known.sum(), 1)),
+            largest_departure=float(np.nanmax(departure)) if spread else None,
+            outside_share=float(outside.sum() / known.sum()) if spread else None,
             first_outside=float(time[outside][0]) if outside.any() else None,
             outside_to_the_end_since=start_of_last_excursion(time[known], outside[known]),
             replay=replayed_command(time, logged, signal["commanded"].values),
@@ -293,6 +311,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     logged = {}
     replays = {}
     not_replayed = {}
+    held = {}
     differences = {}
     for index, (channel, signals) in enumerate(zip(loop.channels, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
@@ -304,6 +323,8 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
             not_replayed[channel] = replay
         else:
             replays[signal_name(channel, "u_total")] = replay
+            inputs = {name: values for name, values in signals.items() if name != "u_total"}
+            held |= {signal_name(channel, name): count for name, count in held_samples(inputs).items()}
     signals = [
         Signal(index, quantity, signal_name(channel, quantity))
         for index, channel in enumerate(loop.channels)
@@ -316,7 +337,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     replayed = np.array([replays.get(signal.name, missing) for signal in signals])[:, ::stride]
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
-    return LogComparison(study, dataset, log.name, log.start, stride, not_replayed, differences)
+    return LogComparison(study, dataset, log.name, log.start, stride, samples, held, not_replayed, differences)
 
 
 def is_compared(signals: dict[str, np.ndarray]) -> bool:

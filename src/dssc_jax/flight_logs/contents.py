@@ -100,7 +100,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             if name.removesuffix(":0") not in known:
                 raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, known)}")
         names = [topic_place(name)[0] for name in topics]
-        data, begin = read_topics(path, [*names, *SEGMENT_TOPICS])
+        data, begin, _ = read_topics(path, [*names, *SEGMENT_TOPICS])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
             path.name,
@@ -168,7 +168,7 @@ def topic_table(
     """
     with errors_under(str(path)):
         name, key = topic_place(topic)
-        data, begin = read_topics(path, [name, *SEGMENT_TOPICS])
+        data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS])
         signals = data.get(key)
         if signals is None:
             known = [topic.name for topic in list_topics(path).topics]

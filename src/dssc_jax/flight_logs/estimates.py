@@ -72,10 +72,14 @@ class Fitted:
     noise: dict[str, ResidualNoise]  # of the residual by channel, of those with enough readings
     kept: dict[str, float]  # unidentified numbers, with the standard deviation from the flight divided by the law's
     samples: int  # of the log that were used
+    simulated: int  # samples of the simulation
+    held: dict[str, int]  # of these, samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     starts: int  # of the search
     starts_here: int  # that end in the minimum that was taken
     rivals: tuple[RivalMinimum, ...]
+    simulations: int
+    cut: str  # why the search ended before it was complete; empty: it is complete
 
     @property
     def deviations(self) -> np.ndarray:
@@ -156,6 +160,8 @@ class Fitted:
         return {
             "study": self.study.name,
             "samples": self.samples,
+            "simulated_samples": self.simulated,
+            "held_commands": self.held,
             "replayed": list(self.replayed),
             "numbers": numbers,
             "correlation": self.correlations(),
@@ -163,6 +169,8 @@ class Fitted:
             "noise_unit": {channel: unit.output for channel, unit in units},
             "starts": self.starts,
             "starts_here": self.starts_here,
+            "simulations": self.simulations,
+            "search_cut": self.cut,
             "other_minima": [rival._asdict() for rival in self.rivals],
             "outside_laws": self.outside_laws(),
             "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},

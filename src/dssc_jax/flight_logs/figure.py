@@ -120,7 +120,7 @@ def statistics_of_curves(ax: Axes, statistics: np.ndarray, p_value: float | None
     """Draw the share of draws above each value of the statistic, and the log's own."""
     if p_value is None:
         ax.set_axis_off()
-        ax.text(0.5, 0.5, "all draws are the same: a rank among them means nothing", ha="center", va="center")
+        ax.text(0.5, 0.5, "every draw is the same; ranks say nothing", ha="center", va="center")
         return
     ordered = np.sort(statistics[:-1])
     ordered = ordered[np.isfinite(ordered)]

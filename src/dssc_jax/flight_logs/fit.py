@@ -10,16 +10,18 @@ References:
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
     FitProblem,
+    Minimum,
     MinimumSearch,
     SampledLog,
     averaged_covariance,
@@ -30,11 +32,13 @@ from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
     forward_filled,
+    held_samples,
     nearest_offsets,
     samples_within,
     signal_name,
 )
 from dssc_jax.flight_logs.refusals import (
+    Explained,
     NotIdentifiable,
     explain,
     require_explained,
@@ -42,6 +46,7 @@ from dssc_jax.flight_logs.refusals import (
     require_unique_minimum,
 )
 from dssc_jax.flight_logs.replay import replayed_channel, study_references
+from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
@@ -53,6 +58,10 @@ def fit_log(
     log: FlightLog,
     names: Sequence[str] = (),
     predictions: dict[tuple[str, ...], Prediction] | None = None,
+    *,
+    allow_damaged: bool = False,
+    limits: SearchLimits = USUAL_LIMITS,
+    progress: ProgressCallback | None = None,
 ) -> Fitted:
     """Estimate numbers of a study from a logged flight.
 
@@ -61,9 +70,12 @@ def fit_log(
         log: The flight, with measured outputs, and with commands, unless a replay computes them.
         names: The numbers; none: all with laws that show in the output, less those that the flight does not identify.
         predictions: Compiled predictions to use again, by names, for logs of one length.
+        allow_damaged: Whether a log that has lost messages is fitted all the same.
+        limits: When the search for the minimum ends with the best so far.
+        progress: Called with the simulations done, and their largest number.
 
     Raises:
-        ConfigError: a name or the log is not suitable.
+        ConfigError: a name or the log is not suitable; the log has lost messages.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
 
@@ -77,22 +89,39 @@ def fit_log(
         >>> fitted.law("unmodelled.mu").kind
         'lognormal'
     """
+    if log.damaged and not allow_damaged:
+        raise ConfigError(
+            log.name,
+            "is damaged: messages are lost, and commands are held where the flight had others. "
+            "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
+        )
+    count = SearchCount(limits, progress)
+    known: list[Minimum] = []
     study = study.without_sweep()
     chosen = tuple(numbers_to_fit(study, names))
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
     kept: dict[str, float] = {}
+    whole: Mapping[str, Mapping[str, float]] | None = None
     while True:
         if chosen not in predictions:
             predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1])
-        problem = FitProblem(study, chosen, predictions[chosen], sampled)
-        search = find_minima(problem)
+        problem = FitProblem(study, chosen, predictions[chosen], sampled, count)
+        search = find_minima(problem, known)
         if search is None:
             raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
+        information = search.best.equations.information
+        whole = information_by_names(chosen, information) if whole is None else whole
         unidentified = {} if names else unidentified_numbers(problem, search)
         if not unidentified:
-            return fitted_minimum(problem, search, kept)
+            try:
+                return fitted_minimum(problem, search, kept, covariance_of_kept(whole, chosen, tuple(kept)))
+            except NotIdentifiable as refusal:
+                if names or refusal.number is None:
+                    raise
+                unidentified = {refusal.number: refusal.width}
         kept |= unidentified
+        known = search.without([name not in unidentified for name in chosen])
         chosen = tuple(name for name in chosen if name not in unidentified)
         if not chosen:
             raise NotIdentifiable(
@@ -132,6 +161,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
     replayed = []
+    held: dict[str, int] = {}
     for row, channel in enumerate(loop.channels):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
@@ -141,6 +171,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
+            held |= held_samples({signal_name(channel, "u_total"): command})
             continue
         replay = replayed_channel(study, row, signals, references[row])
         if isinstance(replay, str):
@@ -150,13 +181,35 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         raise ConfigError(log.name, f"{rule} in every channel" if len(loop.channels) > 1 else rule)
-    return SampledLog(outputs, offsets, commands, tuple(replayed))
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed))
+
+
+def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
+    """The information matrix by pairs of names."""
+    return {name: dict(zip(names, map(float, row), strict=True)) for name, row in zip(names, information, strict=True)}
+
+
+def covariance_of_kept(
+    information: Mapping[str, Mapping[str, float]], fitted: Sequence[str], kept: Sequence[str]
+) -> np.ndarray:
+    """What the spread of the numbers that keep their laws adds to the covariance of the others, shape (p, p).
+
+    A kept number that differs from its median by d moves the estimates by -A^-1 B d, where A and B are the blocks of
+    the information of all numbers. In coordinates of the fit d has the variance 1.
+    """
+    inner = np.array([[information[row][column] for column in fitted] for row in fitted])
+    if not kept:
+        return np.zeros_like(inner)
+    coupling = np.array([[information[row][column] for column in kept] for row in fitted])
+    moves = np.linalg.lstsq(inner, coupling, rcond=None)[0]
+    return moves @ moves.T
 
 
 def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str, float]:
     """Numbers whose standard deviation from this flight is not below that of their law, with the ratio of the two."""
     unidentified = {}
-    roots = np.sqrt(np.diag(search.best.equations.information))
+    information = search.best.equations.information
+    roots = np.sqrt(np.diag(information))
     for name, root in zip(problem.names, roots, strict=True):
         width = math.inf if root == 0.0 else float(1.0 / root)
         if not width < 1.0:
@@ -164,19 +217,27 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
     return unidentified
 
 
-def fitted_minimum(problem: FitProblem, search: MinimumSearch, kept: dict[str, float]) -> Fitted:
+def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
+    """How well the study describes each channel at coordinates, if the residuals can be noise; raises Unexplained."""
+    results = explain(problem, x)
+    for readings, result in zip(problem.readings, results, strict=True):
+        channel = problem.study.loop.channels[readings.channel]
+        require_explained(channel, problem.study.units[readings.channel].output, result)
+    return results
+
+
+def fitted_minimum(
+    problem: FitProblem, search: MinimumSearch, kept: dict[str, float], covariance_by_kept: np.ndarray
+) -> Fitted:
     """The estimate at the best minimum, with its covariance, if it passes all checks."""
     study = problem.study
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
-    units = [study.units[readings.channel].output for readings in problem.readings]
-    results = explain(problem, x)
-    for channel, unit, result in zip(channels, units, results, strict=True):
-        require_explained(channel, unit, result)
+    results = require_description(problem, x)
     require_identifiable(problem.names, search.best.equations.information)
     require_unique_minimum(problem, search)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
-    covariance = averaged_covariance(problem, posteriors)
+    covariance = averaged_covariance(problem, posteriors) + covariance_by_kept
     require_identifiable(problem.names, np.linalg.inv(covariance))
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
@@ -192,8 +253,12 @@ def fitted_minimum(problem: FitProblem, search: MinimumSearch, kept: dict[str, f
         dict(zip(channels, noises, strict=True)),
         kept,
         sum(len(readings.values) for readings in problem.readings),
+        problem.log.outputs.shape[1],
+        problem.log.held,
         problem.log.replayed,
         search.starts,
         search.best.starts,
         tuple(rivals),
+        problem.count.simulations,
+        problem.count.reason,
     )

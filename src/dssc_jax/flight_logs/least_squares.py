@@ -12,13 +12,14 @@ References:
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special, stats
 
 from dssc_jax.flight_logs.prediction import Prediction
+from dssc_jax.flight_logs.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.statistics.noise_posterior import NoiseSearch, Posterior
 from dssc_jax.study import Law, Study
@@ -29,8 +30,10 @@ LARGEST_STEP = 2.0  # prior standard deviations in one iteration
 NORMAL_90 = float(special.ndtri(0.95))
 LEAST_NOISE = 1e-9  # of the output's size: below, the residual is rounding
 LEAST_SAMPLES = 20  # of a channel: fewer do not identify its noise
+SCREENED = 64  # points whose residuals are compared; the search starts at the best ones
 STARTS = 8  # of the search for the minimum, at first; the first one is at the medians of the laws
-MOST_STARTS = 64
+MOST_STARTS = 24
+INTERRUPT = 130  # exit code with which the command line ends at Ctrl-C
 UNSEEN_MINIMA = 0.5  # expected number of minima that the search has not found, below which it ends
 SAME_MINIMUM = 0.1  # prior standard deviations between two ends of the search in the same minimum
 MINIMUM_ROUNDS = 3  # of the search for the best minimum, each with the noise of the minimum before
@@ -60,6 +63,7 @@ class SampledLog(NamedTuple):
     outputs: np.ndarray  # measured outputs, NaN where missing
     offsets: np.ndarray  # their times less the sample instants, in samples
     commands: np.ndarray
+    held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
 
 
@@ -110,6 +114,7 @@ class FitProblem:
     names: Sequence[str]
     predict: Prediction
     log: SampledLog
+    count: SearchCount = field(default_factory=SearchCount)
 
     def __post_init__(self) -> None:
         self.laws = [self.study.laws[name] for name in self.names]
@@ -153,7 +158,8 @@ class FitProblem:
         return columns
 
     def normal_equations(self, x: np.ndarray) -> NormalEquations:
-        """The normal equations at coordinates; infinite cost where the simulated output is not finite."""
+        """The normal equations at coordinates; infinite cost where the simulated output diverges."""
+        self.count.add()
         size = len(self.names)
         products = np.zeros((1 + size, 1 + size))
         for readings, noise, variance, columns in zip(
@@ -161,7 +167,10 @@ class FitProblem:
         ):
             if not np.isfinite(columns).all():
                 return NormalEquations(math.inf, np.zeros(size), np.eye(size))
-            products += weighted_products(noise, readings.times, columns)[0] / variance
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # squares of what diverges
+                products += weighted_products(noise, readings.times, columns)[0] / variance
+        if not np.isfinite(products).all():
+            return NormalEquations(math.inf, np.zeros(size), np.eye(size))
         return NormalEquations(float(products[0, 0]), products[1:, 0], products[1:, 1:])
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
@@ -189,11 +198,16 @@ class Minimum(NamedTuple):
         return self.equations.cost
 
 
-def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1) -> Minimum:
-    """Gauss-Newton with Levenberg's damping, from coordinates on, for a number of starts."""
+def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, whole: bool = False) -> Minimum:
+    """Gauss-Newton with Levenberg's damping, from coordinates on, for a number of starts.
+
+    It ends early where the search has to end, unless the ``whole`` way is wanted.
+    """
     damping = 1e-3
     equations = problem.normal_equations(x)
     for _ in range(ITERATIONS if math.isfinite(equations.cost) else 0):
+        if problem.count.reason and not whole:
+            break
         diagonal = np.diag(equations.information)
         floor = 1e-12 * max(float(diagonal.max()), TINY)
         damped = equations.information + damping * np.diag(np.maximum(diagonal, floor))
@@ -218,12 +232,24 @@ def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1) -> Minimum:
     return Minimum(x, equations, starts)
 
 
-def starting_points(problem: FitProblem) -> np.ndarray:
-    """Starts of the search, shape (m, p): the laws' medians, then Sobol's points at quantiles of all laws."""
-    levels = stats.qmc.Sobol(len(problem.names), rng=np.random.default_rng(0)).random(MOST_STARTS)
+def candidate_points(problem: FitProblem) -> np.ndarray:
+    """Points at which the search may start, shape (m, p): the laws' medians, then Sobol's at quantiles of all laws."""
+    levels = stats.qmc.Sobol(len(problem.names), rng=np.random.default_rng(0)).random(SCREENED)
     levels[0] = 0.5
     scaled = [fit_scale(law, law.quantile(column)) for law, column in zip(problem.laws, levels.T, strict=True)]
     return (np.array(scaled).T - problem.medians) / problem.widths
+
+
+def screened_points(problem: FitProblem) -> np.ndarray:
+    """The candidates in the order of the search, shape (m, p): the medians, then by their residuals."""
+    points = candidate_points(problem)
+    costs = np.full(len(points), np.inf)
+    costs[0] = -np.inf
+    for place in range(1, len(points)):
+        if problem.count.reason:
+            break
+        costs[place] = problem.normal_equations(points[place]).cost
+    return points[np.argsort(costs, kind="stable")]
 
 
 def distinct_minima(ends: Sequence[Minimum]) -> list[Minimum]:
@@ -254,37 +280,54 @@ class MinimumSearch(NamedTuple):
     rivals: list[Minimum]
     starts: int
 
+    def without(self, kept: Sequence[bool]) -> list[Minimum]:
+        """Its minima in the coordinates that are kept, as starts of another search."""
+        return [minimum._replace(x=minimum.x[np.array(kept)]) for minimum in (self.best, *self.rivals)]
+
 
 def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     """The minimum from another one on, by the noise of its own residual; the problem then has that noise."""
     starts = minimum.starts
-    minimum = minimise(problem, minimum.x, starts)
+    minimum = minimise(problem, minimum.x, starts, whole=True)
     for _ in range(REWEIGHTINGS):
         problem.reweight(minimum.x)
         previous = minimum
-        minimum = minimise(problem, minimum.x, starts)
+        minimum = minimise(problem, minimum.x, starts, whole=True)
         precision = math.sqrt(max(float(np.diag(minimum.equations.information).max()), TINY))
         if np.abs(minimum.x - previous.x).max() <= 1e-2 / precision:
             break
     return minimum
 
 
-def find_minima(problem: FitProblem) -> MinimumSearch | None:
-    """The minima of several starts; None if no start has a finite output."""
+def searched_minima(problem: FitProblem) -> list[Minimum]:
+    """The ends of the search from the best of many points; those so far at a limit or an interrupt."""
     ends: list[Minimum] = []
-    minima: list[Minimum] = []
-    points = starting_points(problem)
-    while len(ends) < MOST_STARTS:
-        ends += [minimise(problem, x) for x in points[len(ends) : len(ends) + STARTS]]
-        minima = distinct_minima(ends)
-        if unseen_minima(len(ends), len(minima)) < UNSEEN_MINIMA:
-            break
+    try:
+        points = screened_points(problem)
+        while len(ends) < MOST_STARTS and not (ends and problem.count.reason):
+            for x in points[len(ends) : len(ends) + STARTS]:
+                if ends and problem.count.reason:
+                    break
+                ends.append(minimise(problem, x))
+            if unseen_minima(len(ends), len(distinct_minima(ends))) < UNSEEN_MINIMA:
+                break
+    except (KeyboardInterrupt, SystemExit) as stop:
+        if not ends or (isinstance(stop, SystemExit) and stop.code != INTERRUPT):
+            raise
+        problem.count.interrupted = True
+    return ends
+
+
+def find_minima(problem: FitProblem, known: Sequence[Minimum] = ()) -> MinimumSearch | None:
+    """The minima of several starts, or from known ones on; None if no start has a finite output."""
+    ends = [minimise(problem, minimum.x, minimum.starts) for minimum in known] or searched_minima(problem)
+    minima = distinct_minima(ends)
     for _ in range(MINIMUM_ROUNDS if minima else 0):
         best = reweighted_minimum(problem, minima[0])
         minima = distinct_minima([best, *(minimise(problem, rival.x, rival.starts) for rival in minima[1:])])
         if minima[0].cost >= best.cost:
             break
-    return MinimumSearch(minima[0], minima[1:], len(ends)) if minima else None
+    return MinimumSearch(minima[0], minima[1:], sum(end.starts for end in ends)) if minima else None
 
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) -> np.ndarray:

@@ -68,11 +68,13 @@ class FlightLog(NamedTuple):
         columns: The logged signals by name: ``y``, ``u_total`` and others of :data:`LOGGED`; those of a channel x are
             ``x_y``, ``x_u_total`` and so on.
         start: Time of the log at which the study begins [s].
+        damaged: Whether the file has lost messages.
     """
 
     name: str
     columns: dict[str, Column]
     start: float
+    damaged: bool = False
 
     @property
     def end(self) -> float:
@@ -162,8 +164,9 @@ def read_log(
         if columns.segment is not None and not logged:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
         begin = None
+        damaged = False
         if logged:
-            raw, begin = ulog_columns(file, columns, channels)
+            raw, begin, damaged = ulog_columns(file, columns, channels)
         else:
             raw = table_columns(file, columns, channels)
         if not any(name.endswith(("y", "u_total")) for name in raw):
@@ -173,7 +176,7 @@ def read_log(
         for name, column in raw.items():
             converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
     first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
-    return FlightLog(file.name, converted, first if columns.start is None else columns.start)
+    return FlightLog(file.name, converted, first if columns.start is None else columns.start, damaged)
 
 
 def converted_column(name: str, column: Column, source: SignalSource) -> Column:
@@ -213,8 +216,16 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
 
 
-def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> tuple[dict[str, Column], float | None]:
-    """The fields of a ULog's topics by the signals' names, and the beginning of the segment [s], None without one.
+class UlogColumns(NamedTuple):
+    """Columns of a ULog by the signals' names, the beginning of the segment [s], and whether messages are lost."""
+
+    columns: dict[str, Column]
+    begin: float | None
+    damaged: bool
+
+
+def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> UlogColumns:
+    """The fields of a ULog's topics by the signals' names; without a segment there is no beginning.
 
     Times count from the beginning of the log.
     """
@@ -222,16 +233,17 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> t
     if not sources:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
     names = {column_place(column).topic for choices in sources.values() for column in choices}
-    topics, begin = read_topics(path, {*names, *(SEGMENT_TOPICS if columns.segment else ())})
+    topics, begin, damaged = read_topics(path, {*names, *(SEGMENT_TOPICS if columns.segment else ())})
     raw = {}
     for name, choices in sources.items():
         found = [column for column in choices if has_column(topics, column)]
         if columns.signals or found:
             raw[name] = ulog_column(topics, begin, name, found[0] if found else choices[0])
     if columns.segment is None:
-        return raw, None
+        return UlogColumns(raw, None, damaged)
     segment = chosen_segment(columns.segment, segments_of(topics, begin))
-    return {name: within_segment(name, column, segment) for name, column in raw.items()}, segment.begin
+    within = {name: within_segment(name, column, segment) for name, column in raw.items()}
+    return UlogColumns(within, segment.begin, damaged)
 
 
 class ColumnPlace(NamedTuple):
@@ -347,6 +359,16 @@ def channel_signals(study: Study, log: FlightLog, index: int, reference: np.ndar
     if channel in study.loop.plant.angles and "y" in signals:
         signals["y"] = reference + np.asarray(wrap_angle(signals["y"] - reference))
     return signals
+
+
+def held_samples(signals: Mapping[str, np.ndarray]) -> dict[str, int]:
+    """Number of samples at which :func:`forward_filled` gives another sample's value, by signal, where there are any.
+
+    Args:
+        signals: Values at the samples by name, NaN where missing, shape (samples,).
+    """
+    counts = {name: int(np.count_nonzero(~np.isfinite(values))) for name, values in signals.items()}
+    return {name: count for name, count in counts.items() if 0 < count < len(signals[name])}
 
 
 def forward_filled(values: np.ndarray) -> np.ndarray:

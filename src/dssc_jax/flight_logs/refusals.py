@@ -30,7 +30,18 @@ class FitRefused(ValueError):
 
 
 class NotIdentifiable(FitRefused):
-    """The numbers cannot be identified from the flight; the message says which."""
+    """The numbers cannot be identified from the flight; the message says which.
+
+    Args:
+        message: The reason.
+        number: The number with the largest part in it; None: all of them.
+        width: The standard deviation along that combination over that of the laws.
+    """
+
+    def __init__(self, message: str, number: str | None = None, width: float = math.inf) -> None:
+        super().__init__(message)
+        self.number = number
+        self.width = width
 
 
 class Unexplained(FitRefused):
@@ -125,21 +136,40 @@ def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
     diagonal = np.diag(information)
     for name, entry in zip(names, diagonal, strict=True):
         if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
-            raise NotIdentifiable(f"the flight does not identify {name}: the predicted output does not depend on it")
-    root = np.sqrt(diagonal)
+            text = f"the flight does not identify {name}: the predicted output does not depend on it"
+            raise NotIdentifiable(text, name)
+    direction = unidentified_direction(information)
+    if direction is None:
+        return
+    text = combination(names, direction.parts)
+    number = names[int(np.argmax(np.abs(direction.parts)))]
+    if math.isinf(direction.width):
+        reason = "the information matrix is singular in this direction"
+        raise NotIdentifiable(f"the flight does not identify {text}: {reason}", number)
+    raise NotIdentifiable(
+        f"the flight does not identify {text}: the standard deviation along it is {direction.width:.3g} times that of "
+        "the law",
+        number,
+        direction.width,
+    )
+
+
+class UnidentifiedDirection(NamedTuple):
+    """A combination of numbers that a flight does not identify: a unit vector, and its width over that of the laws."""
+
+    parts: np.ndarray
+    width: float  # infinite where the information is singular
+
+
+def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | None:
+    """The direction of least information, if its standard deviation is not below that of the laws."""
+    root = np.sqrt(np.diag(information))
     values, vectors = np.linalg.eigh(information / np.outer(root, root))
     if values[0] < SINGULAR_INFORMATION:
         direction = vectors[:, 0] / root
-        text = combination(names, direction / np.linalg.norm(direction))
-        reason = "the information matrix is singular in this direction"
-        raise NotIdentifiable(f"the flight does not identify {text}: {reason}")
+        return UnidentifiedDirection(direction / np.linalg.norm(direction), math.inf)
     values, vectors = np.linalg.eigh(information)
-    if values[0] < 1.0:
-        text = combination(names, vectors[:, 0])
-        raise NotIdentifiable(
-            f"the flight does not identify {text}: the standard deviation along it is {values[0] ** -0.5:.3g} times "
-            "that of the law"
-        )
+    return UnidentifiedDirection(vectors[:, 0], float(values[0] ** -0.5)) if values[0] < 1.0 else None
 
 
 def require_unique_minimum(problem: FitProblem, search: MinimumSearch) -> None:

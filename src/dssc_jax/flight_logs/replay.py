@@ -108,6 +108,7 @@ def replayed_channel(
     if share < REPLAY_SHARE:
         return (
             f"the log has y at {100 * share:.3g} % of the controller's samples; a replay needs {100 * REPLAY_SHARE:g} %"
+            ", and makes up none: log it as often as the controller runs, or set loop.sample_time to the log's"
         )
     signals = {name: forward_filled(values) for name, values in logged.items() if np.isfinite(values).any()}
     defaults = {"y_ref": reference[0]}

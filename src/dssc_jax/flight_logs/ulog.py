@@ -133,15 +133,20 @@ def opened_log(path: Path) -> Iterator[OpenedLog]:
         raise ConfigError("file", f"cannot be read: {' '.join(str(error).split())}") from error
 
 
-def read_topics(path: Path, names: Iterable[str]) -> tuple[TopicData, float]:
+class ReadTopics(NamedTuple):
+    """Topics of a log: their fields, the time at which the log begins [us], and whether messages are lost."""
+
+    topics: TopicData
+    begin: float
+    damaged: bool
+
+
+def read_topics(path: Path, names: Iterable[str]) -> ReadTopics:
     """The messages of some topics; others are passed over.
 
     Args:
         path: The log.
         names: Names of topics, without instance.
-
-    Returns:
-        Their fields, and the time at which the log begins [us].
 
     Raises:
         ConfigError: the file cannot be read.
@@ -152,12 +157,10 @@ def read_topics(path: Path, names: Iterable[str]) -> tuple[TopicData, float]:
     with opened_log(path) as opened:
         log = opened.parse(opened.file, sorted(set(names)))
         if log.file_corruption:
-            text = (
-                f"{path.name} is damaged: messages are lost, so that its signals have gaps; what is fitted may mislead"
-            )
+            text = f"{path.name} is damaged: messages are lost, so that its signals have gaps"
             warnings.warn(text, LogWarning, stacklevel=2)
         topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
-        return topics, float(log.start_timestamp)
+        return ReadTopics(topics, float(log.start_timestamp), bool(log.file_corruption))
 
 
 def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:

@@ -171,6 +171,21 @@ class Result:
             yield row | {STATED: jsonable(self.stated_errors(amounts, confidence))} if amounts else row
 
     @property
+    def has_equal_draws(self) -> bool:
+        """Whether nothing differs between the draws of any point: a deterministic study, which no interval describes.
+
+        No number of such a study has a law, and the draws agree in their outcome and in all metrics, one of which is no
+        whole number: noise, turbulence or a random disturbance would change that one.
+        """
+        if self.study.laws or self.study.config.draws < 2:
+            return False
+        columns = [self.dataset[measure.name].transpose(..., "draw").values for measure in self.study.measures]
+        outcomes = self.dataset["outcome"].transpose(..., "draw").values
+        if any(np.any(values != values[..., :1]) for values in (outcomes, *columns)):
+            return False
+        return any(np.any(np.isfinite(values) & (values != np.rint(values))) for values in columns)
+
+    @property
     def design_effect(self) -> DesignEffect | None:
         """What the design saved beside independent draws; None: the draws are independent, or swept, or all agree."""
         if self.method.independent or self.study.axes:
@@ -216,6 +231,7 @@ class Result:
             "confidence": confidence,
             "certificate": self.certificate,
             "interval_method": self.method.name,
+            "equal_draws": self.has_equal_draws,
             "design": self._design_summary(),
             "stopping": self.manifest.get("stopping"),
             "integration": self.manifest.get("integration"),

@@ -117,7 +117,11 @@ def test_what_the_file_lacks_is_named():
         (QUAD + "\nparam set CA_SV_TL_COUNT 2", "CA_SV_TL_COUNT", "servos that tilt"),
         (with_properties(MC_AIRMODE=3), "MC_AIRMODE", "must be 0, 1 or 2"),
         (QUAD + "\nparam set CA_ROTOR0_CT 8", "CA_ROTORi_CT", "same for all rotors"),
-        (with_properties(QUAD.replace("KM -0.02", "KM 0.02")), "CA_ROTORi_KM", "both signs"),
+        (
+            with_properties(QUAD.replace("KM -0.02", "KM 0.02")),
+            "CA_ROTORi_KM",
+            "cannot command thrust and yaw independently of each other (rank 3 of 4): all turn the same way",
+        ),
         ("param set CA_ROTOR_COUNT 4", "CA_ROTORi_PX", "at the centre"),
         (with_properties(SIH_MASS="${MASS}").replace("COUNT 4", "COUNT ${N}"), "CA_ROTOR_COUNT", "got 0"),
     ],

@@ -3,8 +3,10 @@
 import pytest
 
 from dssc_jax.cli.main import guarded
+from dssc_jax.cli.warnings import warn_of_vehicle
 from dssc_jax.models.uav.plausibility import implausible, usual_ranges
 from dssc_jax.models.uav.vehicle import HEXACOPTER, QUADROTOR
+from dssc_jax.study import Study
 from tests.mutations import document
 
 RACER = QUADROTOR._replace(
@@ -60,3 +62,27 @@ def test_the_command_warns(tmp_path, monkeypatch, capsys):
     (tmp_path / "slip.toml").write_bytes(document(study))
     assert guarded(["simulate", "slip.toml", "--draw", "5"]) == 2
     assert "warning: motor lag is 20 s, usual are 0.01 to 0.15; see plant.vehicle.motor_lag" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changes", "warned"),
+    [
+        ({}, True),
+        ({"plant.vehicle.propeller_drag": 1e-5}, False),
+        ({"plant.vehicle.structure_drag": [0.0, {"uniform": [0.0, 0.1]}, 0.0]}, False),
+        ({"wind": {"kind": "none"}}, False),
+        ({"sweep": {"plant.vehicle.propeller_drag": [0.0, 1e-5]}}, False),
+    ],
+)
+def test_a_wind_that_moves_nothing_is_warned_of(changes, warned, capsys):
+    table = {
+        "name": "vacuum",
+        "loop": {"duration": 0.02, "sample_time": 0.02},
+        "plant": {"kind": "uav", "vehicle": {"kind": "x500", "structure_drag": [0.0, 0.0, 0.0], "propeller_drag": 0.0}},
+        "controller": {"kind": "pid", "k_p": 1.0},
+        "wind": {"kind": "constant", "x": 5.0, "y": 0.0, "z": 0.0},
+    }
+    warn_of_vehicle(Study.from_table(table).override(changes))
+    assert (
+        "the wind has no effect, because the vehicle has no drag" in " ".join(capsys.readouterr().err.split())
+    ) == warned

@@ -1,7 +1,6 @@
 """dssc-jax compare-log: a logged flight beside the study's draws, or the laws that it supports."""
 
 import json
-from pathlib import Path
 
 from dssc_jax.cli.analysing import attempt, finish, free_folder
 from dssc_jax.cli.declarations.flight import CompareLog
@@ -18,6 +17,7 @@ from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.study import Study
 
 
@@ -25,6 +25,13 @@ def run(options: CompareLog) -> int:
     """Read the log, and compare it with the draws or fit the laws to it."""
     if options.number and not options.fit:
         raise ConfigError("--number", "is a number to estimate, and needs --fit")
+    if not options.fit:
+        require_unset(
+            "a comparison without --fit",
+            simulations=options.simulations,
+            minutes=options.minutes,
+            allow_damaged=options.allow_damaged or None,
+        )
     study = study_of(options).without_sweep()
     logs = [logged_flight(options, path, study) for path in options.log]
     if len(logs) > 1:
@@ -33,7 +40,7 @@ def run(options: CompareLog) -> int:
     require_unset("a single log", probability=options.probability)
     (log,) = logs
     if options.fit:
-        return fit(study, log, options.number or [], options.out, options.as_json)
+        return fit(study, log, options)
     folder = free_folder(study, "compare-log", f"compare-log-{options.log[0].stem}", options.out, *asked(options))
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
@@ -59,10 +66,22 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     return DONE
 
 
-def fit(study: Study, log: FlightLog, names: list[str], out: Path | None, as_json: bool) -> int:
+def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     """Estimate the numbers, print or write their laws, and say if the flight does not support that."""
+    out = options.out
+    as_json = options.as_json
+    simulations = MOST_SIMULATIONS if options.simulations is None else options.simulations
+    seconds = None if options.minutes is None else 60.0 * options.minutes
     try:
-        fitted = fit_log(study, log, names)
+        with progress_bar(study, quiet=as_json, of="simulations", early="if the starts agree") as advance:
+            fitted = fit_log(
+                study,
+                log,
+                options.number or [],
+                allow_damaged=options.allow_damaged,
+                limits=SearchLimits(simulations, seconds),
+                progress=advance,
+            )
     except FitRefused as refusal:
         if as_json:
             verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}

@@ -151,6 +151,22 @@ class CompareLog(OutputOptions, LogOptions, DrawsOptions):
     fit: Annotated[
         bool, typer.Option("--fit", help="Estimate numbers that have laws, and propose narrower laws; --out FILE.toml.")
     ] = False
+    simulations: Annotated[
+        int | None,
+        typer.Option(
+            "--simulations",
+            metavar="N",
+            min=1,
+            help="With --fit, after which the search ends with the best so far [2000].",
+        ),
+    ] = None
+    minutes: Annotated[
+        float | None,
+        typer.Option("--minutes", metavar="M", min=0.0, help="With --fit, likewise, by time [no limit]."),
+    ] = None
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="With --fit, take a log that has lost messages; it is refused else.")
+    ] = False
     number: Annotated[
         list[str] | None,
         typer.Option(

@@ -8,16 +8,23 @@ Sources: PX4's parameter reference (control allocation; simulation in hardware; 
 control), its module simulator_sih and its class ActuatorEffectivenessRotors.
 """
 
-import math
 import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.uav.airframe_rotors import (
+    PlacedRotor,
+    are_ratios,
+    geometry_of,
+    placed_rotors,
+    require_flight,
+    scaled,
+)
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4 import GAIN_PARAMETERS, gains_from
-from dssc_jax.models.uav.vehicle import GRAVITY, ROUNDED_TO_ZERO
+from dssc_jax.models.uav.vehicle import GRAVITY
 
 LINE = re.compile(
     r"^\s*(?:param\s+(?:set|set-default)\s+(?P<set>\w+)\s+(?P<to>\S+)"  # an airframe's start-up script
@@ -25,19 +32,9 @@ LINE = re.compile(
     re.MULTILINE,
 )
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
-SIMILAR = 0.01  # relative difference of rotors that count as equal
-RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
-"""Positions of generic airframes, which are ratios."""
-MULTIROTOR = 0  # of CA_AIRFRAME
-MOST_ROTORS = 12  # that PX4's control allocation takes
 READ = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
 LARGEST_PARAMETER = 1e6
 """Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
-MOMENT_COEFFICIENT = 0.05
-THRUST_COEFFICIENT = 6.5
-AXIS = (0.0, 0.0, -1.0)
-"""PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
-
 PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
 INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
 SIMULATED: dict[str, float] = {
@@ -59,13 +56,6 @@ HOVER_SPEED = 500.0
 """Rotor speed in hover [rad/s], a scale alone: PX4 knows no rotor speed, and nothing else follows from it here."""
 AIRMODES = (Desaturation.AIRMODE_DISABLED, Desaturation.AIRMODE_ROLL_PITCH, Desaturation.AIRMODE_ROLL_PITCH_YAW)
 """The modes of MC_AIRMODE, from 0."""
-REFUSED = {
-    "CA_R_REV": "has reversible rotors, and a rotor of the model pushes one way",
-    "CA_SV_TL_COUNT": "has servos that tilt rotors, and a rotor of the model is fixed",
-}
-"""Parameters that the model has no part for, if they are not 0."""
-
-
 TAKEN_GAINS = ("MC_AIRMODE", "MC_ROLL_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_I_ACC", "MPC_THR_HOVER")
 TAKEN_BY_CASCADE = ("MC_AIRMODE", "MPC_XY_P", "MPC_Z_P", *GAIN_PARAMETERS)
 """Parameters that the inner loop takes: the article's, and PX4's cascade."""
@@ -94,14 +84,6 @@ class Airframe(NamedTuple):
     plant: TomlTable
 
 
-class PlacedRotor(NamedTuple):
-    """A rotor in the model's axes: place [m or ratio], axis, and KM."""
-
-    place: tuple[float, float, float]
-    axis: tuple[float, float, float]
-    moment: float
-
-
 def parameters_in(text: str) -> dict[str, float]:
     """The numeric parameters that an airframe's script or a ground station's file sets; the last setting counts.
 
@@ -125,79 +107,6 @@ def require_finite(values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if name.startswith(READ) and not abs(value) <= LARGEST_PARAMETER:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
-
-
-def are_similar(values: list[float]) -> bool:
-    """Whether values count as equal."""
-    mean = sum(values) / len(values)
-    return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
-
-
-def require_common(values: list[float], subject: str) -> None:
-    """Require that a number is the same for all rotors; raises ConfigError."""
-    if not are_similar(values):
-        listed = ", ".join(f"{value:g}" for value in values)
-        raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {listed}")
-
-
-def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors of CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
-    count = parameters.get("CA_ROTOR_COUNT", 0.0)
-    if count not in range(4, MOST_ROTORS + 1):
-        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
-    if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
-        raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
-    for name, reason in REFUSED.items():
-        if parameters.get(name, 0.0):
-            raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
-    rotors = []
-    unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
-    if 1 < len(unplaced) < count:
-        names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
-        raise ConfigError(names, f"must be set: CA_ROTOR_COUNT is {count:g}, and these rotors have no place")
-    for i in range(int(count)):
-        ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
-        px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
-        if not (ax or ay or az):
-            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", "must not all be 0")
-        moment = parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT)
-        rotors.append(PlacedRotor((px, -py + 0.0, -pz + 0.0), (ax, -ay + 0.0, -az + 0.0), moment))
-    require_common([parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT) for i in range(int(count))], "CA_ROTORi_CT")
-    if all(math.hypot(*rotor.place) < ROUNDED_TO_ZERO for rotor in rotors):
-        raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
-    return rotors
-
-
-def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
-    """The entries of the vehicle that place its rotors: those of a circle where they are on one, else a list.
-
-    Raises:
-        ConfigError: upright rotors all turn the same way.
-    """
-    moments = [rotor.moment for rotor in rotors]
-    upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
-    if upright and (all(m > 0.0 for m in moments) or all(m < 0.0 for m in moments)):
-        raise ConfigError("CA_ROTORi_KM", "must have both signs: rotors that all turn the same way cannot hold the yaw")
-    distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
-    arm = sum(distances) / len(distances)
-    size = sum(map(abs, moments)) / len(moments)
-    equal = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
-        abs(abs(m) - size) <= SIMILAR * size for m in moments
-    )
-    level = all(rotor.place[2] == 0.0 for rotor in rotors)
-    signs = [-math.copysign(1.0, moment) for moment in moments]
-    if upright and equal and level:
-        return {
-            "arm": arm,
-            "torque_coefficient": size,
-            "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
-            "spins": signs,
-        }
-    listed = []
-    for rotor, sign in zip(rotors, signs, strict=True):
-        entry: TomlTable = {"position": list(rotor.place), "direction": sign, "torque_coefficient": abs(rotor.moment)}
-        listed.append(entry if upright else entry | {"axis": list(rotor.axis)})
-    return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
 def left_out(known: Mapping[str, float], taken: tuple[str, ...], notes: list[str]) -> None:
@@ -228,12 +137,6 @@ def note_missing_places(known: Mapping[str, float], notes: list[str]) -> None:
         notes.append(f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}")
 
 
-def are_ratios(rotors: list[PlacedRotor]) -> bool:
-    """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
-    values = [value for rotor in rotors for value in rotor.place[:2]]
-    return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
-
-
 def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None:
     """Require a mass, and lengths for positions that are ratios.
 
@@ -247,12 +150,6 @@ def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None
         missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
     if missing:
         raise ConfigError("SIH_MASS" if "SIH_MASS" not in known else "CA_ROTORi_PX, _PY", "; ".join(missing))
-
-
-def scaled(rotors: list[PlacedRotor], known: Mapping[str, float]) -> list[PlacedRotor]:
-    """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
-    forward, left = known["SIH_L_PITCH"], known["SIH_L_ROLL"]
-    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * left, 0.0)) for rotor in rotors]
 
 
 def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
@@ -279,7 +176,7 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
     notes.append(
         "drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out"
         if "SIH_KDV" in known
-        else "drag is 0: the file does not set SIH_KDV"
+        else "drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it"
     )
     if "SIH_T_MAX" in known:
         properties["max_thrust"] = known["SIH_T_MAX"]
@@ -377,6 +274,7 @@ def read_airframe(
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
+    require_flight(vehicle)
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     unused(parameters, cascade, notes)

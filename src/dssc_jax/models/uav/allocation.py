@@ -5,14 +5,14 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, dot
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.authority import require_hover, require_independent_axes
 from dssc_jax.models.uav.desaturation import Desaturation, desaturated
 from dssc_jax.models.uav.rotors import effect_of
-from dssc_jax.models.uav.vehicle import Vehicle
+from dssc_jax.models.uav.vehicle import Vehicle, check_vehicle
 
 NEGLIGIBLE_ENTRY = 1e-12  # relative to the largest entry of a column
 SMALLEST_VALUE = 1e-9
@@ -64,18 +64,20 @@ def without_side_force(inverse: np.ndarray, vehicle: Vehicle) -> np.ndarray:
 
 
 def pseudo_inverse(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
-    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor; raises ConfigError."""
+    """Rows (f, M_x, M_y, M_z) -> f_i, one per rotor; raises ConfigError where they are not independent."""
     matrix = geometry(vehicle)
-    scale = np.linalg.norm(matrix, axis=1, keepdims=True)
-    rank = int(np.linalg.matrix_rank(matrix / scale, tol=1e-9))
-    if rank < 4:
-        raise ConfigError(
-            "rotor" if vehicle.rotor else "spins",
-            f"rotor_angles and spins must span thrust and three moments (yaw included), got rank {rank} of 4",
-        )
+    require_independent_axes(vehicle, matrix)
     inverse = without_side_force(np.linalg.pinv(matrix), vehicle)
     inverse[np.abs(inverse) < NEGLIGIBLE_ENTRY * np.abs(inverse).max(axis=0)] = 0.0
     return tuple(tuple(float(value) for value in row) for row in inverse)
+
+
+def flying_allocation(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
+    """The rows (f, M) -> f_i of a checked vehicle that can hover; raises ConfigError with what it cannot do."""
+    check_vehicle(vehicle)
+    allocation = pseudo_inverse(vehicle)
+    require_hover(vehicle, [row[0] for row in allocation])
+    return allocation
 
 
 def allocate(

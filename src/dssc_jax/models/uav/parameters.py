@@ -7,7 +7,7 @@ from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
-from dssc_jax.models.uav.allocation import geometry, pseudo_inverse
+from dssc_jax.models.uav.allocation import flying_allocation, geometry
 from dssc_jax.models.uav.battery import Battery, require_voltages
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
@@ -16,7 +16,10 @@ from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.sampled import Craft
 from dssc_jax.models.uav.presets import VEHICLES
-from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle, check_vehicle
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+
+EQUAL_SHARE = 1e-9
+"""Difference of a rotor's share of the weight in hover from that of equal rotors, which is rounding."""
 
 
 class Believed(NamedTuple):
@@ -39,8 +42,9 @@ class UavParams(NamedTuple):
     """Parameters of the UAV.
 
     The fields after ``battery`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
-    (f, M) -> f_i; ``moments``, rows f_i -> M; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a
-    circle share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
+    (f, M) -> f_i; ``moments``, rows f_i -> M; ``hover_shares``, each rotor's share of the weight in hover, of rotors on
+    a circle only where they differ; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a circle
+    share that of ``believed``; ``rotor_limit``, a rotor's largest thrust as the inner loop knows it [N].
     """
 
     vehicle: Annotated[Vehicle, Slot(VEHICLES, default="m600_quadrotor")]
@@ -55,6 +59,7 @@ class UavParams(NamedTuple):
     battery: Battery | None = None
     allocation: tuple = ()
     moments: tuple = ()
+    hover_shares: tuple = ()
     believed_rotors: tuple = ()
     rotor_limit: float = 0.0
 
@@ -76,9 +81,9 @@ class UavParams(NamedTuple):
     def hover_thrusts(self) -> tuple[Scalar, ...]:
         """Thrusts of the rotors at which the believed vehicle hovers, complete after :func:`prepare` [N]."""
         weight = self.inner_model.mass * GRAVITY
-        if not self.vehicle.rotor:
+        if not self.hover_shares:
             return (weight / self.vehicle.rotors,) * self.vehicle.rotors
-        return tuple(row[0] * weight for row in self.allocation)
+        return tuple(share * weight for share in self.hover_shares)
 
     @property
     def craft(self) -> Craft:
@@ -91,8 +96,7 @@ def prepare(params: UavParams) -> UavParams:
     """Check the vehicle, and derive allocation and nominal values from its numbers; raises ConfigError."""
     vehicle = params.vehicle
     try:
-        check_vehicle(vehicle)
-        allocation = pseudo_inverse(vehicle)
+        allocation = flying_allocation(vehicle)
     except ConfigError as error:
         raise error.within_path("vehicle") from None
     for name in ("position", "velocity"):
@@ -108,16 +112,23 @@ def prepare(params: UavParams) -> UavParams:
     believed = vehicle_values._replace(**chosen)
     if len(chosen.get("inertia", (0, 0, 0))) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
-    limit = vehicle.max_thrust
     return params._replace(
         ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
         battery=None if params.battery is None else require_voltages(params.battery),
         believed=believed,
         allocation=allocation,
+        hover_shares=hover_shares(vehicle, allocation),
         moments=tuple(map(tuple, geometry(vehicle)[1:].tolist())),
         believed_rotors=believed_rotors(params),
-        rotor_limit=2.0 * nominal(vehicle.mass) * GRAVITY / vehicle.rotors if limit is None else nominal(limit),
+        rotor_limit=vehicle.nominal_thrust_limit,
     )
+
+
+def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:
+    """Each rotor's share of the weight in hover; () for equal shares of rotors on a circle."""
+    shares = tuple(row[0] for row in allocation)
+    equal = all(abs(share - 1.0 / vehicle.rotors) < EQUAL_SHARE for share in shares)
+    return () if equal and not vehicle.rotor else shares
 
 
 def believed_rotors(params: UavParams) -> tuple[float, ...]:

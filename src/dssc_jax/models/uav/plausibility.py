@@ -4,8 +4,17 @@ import math
 from collections.abc import Collection
 from typing import NamedTuple
 
+import numpy as np
+
 from dssc_jax.core.quantities import nominal
+from dssc_jax.models.uav.allocation import pseudo_inverse
+from dssc_jax.models.uav.authority import largest_accelerations
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+
+GEOMETRY = ("rotor", "rotor_angles", "spins", "torque_coefficient", "arm")
+"""Fields of a vehicle that its control authority follows from."""
+LEAST_ACCELERATIONS = {"roll": 2.0, "pitch": 2.0, "yaw": 0.3}
+"""Angular accelerations in hover [rad/s^2] that the slowest of large multirotors have; assumed."""
 
 
 class UsualRange(NamedTuple):
@@ -40,18 +49,22 @@ def usual_ranges(vehicle: Vehicle) -> list[UsualRange]:
     transverse = 0.5 * (inertia[0] + inertia[1]) + vehicle.rotors * nominal(vehicle.rotor_inertia_xy)
     gyration = (transverse / mass) ** 0.5
     weight = mass * GRAVITY
-    limit = 2.0 * weight / vehicle.rotors if vehicle.max_thrust is None else nominal(vehicle.max_thrust)
     coefficients = [nominal(value) for value in vehicle.thrust_coefficients]
+    lift = vehicle.rotors * vehicle.nominal_thrust_limit
     hover = (weight / sum(coefficients)) ** 0.5
     torque = max(nominal(value) for value in vehicle.torque_coefficients)
     ranges = [
-        UsualRange("hover throttle", ("max_thrust",), weight / (vehicle.rotors * limit), 0.1, 0.7, "of f_max"),
+        UsualRange("hover throttle", ("max_thrust",), weight / lift, 0.1, 0.7, "of f_max"),
         UsualRange("torque over thrust", ("torque_coefficient",), torque, 0.002, 0.1, "m"),
         UsualRange("radius of gyration over arm", ("mass", "arm", "body_inertia"), gyration / arm, 0.15, 1.2, ""),
         UsualRange("hover speed of a rotor", ("thrust_coefficient", "mass"), hover, 50.0, 4000.0, "rad/s"),
     ]  # fmt: skip
     if vehicle.motor_lag is not None:
         ranges.append(UsualRange("motor lag", ("motor_lag",), nominal(vehicle.motor_lag), 0.01, 0.15, "s"))
+    accelerations = largest_accelerations(vehicle, np.array(pseudo_inverse(vehicle)))
+    for axis, least in LEAST_ACCELERATIONS.items():
+        name = f"largest {axis} acceleration in hover"
+        ranges.append(UsualRange(name, GEOMETRY, accelerations[axis], least, math.inf, "rad/s^2"))
     return ranges
 
 
@@ -73,9 +86,12 @@ def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
     lines = []
     for number in usual_ranges(vehicle):
         inside = number.low <= number.value <= number.high
-        if inside or not set(number.fields) & set(fields):
+        stated = [field for field in number.fields if field in fields]
+        if inside or not stated:
             continue
         found = f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
         usual = f"usual are {number.low:g} to {number.high:g}"
-        lines.append(f"{found}, {usual}; see plant.vehicle.{' and '.join(number.fields)}")
+        if math.isinf(number.high):
+            usual = f"usual is at least {number.low:g}"
+        lines.append(f"{found}, {usual}; see plant.vehicle.{' and '.join(stated)}")
     return lines

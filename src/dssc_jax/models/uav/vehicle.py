@@ -101,6 +101,18 @@ class Vehicle(NamedTuple):
         """f_max; 2 M g/n_r (assumed) unless the vehicle defines it [N]."""
         return 2.0 * self.mass * GRAVITY / self.rotors if self.max_thrust is None else self.max_thrust
 
+    @property
+    def has_drag(self) -> bool:
+        """Whether the air acts on the vehicle, for at least one value of its laws."""
+        return any(extent(drag)[1] > 0.0 for drag in (*self.structure_drag, self.propeller_drag))
+
+    @property
+    def nominal_thrust_limit(self) -> float:
+        """f_max with laws at their medians, as the inner loop knows it [N]."""
+        if self.max_thrust is None:
+            return 2.0 * nominal(self.mass) * GRAVITY / self.rotors
+        return nominal(self.max_thrust)
+
     def directions(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """x and y of every rotor for an arm of length 1; values that are 0 up to rounding are 0."""
         exact = ([f(angle) for angle in self.rotor_angles] for f in (math.cos, math.sin))

@@ -1,0 +1,144 @@
+"""The rotors of a PX4 file: CA_ROTORi_ in the model's axes, as entries of [plant.vehicle], and whether they can fly.
+
+The axes are told in :mod:`dssc_jax.models.uav.airframe`.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.models.uav.allocation import flying_allocation
+from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, Vehicle
+
+SIMILAR = 0.01  # relative difference of rotors that count as equal
+RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
+"""Positions of generic airframes, which are ratios."""
+MULTIROTOR = 0  # of CA_AIRFRAME
+MOST_ROTORS = 12  # that PX4's control allocation takes
+MOMENT_COEFFICIENT = 0.05
+THRUST_COEFFICIENT = 6.5
+AXIS = (0.0, 0.0, -1.0)
+"""PX4's defaults of CA_ROTORi_KM, CA_ROTORi_CT and CA_ROTORi_AX, _AY, _AZ."""
+
+REFUSED = {
+    "CA_R_REV": "has reversible rotors, and a rotor of the model pushes one way",
+    "CA_SV_TL_COUNT": "has servos that tilt rotors, and a rotor of the model is fixed",
+}
+"""Parameters that the model has no part for, if they are not 0."""
+
+PX4_NAMES = {
+    "spins": "CA_ROTORi_KM",
+    "rotor": "CA_ROTORi_PX, _PY, _PZ, _AX, _AY, _AZ, _KM",
+    "rotor_angles": "CA_ROTORi_PX, _PY",
+    "max_thrust": "SIH_T_MAX, MPC_THR_HOVER",
+    "body_inertia": "SIH_IXX, SIH_IYY, SIH_IZZ",
+}
+"""Parameters that entries of the vehicle follow from."""
+
+
+class PlacedRotor(NamedTuple):
+    """A rotor in the model's axes: place [m or ratio], axis, and KM."""
+
+    place: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    moment: float
+
+
+def are_similar(values: list[float]) -> bool:
+    """Whether values count as equal."""
+    mean = sum(values) / len(values)
+    return all(abs(value - mean) <= SIMILAR * abs(mean) for value in values)
+
+
+def require_common(values: list[float], subject: str) -> None:
+    """Require that a number is the same for all rotors; raises ConfigError."""
+    if not are_similar(values):
+        listed = ", ".join(f"{value:g}" for value in values)
+        raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {listed}")
+
+
+def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
+    """The rotors of CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
+    count = parameters.get("CA_ROTOR_COUNT", 0.0)
+    if count not in range(4, MOST_ROTORS + 1):
+        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
+    if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
+        raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
+    for name, reason in REFUSED.items():
+        if parameters.get(name, 0.0):
+            raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
+    rotors = []
+    unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
+    if 1 < len(unplaced) < count:
+        names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
+        raise ConfigError(names, f"must be set: CA_ROTOR_COUNT is {count:g}, and these rotors have no place")
+    for i in range(int(count)):
+        ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
+        px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
+        if not (ax or ay or az):
+            raise ConfigError(f"CA_ROTOR{i}_AX, _AY, _AZ", "must not all be 0")
+        moment = parameters.get(f"CA_ROTOR{i}_KM", MOMENT_COEFFICIENT)
+        rotors.append(PlacedRotor((px, -py + 0.0, -pz + 0.0), (ax, -ay + 0.0, -az + 0.0), moment))
+    require_common([parameters.get(f"CA_ROTOR{i}_CT", THRUST_COEFFICIENT) for i in range(int(count))], "CA_ROTORi_CT")
+    if all(math.hypot(*rotor.place) < ROUNDED_TO_ZERO for rotor in rotors):
+        raise ConfigError("CA_ROTORi_PX, CA_ROTORi_PY", "must be given; all rotors are at the centre")
+    return rotors
+
+
+def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
+    """The entries of the vehicle that place its rotors: those of a circle where they are on one, else a list."""
+    moments = [rotor.moment for rotor in rotors]
+    upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
+    distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
+    arm = sum(distances) / len(distances)
+    size = sum(map(abs, moments)) / len(moments)
+    equal = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
+        abs(abs(m) - size) <= SIMILAR * size for m in moments
+    )
+    level = all(rotor.place[2] == 0.0 for rotor in rotors)
+    signs = [-math.copysign(1.0, moment) for moment in moments]
+    if upright and equal and level:
+        return {
+            "arm": arm,
+            "torque_coefficient": size,
+            "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
+            "spins": signs,
+        }
+    listed = []
+    for rotor, sign in zip(rotors, signs, strict=True):
+        entry: TomlTable = {"position": list(rotor.place), "direction": sign, "torque_coefficient": abs(rotor.moment)}
+        listed.append(entry if upright else entry | {"axis": list(rotor.axis)})
+    return {"arm": arm, "torque_coefficient": size, "rotor": listed}
+
+
+def require_flight(table: TomlTable) -> None:
+    """Require rotors that command thrust, roll, pitch and yaw, and that hover; raises ConfigError in PX4's names.
+
+    Args:
+        table: The table ``[plant.vehicle]``.
+    """
+    values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
+    listed = tuple(
+        Rotor(**{"torque_coefficient": table["torque_coefficient"], **entry}) for entry in table.get("rotor", ())
+    )
+    vehicle = QUADROTOR._replace(**values, rotor=listed)
+    try:
+        flying_allocation(vehicle)
+    except ConfigError as error:
+        rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
+        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule) from None
+
+
+def are_ratios(rotors: list[PlacedRotor]) -> bool:
+    """Whether the rotors' positions are ratios of a generic airframe, and not metres."""
+    values = [value for rotor in rotors for value in rotor.place[:2]]
+    return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
+
+
+def scaled(rotors: list[PlacedRotor], known: Mapping[str, float]) -> list[PlacedRotor]:
+    """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
+    forward, left = known["SIH_L_PITCH"], known["SIH_L_ROLL"]
+    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * left, 0.0)) for rotor in rotors]

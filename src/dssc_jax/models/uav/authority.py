@@ -1,0 +1,126 @@
+"""Control authority: what of thrust, roll, pitch and yaw the rotors of a vehicle can command independently.
+
+The matrix B takes the rotors' thrusts to net thrust and moments. A combination of these four that B' maps to zero is
+the same for all thrusts, so what takes part in it cannot be commanded independently. Rotors push one way: hover needs
+positive thrusts of the pseudo-inverse, which allocates.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import nominal
+from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
+
+AXES = ("thrust", "roll", "pitch", "yaw")
+SMALLEST_SHARE = 1e-9  # of the largest singular value, or of the weight: below, a value is rounding
+SMALLEST_PART = 1e-6  # of a combination of axes: below, an axis takes no part
+
+
+def unchanged_combinations(matrix: np.ndarray) -> np.ndarray:
+    """The combinations of axes that no thrusts change, each of length 1, shape (4 - rank, 4).
+
+    Args:
+        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r); its rows count by their sizes.
+    """
+    sizes = np.linalg.norm(matrix, axis=1, keepdims=True)
+    directions, values, _ = np.linalg.svd(matrix / np.where(sizes > 0.0, sizes, 1.0))
+    rank = int(np.sum(values > SMALLEST_SHARE * values[0]))
+    return directions[:, rank:].T
+
+
+def dependent_axes(matrix: np.ndarray) -> list[str]:
+    """The axes that cannot be commanded independently of each other; a single one cannot be commanded at all.
+
+    Args:
+        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r).
+
+    Example:
+        >>> turning_alike = np.array([[1.0] * 4, [1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [0.05] * 4])
+        >>> dependent_axes(turning_alike)
+        ['thrust', 'yaw']
+    """
+    parts = np.abs(unchanged_combinations(matrix)).max(axis=0, initial=0.0)
+    return [axis for axis, part in zip(AXES, parts, strict=True) if part > SMALLEST_PART]
+
+
+def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
+    """Require rotors that command thrust, roll, pitch and yaw independently; raises ConfigError with what they cannot.
+
+    Args:
+        vehicle: The vehicle.
+        matrix: From thrusts to (f, M_x, M_y, M_z), shape (4, n_r), nominal.
+    """
+    dependent = dependent_axes(matrix)
+    if not dependent:
+        return
+    if len(dependent) == 1:
+        lack = f"the rotors cannot command {dependent[0]}"
+    else:
+        lack = f"the rotors cannot command {', '.join(dependent[:-1])} and {dependent[-1]} independently of each other"
+    if "yaw" not in dependent:
+        remedy = "check the rotors' places, which must span both directions"
+    elif not matrix[3].any():
+        remedy = "no rotor has a moment about body z: give torque_coefficient, or tilt axes across the arms"
+    elif np.all(matrix[3] > 0.0) or np.all(matrix[3] < 0.0):
+        remedy = "all turn the same way: let half of them turn the other way, or tilt axes across the arms"
+    else:
+        remedy = "check which rotors turn which way; on a circle neighbours turn opposite ways"
+    rank = len(AXES) - len(unchanged_combinations(matrix))
+    raise ConfigError("rotor" if vehicle.rotor else "spins", f"{lack} (rank {rank} of 4): {remedy}")
+
+
+def require_hover(vehicle: Vehicle, lifts: Sequence[float]) -> None:
+    """Require that every rotor pushes in hover, and no more than it can; raises ConfigError with the rotors.
+
+    Args:
+        vehicle: The vehicle; laws count with their medians.
+        lifts: Thrust of each rotor per net thrust, without moments, as allocated; shape (n_r,).
+    """
+    weight = nominal(vehicle.mass) * GRAVITY
+    thrusts = weight * np.asarray(lifts)
+    field = "rotor" if vehicle.rotor else "rotor_angles"
+    pulling = np.flatnonzero(thrusts < -SMALLEST_SHARE * weight)
+    if pulling.size:
+        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in pulling)
+        raise ConfigError(
+            field, f"hover needs {listed}, and a rotor pushes one way: {pulling_remedy(vehicle, pulling)}"
+        )
+    limit = vehicle.nominal_thrust_limit
+    beyond = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
+    if beyond.size:
+        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in beyond)
+        rule = f"hover needs {listed}, and a rotor's largest thrust is {limit:.3g} N"
+        raise ConfigError("max_thrust", f"{rule}: give a larger one, or move the centre of mass between the rotors")
+
+
+def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
+    """What to change where hover needs negative thrusts of some rotors."""
+    downward = [i for i, rotor in enumerate(vehicle.rotor) if nominal(rotor.axis[2]) < 0.0]
+    if len(downward) == vehicle.rotors:
+        return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"
+    if set(downward) & set(pulling.tolist()):
+        return "its axis points down; that of a rotor that lifts points up, also where it is mounted upside down"
+    return "place the rotors around the centre of mass, and let as many turn each way"
+
+
+def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, float]:
+    """The angular accelerations about x, y and z [rad/s^2] that can be commanded in hover, both ways, without limits.
+
+    Args:
+        vehicle: Mass, inertia and largest thrust; laws count with their medians.
+        inverse: The allocation, shape (n_r, 4).
+    """
+    weight = nominal(vehicle.mass) * GRAVITY
+    hover = weight * inverse[:, 0]
+    room = np.minimum(hover, vehicle.nominal_thrust_limit - hover)
+    found = {}
+    body = [nominal(value) for value in vehicle.body_inertia]
+    hubs = [nominal(vehicle.rotor_inertia_xy)] * 2 + [nominal(vehicle.rotor_inertia_z)]
+    for place, axis in enumerate(AXES[1:]):
+        inertia = body[place] + vehicle.rotors * hubs[place]
+        column = np.abs(inverse[:, place + 1])
+        used = column > SMALLEST_SHARE * column.max()
+        found[axis] = float(np.min(room[used] / column[used])) / inertia
+    return found
