@@ -7,6 +7,7 @@ from scipy.linalg import solve_discrete_are
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains, plant_at_start
+from dssc_jax.design.linear_plant import in_the_loop
 from tests.study.test_signals import held
 
 INDUCTANCE, CAPACITY, SUPPLY, LOAD = 1e-5, 1e-4, 12.0, 2.0
@@ -219,3 +220,11 @@ def test_the_pid_loop_of_a_first_order_lag_cancels_it():
     law = first_gains(table, "pid", bandwidth).table
     assert law["k_i"] / law["k_p"] == pytest.approx(1.0 / tau, rel=5e-3)
     assert law["k_p"] == pytest.approx(bandwidth * tau / gain, rel=5e-3)
+
+
+def test_a_state_that_nothing_moves_is_no_pole_of_the_loop():
+    """A chain from a measurement to the command, an integral that nothing feeds, and one that nothing reads."""
+    moves = np.eye(4, dtype=bool)
+    moves[1, 0] = True
+    fed, read = np.array([True, False, False, True]), np.array([False, True, True, False])
+    np.testing.assert_array_equal(in_the_loop(moves, fed, read), [True, True, False, False])

@@ -333,8 +333,27 @@ def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
             return jnp.append(ravel_pytree(after)[0], command)
 
         of_state, of_shown = map(np.asarray, jax.jacfwd(flat, argnums=(0, 1))(at, quiet))
-    order = len(at)
+    kept = in_the_loop(of_state[:-1] != 0.0, np.any(of_shown[:-1] != 0.0, axis=1), of_state[-1] != 0.0)
+    of_state, of_shown = of_state[np.append(kept, True)][:, kept], of_shown[np.append(kept, True)]
+    order = int(np.count_nonzero(kept))
     command = np.append(of_shown[order] @ rows, of_state[order])
     a = np.block([[plant.a, np.zeros((len(plant.a), order))], [of_shown[:order] @ rows, of_state[:order]]])
     b = np.append(plant.b, np.zeros(order))
     return ClosedLoop(a + np.outer(b, command), b, command)
+
+
+def in_the_loop(moves: np.ndarray, shown: np.ndarray, heard: np.ndarray) -> np.ndarray:
+    """The states of a controller that a measurement moves and that move the command, directly or through others.
+
+    The integral of a PID without k_i keeps its value, and is no pole of the loop.
+
+    Args:
+        moves: Whether state j moves state i, shape (n, n).
+        shown: Whether a measurement moves the state, shape (n,).
+        heard: Whether the state moves the command, shape (n,).
+    """
+    reached, used = shown, heard
+    for _ in range(len(shown)):
+        reached = reached | (moves @ reached)
+        used = used | (moves.T @ used)
+    return reached & used
