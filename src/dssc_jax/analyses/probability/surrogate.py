@@ -57,13 +57,20 @@ def interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
         G. Wahba, Spline Models for Observational Data (1990), chapter 2.
     """
     count, dimension = points.shape
+    matrix = spline_matrix(points, SMOOTHING)
+    found = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
+    return Interpolation(points, found[:count], found[count:])
+
+
+def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
+    """The symmetric matrix whose solution is an interpolation of points, shape (n, d); shape (n + d + 1, n + d + 1)."""
+    count, dimension = points.shape
     matrix = np.zeros((count + dimension + 1, count + dimension + 1))
-    matrix[:count, :count] = cdist(points, points) ** 3 + SMOOTHING * np.eye(count)
+    matrix[:count, :count] = cdist(points, points) ** 3 + smoothing * np.eye(count)
     matrix[:count, count] = 1.0
     matrix[:count, count + 1 :] = points
     matrix[count:, :count] = matrix[:count, count:].T
-    found = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
-    return Interpolation(points, found[:count], found[count:])
+    return matrix
 
 
 @dataclass
