@@ -16,11 +16,14 @@ FOLDS = 4  # of the cross-validation
 PRIOR = 0.05  # weight of the logistic curve's prior
 
 
-def scaled(slacks: np.ndarray) -> np.ndarray:
-    """Slacks on a logarithmic scale on both sides of 0; one without a value (-inf) becomes the smallest."""
+def scaled(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
+    """Slacks on a scale that is linear up to a quantile of their sizes, and logarithmic beyond.
+
+    A slack without a value (-inf) becomes the smallest.
+    """
     finite = np.isfinite(slacks)
     sizes = np.abs(slacks[finite])
-    scale = (float(np.quantile(sizes, 0.25)) if sizes.size else 1.0) or 1.0
+    scale = (float(np.quantile(sizes, level)) if sizes.size else 1.0) or 1.0
     smallest = min(float(slacks[finite].min(initial=0.0)), -scale)
     return np.arcsinh(np.where(finite, slacks, smallest) / scale)
 

@@ -98,16 +98,18 @@ def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignP
     ordered = [index for index in np.argsort(distances) if on_border[index]]
     return [
         DesignPoint(points[index], float(distances[index]), np.nan)
-        for index in distinct(points, ordered, SAME)
+        for index in distinct(points, ordered, SAME, len(points))
         if distances[index] <= distances[ordered[0]] + FARTHER
     ]
 
 
-def distinct(points: np.ndarray, order: Iterable[int], distance: float) -> list[int]:
-    """Indices, in the order given, of points that lie farther than a distance from all earlier ones."""
+def distinct(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
+    """Indices, in the order given, of the first points that lie farther than a distance from all earlier ones."""
     chosen: list[int] = []
     for index in order:
-        if all(np.linalg.norm(points[index] - points[earlier]) > distance for earlier in chosen):
+        if len(chosen) == most:
+            break
+        if np.all(np.sum((points[chosen] - points[index]) ** 2, axis=1) > distance**2):
             chosen.append(index)
     return chosen
 

@@ -29,7 +29,7 @@ from dssc_jax.analyses.rare_events.design_points import (
 )
 from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
 from dssc_jax.analyses.rare_events.mixture import WIDE, drawn, fitted, mixture_of
-from dssc_jax.analyses.rare_events.prediction import Prediction, predicted
+from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, predicted
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
@@ -47,10 +47,11 @@ MOST_DESIGNS = 8  # design points that a round simulates
 ENOUGH = 256  # points of the answer from which further rounds may save simulations
 FIT_CANDIDATES = 1024  # for each fit of the mixture
 FITS = 2
-CANDIDATES = 8192  # of the answer
-BLIND = 0.2  # share of the points whose chance does not depend on the prediction
-RESERVE = 1.3  # ratio of points to the number that the prediction expects
+CANDIDATES = 4096  # of the answer
+BLIND = 0.4  # share of the points whose chance does not depend on the prediction
+RESERVE = 1.15  # ratio of points to the number that the prediction expects
 LEAST_SAMPLED = 64
+MOST_AT_FIRST = 1024  # points of the first batch, which a bad prediction would make too large
 UNSEEN = 0.05  # expected number of failures with larger weights than the largest one that the interval allows for
 LEAST_EFFECTIVE = 20  # effective number of failing points of an answer
 
@@ -186,17 +187,17 @@ class Search:
     prediction: Prediction = field(init=False)
     found: list[DesignPoint] = field(init=False)
 
-    def learn(self, points: np.ndarray, slacks: np.ndarray) -> None:
-        """Add simulated points to the prediction, and search its design points.
+    def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
+        """Add simulated points to the prediction, which chooses a smoothing, and search its design points.
 
         The searches start from failing points nearest to the median, then from the least slacks.
         """
         self.points = np.concatenate([self.points, points])
         self.slacks = np.concatenate([self.slacks, slacks])
-        self.prediction = predicted(self.points, self.slacks)
+        self.prediction = predicted(self.points, self.slacks, smoothings)
         lengths = np.linalg.norm(self.points, axis=1)
         order = np.lexsort((np.where(self.slacks < 0.0, lengths, self.slacks), self.slacks >= 0.0))
-        starts = self.points[distinct(self.points, order, START_DISTANCE)[:STARTS]]
+        starts = self.points[distinct(self.points, order, START_DISTANCE, STARTS)]
         self.found = find_design_points(self.prediction.slope, starts)
 
     def candidates(self, count: int) -> Candidates:
@@ -237,7 +238,8 @@ def importance_sampling(
     added = WIDE * search.rng.standard_normal((EXPLORED, dimension))
     for finished in range(MOST_ROUNDS):
         slacks, _ = search.simulated(added)
-        search.learn(added, slacks)
+        between = 0 < finished < ROUNDS
+        search.learn(added, slacks, (search.prediction.smoothing,) if between else SMOOTHINGS)
         if not search.found:
             return "no search ended at the border of failure"
         candidates = search.candidates(FIT_CANDIDATES)
@@ -288,7 +290,7 @@ def sampled(search: Search, settings: ImportanceSampling) -> Sample:
     sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), 0.0)
     while True:
         candidates = search.candidates(max(CANDIDATES, 4 * added))
-        added = added or min(candidates.needed(settings.variation), settings.most)
+        added = added or min(candidates.needed(settings.variation), MOST_AT_FIRST, settings.most)
         chances = candidates.best(added)
         indices = chosen(chances, search.rng)
         slacks, noise = search.simulated(candidates.points[indices])

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 
 from dssc_jax.analyses.probability.surrogate import ROWS, scaled, spline_matrix
 
-SMOOTHINGS = (1e-6, 1e-4, 1e-2, 1.0, 100.0)  # a large one for in-loop noise and jumps
+SMOOTHINGS = (1e-6, 1e-3, 0.1, 10.0)  # a large one for in-loop noise and jumps
 LEAST_VARIANCE = 1e-12
 
 
@@ -61,15 +61,15 @@ class Prediction:
         return np.column_stack([cdist(points, self.centres) ** 3, np.ones(len(points)), points])
 
 
-def predicted(points: np.ndarray, slacks: np.ndarray) -> Prediction:
+def predicted(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
     """The prediction from slacks, shape (n,), at points, shape (n, d).
 
-    The smoothing is that under which the points, each predicted from all others, are most likely.
+    Of the smoothings it takes the one under which the points, each predicted from all others, are most likely.
     """
     count, dimension = points.shape
-    values = np.concatenate([scaled(slacks), np.zeros(dimension + 1)])
+    values = np.concatenate([scaled(slacks, 0.5), np.zeros(dimension + 1)])
     found = []
-    for smoothing in SMOOTHINGS:
+    for smoothing in smoothings:
         inverse = np.linalg.inv(spline_matrix(points, smoothing))
         coefficients = inverse @ values
         precisions = np.diag(inverse)[:count]
