@@ -20,7 +20,7 @@ from scipy import special
 SlopeFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d)."""
 
-ITERATIONS = 20
+ITERATIONS = 100
 SHORTER = 0.4  # factor of a step after failure
 LONGER = 2.0  # factor of a step after success
 SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach

@@ -36,7 +36,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
-LEARNT = 256  # plain draws, those with the least slacks, that the prediction learns
+LEARNT = 128  # plain draws, those with the least slacks, that the prediction learns
 EXPLORED = 256  # points of the wide law
 STARTS = 16  # of the searches for design points
 START_DISTANCE = 1.5  # between starts
