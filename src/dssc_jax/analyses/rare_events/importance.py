@@ -45,7 +45,7 @@ MOST_ROUNDS = 8
 ADDED = 24  # points of a round besides the design points
 MOST_DESIGNS = 8  # design points that a round simulates
 ENOUGH = 256  # points of the answer from which further rounds may save simulations
-FIT_CANDIDATES = 1024  # for each fit of the mixture
+FIT_CANDIDATES = 512  # for each fit of the mixture
 FITS = 2
 CANDIDATES = 4096  # of the answer
 BLIND = 0.4  # share of the points whose chance does not depend on the prediction
@@ -289,7 +289,7 @@ def sampled(search: Search, settings: ImportanceSampling) -> Sample:
     added = 0
     sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), 0.0)
     while True:
-        candidates = search.candidates(max(CANDIDATES, 4 * added))
+        candidates = search.candidates(max(CANDIDATES, 2 * added))
         added = added or min(candidates.needed(settings.variation), MOST_AT_FIRST, settings.most)
         chances = candidates.best(added)
         indices = chosen(chances, search.rng)
