@@ -65,9 +65,9 @@ def curved_probability(dimension):
 )
 def test_the_interval_covers(slack, dimension, truth):
     """With few simulations; the estimates scatter no more than they say."""
-    answers = [sampled(slack, dimension, seed) for seed in range(6)]
+    answers = [sampled(slack, dimension, seed) for seed in range(4)]
     intervals = np.array([estimate.mean_interval(0.99) for estimate in answers])
-    assert np.sum((intervals[:, 0] <= truth) & (truth <= intervals[:, 1])) >= 5
+    assert np.sum((intervals[:, 0] <= truth) & (truth <= intervals[:, 1])) >= 3
     means = np.array([estimate.mean for estimate in answers])
     assert means.mean() == pytest.approx(truth, rel=0.13)
     assert np.all([estimate.variation <= 0.1 for estimate in answers])
@@ -75,7 +75,7 @@ def test_the_interval_covers(slack, dimension, truth):
 
 
 def test_a_jump_of_the_slack_is_covered_at_more_cost():
-    answers = [sampled(jump, 2, seed) for seed in range(3)]
+    answers = [sampled(jump, 2, seed) for seed in range(2)]
     intervals = np.array([estimate.mean_interval(0.99) for estimate in answers])
     assert np.all((intervals[:, 0] <= 1e-4) & (intervals[:, 1] >= 1e-4))
 
@@ -88,7 +88,7 @@ def test_in_loop_noise_is_part_of_the_failure():
         unknown = np.array([np.random.default_rng((3, index)).standard_normal() for index in noise])
         return stats.norm.isf(p) - (2.0 * points[:, 0] + unknown) / np.sqrt(5.0)
 
-    for seed in range(3):
+    for seed in range(2):
         low, high = sampled(slack, 2, seed, ImportanceSampling(0.2)).mean_interval(0.99)
         assert low <= p <= high
 
@@ -150,7 +150,7 @@ def test_both_of_two_sides_are_found():
 def test_a_hidden_failure_is_found_or_contradicted():
     """The slack leads to a failure of 2.9e-7, and does not show one of 6.9e-4 on the other side."""
     truth = stats.norm.sf(3.2) + stats.norm.sf(5.0)
-    for seed in range(10):
+    for seed in range(4):
         found = sampled(hidden, 1, seed)
         if isinstance(found, WeightedEstimate) and not found.contradicted and found.reached:
             low, high = found.interval(0.999)
