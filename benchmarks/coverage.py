@@ -1,8 +1,8 @@
 """Do the intervals cover what they say? Regenerates the table of docs/statistics.md: ``python benchmarks/coverage.py``.
 
-Every kind of interval, 1,000 times each (chosen designs and strata: 200), on problems whose answer is known. Exits
-with 1 where one covers less than its nominal 95 % minus 2 %. With words (``coverage.py Sobol``) only the problems
-that name one of them run, and the page stays as it is.
+Every kind of interval, 1,000 times each (chosen designs, strata and importance sampling: 200), on problems whose answer
+is known. Exits with 1 where one covers less than its nominal 95 % minus 2 %. With words (``coverage.py Sobol``) only
+the problems that name one of them run, and the page stays as it is.
 """
 
 import sys
@@ -14,7 +14,7 @@ from statistics import mode
 import numpy as np
 from coverage_designs import DESIGN_CASES, Trial, latin, side, sobol
 from page import put
-from scipy import integrate, special, stats
+from scipy import integrate, optimize, special, stats
 
 import dssc_jax as dj
 from dssc_jax.analyses.rare_events.estimate import SlackFunction
@@ -34,7 +34,7 @@ from dssc_jax.statistics import (
 
 REPETITIONS, NOMINAL, ALLOWED = 1000, 0.95, 0.02
 FEWER = 200  # repetitions of what takes seconds each
-SLOW = ("chosen design", "strata")
+SLOW = ("chosen design", "strata", "importance sampling")
 TELLING = 100  # printed intervals from which their share is told, where most are refused
 
 
@@ -200,25 +200,44 @@ def two_sides(z: np.ndarray, _: np.ndarray) -> np.ndarray:
     return np.minimum(stats.norm.isf(1e-5) - z[:, 0], stats.norm.isf(3e-6) + z[:, 0])
 
 
+def two_modes(p: float) -> SlackFunction:
+    """Two half spaces in three dimensions, of probability p together, whose normals make an angle of 110 degrees."""
+    x, y = np.cos(MODES_ANGLE), np.sin(MODES_ANGLE)
+    both = stats.multivariate_normal([0.0, 0.0], [[1.0, x], [x, 1.0]])
+    distance = optimize.brentq(lambda b: 2.0 * stats.norm.sf(b) - both.cdf([-b, -b]) - p, 0.0, 10.0)
+    return lambda z, _: distance - np.maximum(z[:, 0], x * z[:, 0] + y * z[:, 1])
+
+
+def outside(p: float) -> SlackFunction:
+    """Failures outside a sphere around the median, of probability p in three dimensions."""
+    return lambda z, _: stats.chi2(3).isf(p) - np.sum(z**2, axis=-1)
+
+
 def curved(z: np.ndarray, _: np.ndarray) -> np.ndarray:
     """Failures behind a border that bends towards the median, of probability CURVED in three dimensions."""
     return 4.5 - z[:, 0] - 0.1 * np.sum(z[:, 1:] ** 2, axis=1)
 
 
+def hidden(p: float, known: float) -> SlackFunction:
+    """Failures that the slack leads to, and others of probability p that it does not show before they happen."""
+    return lambda z, _: np.where(z[:, 0] < -stats.norm.isf(p), -1.0, stats.norm.isf(known) - z[:, 1])
+
+
+def jump(p: float) -> SlackFunction:
+    """A half space of probability p in three dimensions, in which the slack jumps."""
+    return lambda z, _: np.where(z.sum(-1) / np.sqrt(3.0) > stats.norm.isf(p), -1.0, 1.0)
+
+
 BEND = (1.0, 10.0, 40.0)  # break points of the integration
 CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=BEND)[0]
+MODES_ANGLE = np.deg2rad(110.0)
 
 
 def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
-    """The interval of importance sampling around design points; its slopes are central differences."""
-
-    def slope(points: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        shifts = 1e-6 * np.eye(dimension)
-        columns = [(margin(points + shift, noise) - margin(points - shift, noise)) / 2e-6 for shift in shifts]
-        return margin(points, noise), np.stack(columns, axis=1)
+    """The interval of importance sampling around design points."""
 
     def trial(seed: int) -> np.ndarray | str:
-        found = importance_sampling(margin, slope, dimension, (seed,), dj.ImportanceSampling())
+        found = importance_sampling(margin, dimension, (seed,), dj.ImportanceSampling())
         return found if isinstance(found, str) else side(found.interval(), p)
 
     return trial
@@ -271,15 +290,22 @@ CASES: dict[str, tuple[str, Trial]] = {
         for p, particles, repeats in ((1e-4, 60, 10), (1e-4, 100, 20), (1e-6, 60, 10))
     },
     **{
-        f"importance sampling, half space of {numbers} numbers, p = {p:g}": (
-            "rare event",
-            weighted(p, plane(p), numbers),
-        )
-        for p, numbers in ((0.05, 3), (1e-4, 3), (1e-6, 3), (1e-4, 14))
+        f"importance sampling, {name} of 3 numbers, p = {p:g}": ("rare event", weighted(p, margin(p), 3))
+        for name, margin in (("half space", plane), ("two modes", two_modes), ("outside of a sphere", outside))
+        for p in (0.2, 0.05, 0.01, 1e-4, 1e-6)
     },
+    "importance sampling, half space of 14 numbers, p = 0.0001": ("rare event", weighted(1e-4, plane(1e-4), 14)),
     "importance sampling, four branches, p = 0.0022": ("rare event", weighted(2.222795066e-3, four_branch, 2)),
     "importance sampling, two sides, p = 1.3e-05": ("rare event", weighted(1.3e-5, two_sides, 2)),
     "importance sampling, curved border of 3 numbers, p = 1.7e-05": ("rare event", weighted(CURVED, curved, 3)),
+    "importance sampling, a jump of the slack, p = 0.0001": ("rare event", weighted(1e-4, jump(1e-4), 3)),
+    **{
+        f"importance sampling, a mode that no slack shows, p = {p:g}": (
+            "rare event",
+            weighted(p + known - p * known, hidden(p, known), 3),
+        )
+        for p, known in ((1e-4, 1e-6), (1e-6, 1e-7))
+    },
 }
 
 

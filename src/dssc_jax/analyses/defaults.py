@@ -25,7 +25,7 @@ PARTICLES, MOVES, REPEATS, PLAIN = 200, 5, 20, 4096
 """Splitting: particles of each repeat, moves of a clone at each level, independent repeats, plain draws."""
 LEAST_PARTICLES, LEAST_REPEATS = 10, 10
 
-VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 1024
+VARIATION, MOST_WEIGHTED, FEWER_PLAIN = 0.1, 20_000, 512
 """Importance sampling: coefficient of variation to reach, largest number of weighted points, plain draws."""
 
 WIDTH, MOST_STRATIFIED = 0.02, 1_000_000

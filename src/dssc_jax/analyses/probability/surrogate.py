@@ -16,11 +16,14 @@ FOLDS = 4  # of the cross-validation
 PRIOR = 0.05  # weight of the logistic curve's prior
 
 
-def scaled(slacks: np.ndarray) -> np.ndarray:
-    """Slacks on a logarithmic scale on both sides of 0; one without a value (-inf) becomes the smallest."""
+def scaled(slacks: np.ndarray, level: float = 0.25) -> np.ndarray:
+    """Slacks on a scale that is linear up to a quantile of their sizes, and logarithmic beyond.
+
+    A slack without a value (-inf) becomes the smallest.
+    """
     finite = np.isfinite(slacks)
     sizes = np.abs(slacks[finite])
-    scale = (float(np.quantile(sizes, 0.25)) if sizes.size else 1.0) or 1.0
+    scale = (float(np.quantile(sizes, level)) if sizes.size else 1.0) or 1.0
     smallest = min(float(slacks[finite].min(initial=0.0)), -scale)
     return np.arcsinh(np.where(finite, slacks, smallest) / scale)
 
@@ -57,13 +60,20 @@ def interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
         G. Wahba, Spline Models for Observational Data (1990), chapter 2.
     """
     count, dimension = points.shape
+    matrix = spline_matrix(points, SMOOTHING)
+    found = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
+    return Interpolation(points, found[:count], found[count:])
+
+
+def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:
+    """The symmetric matrix whose solution is an interpolation of points, shape (n, d); shape (n + d + 1, n + d + 1)."""
+    count, dimension = points.shape
     matrix = np.zeros((count + dimension + 1, count + dimension + 1))
-    matrix[:count, :count] = cdist(points, points) ** 3 + SMOOTHING * np.eye(count)
+    matrix[:count, :count] = cdist(points, points) ** 3 + smoothing * np.eye(count)
     matrix[:count, count] = 1.0
     matrix[:count, count + 1 :] = points
     matrix[count:, :count] = matrix[:count, count:].T
-    found = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
-    return Interpolation(points, found[:count], found[count:])
+    return matrix
 
 
 @dataclass

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-SlopeFunction = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d) with noise indices (n,)."""
+SlopeFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Slacks, shape (n,), and their slopes, shape (n, d), of points (n, d)."""
 
-ITERATIONS = 20
+ITERATIONS = 100
 SHORTER = 0.4  # factor of a step after failure
 LONGER = 2.0  # factor of a step after success
 SUFFICIENT = 0.1  # share of the predicted decrease that a step has to reach
@@ -37,13 +37,11 @@ class DesignPoint(NamedTuple):
 
     Args:
         point: In standard normal space, shape (d,).
-        noise: Its noise index.
         distance: beta, its distance from the origin.
         second_order: SORM's factor beside FORM's probability Phi(-beta); NaN if it does not exist.
     """
 
     point: np.ndarray
-    noise: int
     distance: float
     second_order: float
 
@@ -58,7 +56,7 @@ class DesignPoint(NamedTuple):
         return self.first_order_probability * self.second_order
 
 
-def find_design_points(slope: SlopeFunction, starts: np.ndarray, noise: np.ndarray) -> list[DesignPoint]:
+def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
     """Search for design points from several starts at once.
 
     Each search steps to the point of the border's tangent that is nearest to the origin. If this improves the merit
@@ -67,81 +65,66 @@ def find_design_points(slope: SlopeFunction, starts: np.ndarray, noise: np.ndarr
     Args:
         slope: Computes slacks and slopes.
         starts: Shape (n, d).
-        noise: Noise index of each start, which its search keeps, shape (n,).
 
     Returns:
-        Different design points, the nearest first.
+        Different design points, the nearest first, without those far beyond the nearest.
     """
     points = starts
-    slacks, slopes = slope(points, noise)
+    slacks, slopes = slope(points)
     steps = np.ones(len(points))
-    running = np.isfinite(slacks) & np.isfinite(slopes).all(axis=1)
-    slacks = np.where(running, slacks, np.nan)  # no search starts from a draw that ended early
-    slopes = np.where(running[:, None], slopes, np.nan)
+    running = np.ones(len(points), bool)
     for _ in range(ITERATIONS):
-        active = np.flatnonzero(running)
-        if not active.size:
+        if not running.any():
             break
         steepness = np.linalg.norm(slopes, axis=1)
         squares = np.where(steepness > 0.0, steepness, 1.0) ** 2
         ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squares
         directions = ahead[:, None] * slopes - points
         trials = points + steps[:, None] * directions
-        reached = np.full(len(points), np.nan)
-        reached_slopes = np.full(points.shape, np.nan)
-        reached[active], reached_slopes[active] = slope(trials[active], noise[active])
+        reached, reached_slopes = slope(trials)
         penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squares) + 1e-9
         merit = 0.5 * np.sum(points**2, axis=1) + penalty * np.abs(slacks)
         reached_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(reached)
         predicted = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
         better = running & (reached_merit < merit + SUFFICIENT * steps * predicted)
-        better &= np.isfinite(reached_slopes).all(axis=1)
         lengths = np.linalg.norm(trials - points, axis=1)
         points = np.where(better[:, None], trials, points)
         slacks = np.where(better, reached, slacks)
         slopes = np.where(better[:, None], reached_slopes, slopes)
         steps = np.where(better, np.minimum(LONGER * steps, 1.0), SHORTER * steps)
         running &= ~(better & (lengths < SETTLED)) & (steps >= SMALLEST_STEP)
-    steepness = np.linalg.norm(slopes, axis=1)
-    with np.errstate(invalid="ignore"):
-        on_border = (np.abs(slacks) < ON_BORDER * steepness) & np.isfinite(points).all(axis=1)
+    on_border = np.abs(slacks) < ON_BORDER * np.linalg.norm(slopes, axis=1)
     distances = np.linalg.norm(points, axis=1)
-    found = [index for index in np.argsort(distances) if on_border[index]]
+    ordered = [index for index in np.argsort(distances) if on_border[index]]
     return [
-        DesignPoint(points[index], int(noise[index]), float(distances[index]), np.nan)
-        for index in distinct(points, found, SAME)
+        DesignPoint(points[index], float(distances[index]), np.nan)
+        for index in distinct(points, ordered, SAME, len(points))
+        if distances[index] <= distances[ordered[0]] + FARTHER
     ]
 
 
-def distinct(points: np.ndarray, order: Iterable[int], distance: float) -> list[int]:
-    """Indices, in the order given, of points that lie farther than a distance from all earlier ones."""
+def distinct(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
+    """Indices, in the order given, of the first points that lie farther than a distance from all earlier ones."""
     chosen: list[int] = []
     for index in order:
-        if all(np.linalg.norm(points[index] - points[earlier]) > distance for earlier in chosen):
+        if len(chosen) == most:
+            break
+        if np.all(np.sum((points[chosen] - points[index]) ** 2, axis=1) > distance**2):
             chosen.append(index)
     return chosen
-
-
-def relevant(found: list[DesignPoint]) -> list[DesignPoint]:
-    """The distinct design points of several searches, the nearest first, without those far beyond the nearest."""
-    ordered = sorted(found, key=lambda candidate: candidate.distance)
-    points = np.array([candidate.point for candidate in ordered])
-    kept = [ordered[index] for index in distinct(points, range(len(ordered)), SAME)]
-    return [candidate for candidate in kept if candidate.distance <= kept[0].distance + FARTHER]
 
 
 def with_curvature(slope: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
     """Add SORM's factor prod (1 + beta kappa_i)^(-1/2), with the border's principal curvatures kappa_i.
 
-    The second derivatives are differences of slopes, 2 d evaluations.
+    The second derivatives are differences of slopes.
     """
     point = design_point.point
     dimension = len(point)
     if dimension == 1 or design_point.distance == 0.0:
         return design_point._replace(second_order=1.0)
     shifts = CURVATURE_STEP * np.concatenate([np.eye(dimension), -np.eye(dimension)])
-    noise = np.full(2 * dimension, design_point.noise)
-    _, slopes = slope(point + shifts, noise)
+    _, slopes = slope(point + shifts)
     hessian = (slopes[:dimension] - slopes[dimension:]) / (2.0 * CURVATURE_STEP)
     steepness = float(np.linalg.norm(slopes.mean(axis=0)))
     if not np.isfinite(hessian).all() or steepness == 0.0:

@@ -60,10 +60,17 @@ class Plain(NamedTuple):
         return float(low), float(high)
 
 
-def plain_draws(counter: Counter, rng: np.random.Generator, draws: int, dimension: int) -> Plain:
-    """Make plain draws."""
+def plain_draws(
+    counter: Counter, rng: np.random.Generator, draws: int, dimension: int
+) -> tuple[Plain, np.ndarray, np.ndarray]:
+    """Make plain draws.
+
+    Returns:
+        The plain draws; all their points, shape (draws, d), and slacks, shape (draws,).
+    """
     points = rng.standard_normal((draws, dimension))
-    return Plain(draws, points[counter(points, counter.fresh(draws)) < 0.0])
+    slacks = counter(points, counter.fresh(draws))
+    return Plain(draws, points[slacks < 0.0]), points, slacks
 
 
 @dataclass(frozen=True)

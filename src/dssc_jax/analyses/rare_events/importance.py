@@ -1,50 +1,59 @@
-"""Importance sampling around design points: the probability of a rare failure by few simulations.
+"""Importance sampling around predicted design points: the probability of a rare failure by some hundred simulations.
 
-Points are drawn from a mixture of normal laws around the design points, and of a wide normal law around the median.
-Each failing point counts with the ratio of the draws' density to the mixture's. The wide law finds the starts of the
-search. Its points in the mixture meet failures that the design points do not represent: a point that makes up a large
-part of the sum starts another search. The method misses failures of a kind that no point of the wide law and no plain
-draw meets; the plain draws bound their probability.
+A prediction of the slack, made from plain draws and from points of a wide law, leads to the design points. Rounds of
+further points near them improve it. Candidates are then drawn from a mixture of normal laws at the design points and of
+the wide law. Each is simulated with a known chance: a likely one where it stands for much of the failure probability or
+may decide whether the prediction is right. A failing candidate counts with its weight over its chance (Horvitz and
+Thompson), so the estimate has no bias, whatever the prediction is worth. The points that made the prediction do not
+count. The method misses failures of a kind that no simulated point meets; the plain draws bound their probability.
 
-Reference:
-    R. E. Melchers, "Importance sampling in structural systems", Structural Safety 6 (1989) 3-10.
+References:
+    R. E. Melchers, "Importance sampling in structural systems", Structural Safety 6 (1989) 3-10; D. G. Horvitz,
+    D. J. Thompson, "A generalization of sampling without replacement from a finite universe", J. American Statistical
+    Association 47 (1952) 663-685; B. Echard, N. Gayton, M. Lemaire, N. Relun, "A combined importance sampling and
+    kriging reliability method for small failure probabilities", Reliability Engineering and System Safety 111 (2013)
+    232-240.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, special
 
 from dssc_jax.analyses.defaults import FEWER_PLAIN, MOST_WEIGHTED, VARIATION
 from dssc_jax.analyses.rare_events.design_points import (
     DesignPoint,
-    SlopeFunction,
     distinct,
     find_design_points,
-    relevant,
     with_curvature,
 )
 from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
+from dssc_jax.analyses.rare_events.mixture import WIDE, drawn, fitted, mixture_of
+from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, predicted
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.weighted import effective_size, weighted_interval
 
-WIDE = 2.5  # standard deviations of the wide normal law
-WIDE_SHARE = 0.1  # of the points
-LEAST_SHARE = 0.05  # of a design point's law
-EXPLORED = 256  # points of the wide law at first
-STARTS = 8  # of the first search
-START_DISTANCE = 1.5  # between starts; from all design points, beyond which a failure is not represented
-PILOT = 500  # points that decide whether the mixture fits
-MORE_SEARCHES = 3  # largest number of searches from failures that the design points do not represent
-FITS = 4  # largest number of fits of the mixture
-HEAVY = 0.2  # share of the sum from which a single point hints at failures of another kind
-FITTING = 0.12  # effective size of the failing points, relative to all, from which the mixture fits
+LEARNT = 128  # plain draws, those with the least slacks, that the prediction learns
+EXPLORED = 256  # points of the wide law
+STARTS = 16  # of the searches for design points
+START_DISTANCE = 1.5  # between starts
+ROUNDS = 3  # least number of rounds that improve the prediction
+MOST_ROUNDS = 8
+ADDED = 24  # points of a round besides the design points
+MOST_DESIGNS = 8  # design points that a round simulates
+ENOUGH = 256  # points of the answer from which further rounds may save simulations
+FIT_CANDIDATES = 512  # for each fit of the mixture
+FITS = 2
+CANDIDATES = 4096  # of the answer
+BLIND = 0.4  # share of the points whose chance does not depend on the prediction
+RESERVE = 1.15  # ratio of points to the number that the prediction expects
+LEAST_SAMPLED = 64
+MOST_AT_FIRST = 1024  # points of the first batch, which a bad prediction would make too large
+UNSEEN = 0.05  # expected number of failures with larger weights than the largest one that the interval allows for
 LEAST_EFFECTIVE = 20  # effective number of failing points of an answer
-RESERVE = 1.2  # ratio of points to the number that follows from the pilot's variation
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,7 @@ class ImportanceSampling:
     Args:
         variation: Coefficient of variation to reach; 0.1 leaves a factor of about 1.2 between estimate and truth.
         most: Largest number of weighted points of the answer.
-        plain: Number of additional plain draws.
+        plain: Number of plain draws, which bound the failures that the method may miss.
 
     Raises:
         ConfigError: a number is out of range.
@@ -67,38 +76,36 @@ class ImportanceSampling:
     def __post_init__(self) -> None:
         if not 0.0 < self.variation < 1.0:
             raise ConfigError("rare", f"needs variation in (0, 1), got {self.variation:g}")
-        if self.most < PILOT or self.plain < 1:
-            raise ConfigError("rare", f"needs most >= {PILOT} and plain >= 1, got {self.most} and {self.plain}")
+        if self.most < LEAST_SAMPLED or self.plain < 1:
+            rule = f"needs most >= {LEAST_SAMPLED} and plain >= 1"
+            raise ConfigError("rare", f"{rule}, got {self.most} and {self.plain}")
 
 
 @dataclass(frozen=True)
 class WeightedEstimate(Estimate):
-    """The estimate of importance sampling.
+    """The estimate of importance sampling; each failing point's weight is the probability that it stands for.
 
     Args:
-        sampled: Number of weighted points of the answer, n.
-        scatter: Standard deviation of :attr:`mean`.
+        largest: The largest weight that a failing point could be expected to have.
         design_points: The design points.
     """
 
-    sampled: int
-    scatter: float
+    largest: float
     design_points: list[DesignPoint]
 
     @property
     def mean(self) -> float:
-        """Sum of the failing points' weights over n."""
-        return float(self.weights.sum()) / self.sampled
+        """Sum of the failing points' weights."""
+        return float(self.weights.sum())
 
     def mean_interval(self, confidence: float = CONFIDENCE) -> tuple[float, float]:
         """Interval of a weighted sum; see :func:`dssc_jax.statistics.weighted.weighted_interval`."""
-        largest = float(self.weights.max(initial=0.0))
-        return weighted_interval(self.weights, self.sampled, largest, confidence)
+        return weighted_interval(self.weights, 1, self.largest, confidence)
 
     @property
     def variation(self) -> float:
         """Coefficient of variation of :attr:`mean`."""
-        return self.scatter / self.mean
+        return variation_of(self.weights)
 
     @property
     def reached(self) -> bool:
@@ -112,175 +119,111 @@ class WeightedEstimate(Estimate):
         return f"importance sampling around {count} design {'point' if count == 1 else 'points'}"
 
 
-class Component(NamedTuple):
-    """A normal law of the mixture.
-
-    Args:
-        mean: Shape (d,).
-        root: Lower triangular root of its covariance, shape (d, d).
-        share: Its share of the mixture.
-    """
-
-    mean: np.ndarray
-    root: np.ndarray
-    share: float
-
-    def log_density(self, points: np.ndarray) -> np.ndarray:
-        """Logarithm of the density, without the constant that all normal laws have, shape (n,)."""
-        scores = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
-        return -0.5 * np.sum(scores**2, axis=0) - float(np.log(np.diag(self.root)).sum())
+def variation_of(weights: np.ndarray) -> float:
+    """Coefficient of variation of a sum of weights of rare events; infinite without weights."""
+    size = effective_size(weights)
+    return size**-0.5 if size else np.inf
 
 
-class Sample(NamedTuple):
-    """Points of a mixture.
+class Candidates(NamedTuple):
+    """Points that may be simulated.
 
     Args:
         points: Shape (n, d).
-        noise: Their noise indices, shape (n,).
-        weights: Their weights, 0 where they do not fail, shape (n,).
-        strata: Index of the component that each was drawn from, shape (n,).
+        masses: Probability that each stands for, shape (n,).
+        failing: Predicted probability that each fails, shape (n,).
     """
 
     points: np.ndarray
-    noise: np.ndarray
-    weights: np.ndarray
-    strata: np.ndarray
+    masses: np.ndarray
+    failing: np.ndarray
 
-    @property
-    def scatter(self) -> float:
-        """Standard deviation of the mean weight; the numbers of points of the components are fixed."""
-        variance = 0.0
-        for stratum in np.unique(self.strata):
-            weights = self.weights[self.strata == stratum]
-            if len(weights) > 1:
-                variance += len(weights) * float(weights.var(ddof=1))
-        return variance**0.5 / len(self.weights)
+    def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
+        """Chance of each to be simulated, so that about ``count`` are: by a score, and some of them blindly."""
+        total = float(scores.sum())
+        shares = scores / total if total else np.full(len(scores), 1.0 / len(scores))
+        return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
+
+    def telling(self, count: int) -> np.ndarray:
+        """Chances that improve the prediction."""
+        return self.chances(self.masses * np.sqrt(self.failing * (1.0 - self.failing)), count)
+
+    def best(self, count: int) -> np.ndarray:
+        """Chances with the least variance of the sum."""
+        return self.chances(self.masses * np.sqrt(self.failing), count)
+
+    def needed(self, variation: float) -> int:
+        """Number of points with which the predicted coefficient of variation is so small."""
+        expected = self.masses * self.failing
+        total = float(expected.sum())
+        if total == 0.0:
+            return LEAST_SAMPLED
+        squares = float(np.sum(self.masses * expected / self.best(1)))
+        return max(LEAST_SAMPLED, int(np.ceil(RESERVE * squares / (total * variation) ** 2)))
+
+
+def chosen(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Indices of a systematic sample, each with its chance, in random order."""
+    order = rng.permutation(len(chances))
+    passed = np.floor(np.cumsum(chances[order]) + rng.random())
+    return order[np.diff(passed, prepend=0.0) > 0.0]
 
 
 @dataclass
 class Search:
-    """An importance sampling in progress.
+    """The simulated points, and what they predict.
 
     Args:
         counter: Computes slacks.
-        slope: Computes slacks and slopes.
-        dimension: d.
         rng: Random generator.
+        points: Simulated points, shape (n, d).
+        slacks: Their slacks, shape (n,).
     """
 
     counter: Counter
-    slope: SlopeFunction
-    dimension: int
     rng: np.random.Generator
+    points: np.ndarray
+    slacks: np.ndarray
+    prediction: Prediction = field(init=False)
+    found: list[DesignPoint] = field(init=False)
 
-    @property
-    def wide(self) -> Component:
-        """The wide normal law."""
-        return Component(np.zeros(self.dimension), WIDE * np.eye(self.dimension), WIDE_SHARE)
+    def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
+        """Add simulated points to the prediction, which chooses a smoothing, and search its design points.
 
-    def counted_slope(self, points: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Slacks and slopes; each counts 1 + d simulations."""
-        self.counter.simulations += len(points) * (1 + self.dimension)
-        return self.slope(points, noise)
-
-    def starts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Starts of the first search: failing points of the wide law nearest to the median, else the least slacks."""
-        points = WIDE * self.rng.standard_normal((EXPLORED, self.dimension))
-        noise = self.counter.fresh(EXPLORED)
-        slacks = self.counter(points, noise)
-        lengths = np.linalg.norm(points, axis=1)
-        order = np.lexsort((np.where(slacks < 0.0, lengths, slacks), slacks >= 0.0))
-        chosen = distinct(points, order, START_DISTANCE)[:STARTS]
-        return points[chosen], noise[chosen]
-
-    def design_points(self, found: list[DesignPoint], points: np.ndarray, noise: np.ndarray) -> list[DesignPoint]:
-        """The design points found earlier and those that searches from some points find."""
-        return relevant([*found, *find_design_points(self.counted_slope, points, noise)])
-
-    def around(self, found: list[DesignPoint]) -> list[Component]:
-        """The mixture of normal laws around design points, with the shares that FORM gives them, and the wide law."""
-        means = np.array([candidate.point for candidate in found])
-        shares = np.array([candidate.first_order_probability for candidate in found])
-        return mixture_of(means, [np.eye(self.dimension)] * len(found), shares, self.wide)
-
-    def sample(self, components: list[Component], count: int) -> Sample:
-        """Draw about ``count`` points of a mixture and simulate them.
-
-        Each component gives a fixed number of points, at least 2. The weight of a failing point is the density of the
-        standard normal law over that of the mixture; points that do not fail have weight 0.
+        The searches start from failing points nearest to the median, then from the least slacks.
         """
-        numbers = [max(2, round(component.share * count)) for component in components]
-        parts = []
-        for component, number in zip(components, numbers, strict=True):
-            parts.append(component.mean + self.rng.standard_normal((number, self.dimension)) @ component.root.T)
-        points = np.concatenate(parts)
-        shares = np.array(numbers) / len(points)
-        densities = np.stack([component.log_density(points) for component in components])
-        mixture = special.logsumexp(densities, axis=0, b=shares[:, None])
+        self.points = np.concatenate([self.points, points])
+        self.slacks = np.concatenate([self.slacks, slacks])
+        self.prediction = predicted(self.points, self.slacks, smoothings)
+        lengths = np.linalg.norm(self.points, axis=1)
+        order = np.lexsort((np.where(self.slacks < 0.0, lengths, self.slacks), self.slacks >= 0.0))
+        starts = self.points[distinct(self.points, order, START_DISTANCE, STARTS)]
+        self.found = find_design_points(self.prediction.slope, starts)
+
+    def candidates(self, count: int) -> Candidates:
+        """Points of the mixture that fits the predicted failures around the design points."""
+        means = np.array([design_point.point for design_point in self.found])
+        probabilities = np.array([design_point.first_order_probability for design_point in self.found])
+        components = mixture_of(means, [np.eye(means.shape[1])] * len(means), probabilities)
+        for _ in range(FITS):
+            points, ratios = drawn(components, FIT_CANDIDATES, self.rng)
+            components = fitted(components, points, ratios * self.prediction.failing(points))
+        points, ratios = drawn(components, count, self.rng)
+        return Candidates(points, ratios / len(points), self.prediction.failing(points))
+
+    def simulated(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Slacks and noise indices of points."""
         noise = self.counter.fresh(len(points))
-        failing = self.counter(points, noise) < 0.0
-        ratios = np.exp(-0.5 * np.sum(points**2, axis=1) - mixture)
-        weights = np.where(failing, ratios, 0.0)
-        component_of_point = np.repeat(np.arange(len(numbers)), numbers)
-        return Sample(points, noise, weights, component_of_point)
-
-
-def unrepresented(sample: Sample, found: list[DesignPoint]) -> np.ndarray:
-    """Indices of points that make up a large part of the sum and lie far from all design points."""
-    heavy = np.flatnonzero(sample.weights > HEAVY * sample.weights.sum())
-    means = np.array([candidate.point for candidate in found])
-    distances = np.linalg.norm(sample.points[heavy, None] - means, axis=2).min(axis=1)
-    return heavy[distances > START_DISTANCE]
-
-
-def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray, wide: Component) -> list[Component]:
-    """A mixture of normal laws with shares proportional to weights, none too small, and the wide law."""
-    shares = np.maximum(weights / weights.sum(), LEAST_SHARE)
-    shares *= (1.0 - WIDE_SHARE) / shares.sum()
-    components = [Component(mean, root, float(share)) for mean, root, share in zip(means, roots, shares, strict=True)]
-    return [*components, wide]
-
-
-def fitted(components: list[Component], sample: Sample) -> list[Component]:
-    """The mixture whose laws have the mean and, where it is wider, the covariance of the failures near them."""
-    *narrow, wide = components
-    densities = np.stack([component.log_density(sample.points) for component in narrow])
-    responsibilities = np.exp(densities - special.logsumexp(densities, axis=0))
-    means = []
-    roots = []
-    totals = []
-    for component, responsibility in zip(narrow, responsibilities, strict=True):
-        weights = sample.weights * responsibility
-        total = float(weights.sum())
-        size = effective_size(weights)
-        totals.append(total)
-        if size < 5.0:  # too few failures to fit a law
-            means.append(component.mean)
-            roots.append(component.root)
-            continue
-        mean = weights @ sample.points / total
-        means.append(mean)
-        roots.append(root_of_failures(sample.points - mean, weights / total, size))
-    return mixture_of(np.array(means), roots, np.array(totals), wide)
-
-
-def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
-    """Root of the covariance of weighted points, shrunk towards the unit matrix, in no direction narrower than that."""
-    dimension = deviations.shape[1]
-    covariance = (weights[:, None] * deviations).T @ deviations
-    doubt = (dimension + 1.0) / (dimension + 1.0 + size)
-    values, vectors = np.linalg.eigh((1.0 - doubt) * covariance + doubt * np.eye(dimension))
-    return np.linalg.cholesky((vectors * np.maximum(values, 1.0)) @ vectors.T)
+        return self.counter(points, noise), noise
 
 
 def importance_sampling(
-    slack: SlackFunction, slope: SlopeFunction, dimension: int, seeds: tuple[int, ...], settings: ImportanceSampling
+    slack: SlackFunction, dimension: int, seeds: tuple[int, ...], settings: ImportanceSampling
 ) -> WeightedEstimate | str:
-    """Estimate a failure probability by importance sampling around design points.
+    """Estimate a failure probability by importance sampling around predicted design points.
 
     Args:
         slack: Computes slacks; -inf or NaN if there is none.
-        slope: Computes slacks and slopes.
         dimension: d of the standard normal space.
         seeds: Of the random numbers.
         settings: The settings.
@@ -289,43 +232,83 @@ def importance_sampling(
         The estimate, or the reason why there is none.
     """
     counter = Counter(slack)
-    search = Search(counter, slope, dimension, generator(*seeds, stream("importance")))
-    found = search.design_points([], *search.starts())
-    if not found:
-        return "no search ended at the border of failure"
-    components = search.around(found)
-    pilot = search.sample(components, PILOT)
-    for _ in range(MORE_SEARCHES):
-        unknown = unrepresented(pilot, found)
-        if not unknown.size:
+    plain, points, slacks = plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
+    least = np.argsort(slacks, kind="stable")[:LEARNT]
+    search = Search(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
+    added = WIDE * search.rng.standard_normal((EXPLORED, dimension))
+    for finished in range(MOST_ROUNDS):
+        slacks, _ = search.simulated(added)
+        between = 0 < finished < ROUNDS
+        search.learn(added, slacks, (search.prediction.smoothing,) if between else SMOOTHINGS)
+        if not search.found:
+            return "no search ended at the border of failure"
+        candidates = search.candidates(FIT_CANDIDATES)
+        if finished >= ROUNDS and candidates.needed(settings.variation) <= ENOUGH:
             break
-        found = search.design_points(found, pilot.points[unknown], pilot.noise[unknown])
-        components = search.around(found)
-        pilot = search.sample(components, PILOT)
-    if not pilot.weights.any():
-        return "no point around the design points fails"
-    for _ in range(FITS):
-        if effective_size(pilot.weights) >= FITTING * len(pilot.weights):
-            break
-        components = fitted(components, pilot)
-        pilot = search.sample(components, PILOT)
-        if not pilot.weights.any():
-            return "no point of the fitted laws fails"
-    single = pilot.weights.std() / pilot.weights.mean()
-    needed = int(np.ceil(RESERVE * (single / settings.variation) ** 2))
-    sample = search.sample(components, min(max(needed, PILOT), settings.most))
-    if effective_size(sample.weights) < LEAST_EFFECTIVE:
-        return f"few failures carry the sum, as if {effective_size(sample.weights):.0f} points failed"
-    found = [with_curvature(search.counted_slope, candidate) for candidate in found]
-    simulations = counter.simulations
-    failing = sample.weights > 0.0
+        telling = candidates.points[chosen(candidates.telling(ADDED), search.rng)]
+        designs = [design_point.point for design_point in search.found[:MOST_DESIGNS]]
+        added = np.concatenate([telling, designs])
+    sample = sampled(search, settings)
+    size = effective_size(sample.weights)
+    if size < LEAST_EFFECTIVE:
+        return f"few failures carry the sum, as if {size:.0f} points failed"
     return WeightedEstimate(
-        simulations=simulations,
-        points=sample.points[failing],
-        noise=sample.noise[failing],
-        weights=sample.weights[failing],
-        plain=plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension),
-        sampled=len(sample.weights),
-        scatter=sample.scatter,
-        design_points=found,
+        simulations=counter.simulations - plain.draws,
+        points=sample.points,
+        noise=sample.noise,
+        weights=sample.weights,
+        plain=plain,
+        largest=sample.largest,
+        design_points=[with_curvature(search.prediction.slope, design_point) for design_point in search.found],
     )
+
+
+class Sample(NamedTuple):
+    """Failing points of the answer.
+
+    Args:
+        points: Shape (n, d).
+        noise: Their noise indices, shape (n,).
+        weights: Probability that each stands for, shape (n,).
+        largest: The largest weight that a failing point could be expected to have.
+    """
+
+    points: np.ndarray
+    noise: np.ndarray
+    weights: np.ndarray
+    largest: float
+
+
+def sampled(search: Search, settings: ImportanceSampling) -> Sample:
+    """Simulate the points of the answer.
+
+    Their number follows from the prediction. While it is too small for the coefficient of variation, as many points
+    again follow. Each batch counts in proportion to its planned number, which does not depend on its slacks.
+    """
+    count = 0
+    added = 0
+    sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), 0.0)
+    while True:
+        candidates = search.candidates(max(CANDIDATES, 2 * added))
+        added = added or min(candidates.needed(settings.variation), MOST_AT_FIRST, settings.most)
+        chances = candidates.best(added)
+        indices = chosen(chances, search.rng)
+        slacks, noise = search.simulated(candidates.points[indices])
+        failed = indices[slacks < 0.0]
+        share = added / (count + added)
+        weights = share * candidates.masses / chances
+        likely = np.argsort(-weights)
+        expected = np.cumsum((chances * candidates.failing)[likely])
+        unseen = weights[likely[min(np.searchsorted(expected, UNSEEN), len(likely) - 1)]]
+        sample = Sample(
+            np.concatenate([sample.points, candidates.points[failed]]),
+            np.concatenate([sample.noise, noise[slacks < 0.0]]),
+            np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
+            max((1.0 - share) * sample.largest, float(unseen), float(weights[failed].max(initial=0.0))),
+        )
+        count += added
+        if variation_of(sample.weights) <= settings.variation or 2 * count > settings.most:
+            return sample
+        surprising = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
+        search.learn(candidates.points[indices[surprising]], slacks[surprising])
+        added = count

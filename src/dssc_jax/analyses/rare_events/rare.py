@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from scipy import special
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.falsification.search_sets import MOST_SIGMA, ScoreBall
 from dssc_jax.analyses.rare_events.design_points import DesignPoint
 from dssc_jax.analyses.rare_events.estimate import Estimate, Plain
 from dssc_jax.analyses.rare_events.importance import ImportanceSampling, WeightedEstimate, importance_sampling
@@ -21,15 +20,13 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Engine, evaluate, is_noisy
-from dssc_jax.engine.evaluation import GradientEvaluator, native_code, worst_slopes
 from dssc_jax.engine.sampling import Arrays, inside, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
-LANES = 2048  # of a batch without derivatives
-STEEP_LANES = 8  # points of a batch with derivatives
+LANES = 2048  # of a batch
 
 Method: TypeAlias = ImportanceSampling | Splitting
 """The settings of a method."""
@@ -105,13 +102,12 @@ class RareEvent(Analysis):
     uncertain number; ``plain``, which of the two it is; ``weight``, a point's weight; and ``noise``, its index of the
     in-loop noise. Along ``failure`` and ``number`` it has their ``point`` in standard normal space. Of a splitting it
     has along ``repeat``: ``estimate`` and ``levels``. Of importance sampling it has along ``design_point`` its
-    ``distance``, ``second_order`` (SORM's factor) and ``design_noise``, and along ``number``, too, the ``design``.
+    ``distance`` and ``second_order`` (SORM's factor), and along ``number``, too, the ``design``.
 
     Args:
         method: The settings of the method.
         simulations: Number of evaluations of the slack besides those of the plain draws.
-        sampled: Number of weighted points; 0 for a splitting.
-        scatter: Standard deviation of the weighted points' estimate; 0 for a splitting.
+        largest: The largest weight that a failing point could be expected to have; 0 for a splitting.
         noisy: Whether the loop has in-loop noise.
         refusal: Why importance sampling gave no answer; empty if it did, or was not tried.
     """
@@ -122,8 +118,7 @@ class RareEvent(Analysis):
 
     method: Method
     simulations: int
-    sampled: int
-    scatter: float
+    largest: float
     noisy: bool
     refusal: str
 
@@ -150,21 +145,19 @@ class RareEvent(Analysis):
             ),
             "point": (("failure", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
         }
-        sampled = 0
-        scatter = 0.0
+        largest = 0.0
         if isinstance(estimate, SplittingEstimate):
             columns["estimate"] = ("repeat", estimate.estimates, {"units": "1", "long_name": "failure probability"})
             columns["levels"] = ("repeat", estimate.levels, {"units": "1", "long_name": "levels passed"})
         if isinstance(estimate, WeightedEstimate):
-            sampled = estimate.sampled
-            scatter = estimate.scatter
+            largest = estimate.largest
             columns |= columns_of(estimate.design_points)
         for name, values in values_at(study, inside(special.ndtr(points))).items():
             quantity = study.quantities[name]
             columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
         number = ("number", np.array(list(study.laws)), {"long_name": "uncertain number"})
         dataset = xr.Dataset(columns, coords={"number": number}, attrs={"title": study.name})
-        return cls(study, dataset, settings, estimate.simulations, sampled, scatter, noisy, refusal)
+        return cls(study, dataset, settings, estimate.simulations, largest, noisy, refusal)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -180,9 +173,7 @@ class RareEvent(Analysis):
             levels = data["levels"].values
             return SplittingEstimate(self.simulations, points[~plain], noise, weights, draws, estimates, levels)
         found = design_points_of(data)
-        return WeightedEstimate(
-            self.simulations, points[~plain], noise, weights, draws, self.sampled, self.scatter, found
-        )
+        return WeightedEstimate(self.simulations, points[~plain], noise, weights, draws, self.largest, found)
 
     @property
     def failing(self) -> xr.Dataset:
@@ -256,12 +247,10 @@ def columns_of(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.n
     points = np.array([design_point.point for design_point in design_points])
     distances = np.array([design_point.distance for design_point in design_points])
     factors = np.array([design_point.second_order for design_point in design_points])
-    noise = np.array([design_point.noise for design_point in design_points])
     return {
         "design": (("design_point", "number"), points, {"units": "1", "long_name": "standard normal coordinate"}),
         "distance": ("design_point", distances, {"units": "1", "long_name": "distance from the median draw"}),
         "second_order": ("design_point", factors, {"units": "1", "long_name": "SORM's factor"}),
-        "design_noise": ("design_point", noise, {"units": "1", "long_name": "index of the in-loop noise"}),
     }
 
 
@@ -270,8 +259,7 @@ def design_points_of(dataset: xr.Dataset) -> list[DesignPoint]:
     found = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)
-        noise = int(row["design_noise"])
-        found.append(DesignPoint(row["design"].values, noise, float(row["distance"]), float(row["second_order"])))
+        found.append(DesignPoint(row["design"].values, float(row["distance"]), float(row["second_order"])))
     return found
 
 
@@ -289,8 +277,8 @@ def rare(
 ) -> RareEvent:
     """Estimate a study's failure probability at its own values, if it is too small for plain draws.
 
-    Importance sampling around the design points takes some thousand simulations. Splitting takes some hundred thousand;
-    it needs neither derivatives nor design points. Both use the worst requirement's scaled slack.
+    Importance sampling around the design points takes some hundred simulations besides the plain draws. Splitting takes
+    some hundred thousand; it needs no design points. Both use the worst requirement's scaled slack.
 
     Args:
         study: The study, or its file; its sweep and its number of draws are ignored.
@@ -310,10 +298,9 @@ def rare(
     slacks = Slacks(study, progress)
     seeds = (study.config.seed,)
     dimension = len(study.laws)
-    native = native_code(study)
-    refusal = f"it needs derivatives, and none pass through native code ({native})" if native else ""
-    if importance is not None and not native:
-        found = importance_sampling(slacks, slacks.with_slopes, dimension, seeds, importance)
+    refusal = ""
+    if importance is not None:
+        found = importance_sampling(slacks, dimension, seeds, importance)
         if not isinstance(found, str):
             return RareEvent.of(study, importance, found, slacks.noisy)
         refusal = found
@@ -335,8 +322,6 @@ class Slacks:
         self.study = study
         self.progress = progress
         self.engine = Engine(study, LANES)
-        self.steep = GradientEvaluator(study, {}, STEEP_LANES, names=list(study.laws))
-        self.space = ScoreBall(study, MOST_SIGMA)
         self.finished = 0
 
     @property
@@ -355,10 +340,3 @@ class Slacks:
         results = evaluate(self.engine, values_at(self.study, inside(special.ndtr(points))), noise)
         self.advance(len(points))
         return worst_slack(self.study.requirements, results)
-
-    def with_slopes(self, points: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See :data:`dssc_jax.analyses.rare_events.design_points.SlopeFunction`."""
-        results = self.steep(noise, self.space.values(points))
-        self.advance(len(points) * (1 + len(self.study.laws)))
-        gradients = worst_slopes(self.study.requirements, results, list(self.study.laws))
-        return worst_slack(self.study.requirements, results), self.space.slopes(points, gradients)

@@ -195,7 +195,7 @@ def split(
         for _ in range(splitting.moves):
             move(moving, counter)
     simulations = counter.simulations
-    plain = plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
+    plain, _, _ = plain_draws(counter, generator(*seeds, stream("plain")), splitting.plain, dimension)
     failing = np.concatenate([repeat.points[repeat.failing] for repeat in repeats])
     return SplittingEstimate(
         simulations=simulations,

@@ -104,10 +104,10 @@ class Probability(OutputOptions, SeededOptions):
 class Rare(OutputOptions, SeededOptions):
     """A failure probability too small for plain draws.
 
-    Importance sampling around the design points, the failures nearest to the median draw, takes some thousand
+    Importance sampling around the design points, the failures nearest to the median draw, takes some hundred
     simulations. Where it has no answer, adaptive multilevel splitting approaches failures level by level, which takes
-    some hundred thousand. Plain draws check the answer. The study's [sweep] and its number of draws
-    are ignored.
+    some hundred thousand. Plain draws check the answer, and their number bounds the failures that it may miss. The
+    study's [sweep] and its number of draws are ignored.
     """
 
     method: Annotated[

@@ -1,0 +1,104 @@
+"""Mixtures of normal laws around the failures, from which the points of importance sampling are chosen."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, special
+
+from dssc_jax.statistics.weighted import effective_size
+
+WIDE = 2.5  # standard deviations of the wide normal law
+WIDE_SHARE = 0.1  # of the points
+LEAST_SHARE = 0.05  # of a narrow law
+FEWEST = 5.0  # effective number of failures to which a law is fitted
+
+
+class Component(NamedTuple):
+    """A normal law of the mixture.
+
+    Args:
+        mean: Shape (d,).
+        root: Lower triangular root of its covariance, shape (d, d).
+        share: Its share of the mixture.
+    """
+
+    mean: np.ndarray
+    root: np.ndarray
+    share: float
+
+    def log_density(self, points: np.ndarray) -> np.ndarray:
+        """Logarithm of the density, without the constant that all normal laws have, shape (n,)."""
+        scores = linalg.solve_triangular(self.root, (points - self.mean).T, lower=True)
+        return -0.5 * np.sum(scores**2, axis=0) - float(np.log(np.diag(self.root)).sum())
+
+
+def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) -> list[Component]:
+    """A mixture of normal laws with shares proportional to weights, none too small, and of the wide law.
+
+    Args:
+        means: Shape (laws, d).
+        roots: Roots of their covariances, each of shape (d, d).
+        weights: Shape (laws,), not all 0.
+    """
+    dimension = means.shape[1]
+    shares = np.maximum(weights / weights.sum(), LEAST_SHARE)
+    shares *= (1.0 - WIDE_SHARE) / shares.sum()
+    components = [Component(mean, root, float(share)) for mean, root, share in zip(means, roots, shares, strict=True)]
+    return [*components, Component(np.zeros(dimension), WIDE * np.eye(dimension), WIDE_SHARE)]
+
+
+def drawn(components: list[Component], count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """About ``count`` points of a mixture, a fixed number from each component, at least 2.
+
+    Returns:
+        The points, shape (n, d), and the density of the standard normal law over that of the mixture, shape (n,).
+    """
+    numbers = [max(2, round(component.share * count)) for component in components]
+    parts = []
+    for component, number in zip(components, numbers, strict=True):
+        parts.append(component.mean + rng.standard_normal((number, len(component.mean))) @ component.root.T)
+    points = np.concatenate(parts)
+    shares = np.array(numbers) / len(points)
+    densities = np.stack([component.log_density(points) for component in components])
+    mixture = special.logsumexp(densities, axis=0, b=shares[:, None])
+    return points, np.exp(-0.5 * np.sum(points**2, axis=1) - mixture)
+
+
+def fitted(components: list[Component], points: np.ndarray, weights: np.ndarray) -> list[Component]:
+    """The mixture whose laws have the mean and, where it is wider, the covariance of the failures near them.
+
+    Args:
+        components: The mixture before.
+        points: Shape (n, d).
+        weights: Probability of the failures that each point stands for, shape (n,).
+    """
+    narrow = components[:-1]
+    densities = np.stack([component.log_density(points) for component in narrow])
+    responsibilities = np.exp(densities - special.logsumexp(densities, axis=0))
+    means = []
+    roots = []
+    totals = []
+    for component, responsibility in zip(narrow, responsibilities, strict=True):
+        near = weights * responsibility
+        total = float(near.sum())
+        size = effective_size(near)
+        totals.append(total)
+        if size < FEWEST:
+            means.append(component.mean)
+            roots.append(component.root)
+            continue
+        mean = near @ points / total
+        means.append(mean)
+        roots.append(root_of_failures(points - mean, near / total, size))
+    if not sum(totals):
+        return components
+    return mixture_of(np.array(means), roots, np.array(totals))
+
+
+def root_of_failures(deviations: np.ndarray, weights: np.ndarray, size: float) -> np.ndarray:
+    """Root of the covariance of weighted points, shrunk towards the unit matrix, in no direction narrower than that."""
+    dimension = deviations.shape[1]
+    covariance = (weights[:, None] * deviations).T @ deviations
+    doubt = (dimension + 1.0) / (dimension + 1.0 + size)
+    values, vectors = np.linalg.eigh((1.0 - doubt) * covariance + doubt * np.eye(dimension))
+    return np.linalg.cholesky((vectors * np.maximum(values, 1.0)) @ vectors.T)

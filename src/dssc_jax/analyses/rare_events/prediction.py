@@ -1,0 +1,79 @@
+"""A prediction of the slack in standard normal space with its uncertainty, from simulated points.
+
+No answer rests on it. It decides where to simulate, and hence how many simulations an answer takes.
+
+Reference:
+    G. Matheron, "The intrinsic random functions and their applications", Advances in Applied Probability 5 (1973)
+    439-468; S. Dubrule, "Cross validation of kriging in a unique neighborhood", Mathematical Geology 15 (1983) 687-699.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+from scipy.spatial.distance import cdist
+
+from dssc_jax.analyses.probability.surrogate import ROWS, scaled, spline_matrix
+
+SMOOTHINGS = (1e-6, 1e-3, 0.1, 10.0)  # a large one for in-loop noise and jumps
+LEAST_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A spline sum_i c_i |u - u_i|^3 + a + b.u of the scaled slack, and the variance of its error by kriging.
+
+    Args:
+        centres: u_i, shape (n, d).
+        inverse: Of the spline's matrix, shape (n + d + 1, n + d + 1).
+        coefficients: c_i, a and b, shape (n + d + 1,).
+        smoothing: Variance of the noise, relative to ``variance``.
+        variance: Scale of the error's variance.
+    """
+
+    centres: np.ndarray
+    inverse: np.ndarray
+    coefficients: np.ndarray
+    smoothing: float
+    variance: float
+
+    def failing(self, points: np.ndarray) -> np.ndarray:
+        """Probability that a simulation at each point of shape (n, d) fails, if the error is normal; shape (n,)."""
+        probabilities = np.empty(len(points))
+        for start in range(0, len(points), ROWS):
+            part = slice(start, start + ROWS)
+            basis = self.basis(points[part])
+            variance = self.smoothing - np.einsum("ij,ij->i", basis @ self.inverse, basis)
+            error = np.sqrt(self.variance * np.maximum(variance, LEAST_VARIANCE))
+            probabilities[part] = special.ndtr(-(basis @ self.coefficients) / error)
+        return probabilities
+
+    def slope(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted slacks, shape (n,), and their slopes, shape (n, d), at points of shape (n, d)."""
+        count, dimension = self.centres.shape
+        basis = self.basis(points)
+        factors = 3.0 * np.cbrt(basis[:, :count]) * self.coefficients[:count]
+        slopes = factors.sum(axis=1)[:, None] * points - factors @ self.centres + self.coefficients[-dimension:]
+        return basis @ self.coefficients, slopes
+
+    def basis(self, points: np.ndarray) -> np.ndarray:
+        """The functions whose sum is the spline, shape (n, number of centres + 1 + d)."""
+        return np.column_stack([cdist(points, self.centres) ** 3, np.ones(len(points)), points])
+
+
+def predicted(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> Prediction:
+    """The prediction from slacks, shape (n,), at points, shape (n, d).
+
+    Of the smoothings it takes the one under which the points, each predicted from all others, are most likely.
+    """
+    count, dimension = points.shape
+    values = np.concatenate([scaled(slacks, 0.5), np.zeros(dimension + 1)])
+    found = []
+    for smoothing in smoothings:
+        inverse = np.linalg.inv(spline_matrix(points, smoothing))
+        coefficients = inverse @ values
+        precisions = np.diag(inverse)[:count]
+        variance = max(float(np.mean(coefficients[:count] ** 2 / precisions)), LEAST_VARIANCE)
+        surprise = count * np.log(variance) - float(np.log(precisions).sum())
+        found.append((surprise, Prediction(points, inverse, coefficients, smoothing, variance)))
+    return min(found, key=lambda candidate: candidate[0])[1]
