@@ -20,6 +20,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
+from dssc_jax.analyses.selection.race import race
 from dssc_jax.analyses.sensitivity.outputs import refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.statistics import (
@@ -243,7 +244,33 @@ def weighted(p: float, margin: SlackFunction, dimension: int) -> Trial:
     return trial
 
 
+def raced(shares: np.ndarray, keep: int, within: float) -> Trial:
+    """The statement on the chosen ones of some candidates, which share their draws."""
+    shifts = np.random.default_rng(7).random((len(shares), 1))
+
+    def trial(seed: int) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        common = np.empty(0)
+
+        def failing(running: np.ndarray, draws: slice) -> np.ndarray:
+            nonlocal common
+            common = np.append(common, rng.random(max(0, draws.stop - len(common))))
+            return (common[draws] + 0.3 * shifts[running]) % 1.0 < shares[running][:, None]
+
+        found = race(failing, len(shares), keep, within, 10**6)
+        surplus = shares[found.chosen].max() - np.delete(shares, found.chosen).min()
+        return side((-1.0, found.within), surplus)
+
+    return trial
+
+
 CASES: dict[str, tuple[str, Trial]] = {
+    "3 of 24 candidates, p = 0.02 to 0.12, to 0.03": ("selection", raced(np.linspace(0.02, 0.12, 24), 3, 0.03)),
+    "3 of 24 candidates, p = 0.2, 0.22 and more, to 0.01": (
+        "selection",
+        raced(np.append(np.full(3, 0.2), np.linspace(0.22, 0.9, 21)), 3, 0.01),
+    ),
+    "5 of 50 candidates, p = 0 or 0.03, to 0.02": ("selection", raced(np.repeat([0.0, 0.03], [8, 42]), 5, 0.02)),
     "Clopper-Pearson, p = 0.003, n = 500": ("failure probability", independent(0.003, 500)),
     "Clopper-Pearson, p = 0.1, n = 200": ("failure probability", independent(0.1, 200)),
     "Sobol replicates, p = 0.1, n = 1024": ("failure probability", sobol(0.1, 1024)),
