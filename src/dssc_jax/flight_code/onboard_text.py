@@ -176,7 +176,8 @@ def readme_lines(files: SoftwareFiles) -> list[str]:
     return [
         "## The inner loop and the mixer",
         "",
-        f"`{name}.h`, `{name}.c`: call `{name}_init` once with the first readings. At every sample, after the "
+        f"`{name}.h`, `{name}.c`: call `{name}_init` with the first readings, and again on the ground and where it "
+        "takes over in flight; it sets all integrals to 0. At every sample, after the "
         f"controllers, call `{name}_sample` with their commands. Call `{name}_tick` every {software.period:g} s, "
         f"{software.ticks} times in a sample; the first one follows `{name}_sample`. The members `rotor_..` are the "
         "commanded thrusts [N]. `inner_loop_bench.c` compares every bit with the recording; `make` builds and runs it.",
