@@ -96,7 +96,7 @@ def test_the_best_candidate_is_the_best_by_hand(study):
     budget = Tuning(candidates=6, draws=10, seed=10)
     best = tuned(study, budget, ranges(study, {}))
     trial = study.override({"seed": 10, "draws": 10})
-    candidates = candidate_points(trial, ranges(study, {}), budget)
+    candidates = candidate_points(trial, ranges(study, {}), budget.candidates, budget.seed)
     data = dj.run(trial.override({"sweep": {name: column.tolist() for name, column in candidates.items()}})).dataset
     each = (range(6), range(6))  # the sweep is a grid, of which the candidates are the diagonal
     margin = data["slack_error_max_after_2"].values[each]
