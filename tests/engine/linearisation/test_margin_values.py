@@ -238,3 +238,16 @@ def test_who_cannot_judge_a_margin_says_so():
         dj.run(switching)
     with pytest.raises(ConfigError, match="gain_margin is that of the linearised loop"):
         dj.lane(study())
+
+
+def test_a_first_command_at_its_limit_does_not_hide_the_equilibrium():
+    """The plant rests without a command, so limits that bind at first change no margin of a loop that settles."""
+    step = {"reference": {"kind": "step", "size": 1.0}, "loop": {"duration": 6.0, "sample_time": T_S}}
+    plant = TABLE["plant"] | {"a_p": 1.0, "initial": [0.0, 0.0]}
+    required = [{"margin": "gain", "min": "6 dB"}, {"margin": "phase", "min": "35 deg"}]
+    changes = step | {"plant": plant, "requirement": required, "draws": 8}
+    free = dj.run(study(**changes), check=False).dataset
+    limited = dj.run(study(**changes, controller=GAINS | {"low": -1.0, "high": 1.0}), check=False).dataset
+    assert np.all(free["gain_margin"] > 1.0)
+    for name in ("gain_margin", "phase_margin"):
+        np.testing.assert_allclose(limited[name], free[name], rtol=1e-9)

@@ -186,10 +186,18 @@ class RestingLoop:
         self.places = places
         self.linearise = linearisation(self.study, places, resting=True)
         self.initial = jax.jit(jax.vmap(self._initial), compiler_options=plain_options())
+        self.flown = jax.jit(jax.vmap(self._flown), compiler_options=plain_options())
 
     def _initial(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
         loop, params = linearised_loop(self.study, values, self.places, resting=True)
         return ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0]
+
+    def _flown(self, values: dict[str, jax.Array], index: jax.Array, state: jax.Array) -> jax.Array:
+        """The state after as many samples as the study has, at a constant reference."""
+        loop, params = linearised_loop(self.study, values, self.places, resting=True)
+        sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
+        quiet = jnp.zeros(len(break_points(loop)), state.dtype)
+        return jax.lax.fori_loop(0, self.study.loop.steps, lambda _, at: sample(at, quiet)[0], state)
 
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
         """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
@@ -202,13 +210,30 @@ class RestingLoop:
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
-        """Find the equilibria by Newton's method from the states at t = 0.
+        """Find the equilibria by Newton's method, from the states after the first sample or after a simulation.
+
+        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere. A
+        stable loop has left the limit after a simulation at the constant reference.
 
         Args:
             values: Of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
-        states = self.start(values, indices)
+        begin = self.start(values, indices)
+        first = self.settled_from(begin, values, indices)
+        if first.settled.all():
+            return first
+        with arithmetic():
+            flown = np.asarray(self.flown(values, indices, begin))
+        second = self.settled_from(flown, values, indices)
+
+        def chosen(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+            return np.where(first.settled.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+
+        return jax.tree.map(chosen, first, second)
+
+    def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray) -> Resting:
+        """The equilibria to which Newton's method leads from some states, shape (n, states)."""
         smooth = self.smooth(len(indices))
         trial = 0
         while True:
