@@ -1,5 +1,6 @@
 """What the scripts share that write a part of a page by hand otherwise."""
 
+import os
 from pathlib import Path
 
 from dssc_jax.console.environment import machine
@@ -14,9 +15,10 @@ def stored_part(part: str, page: Path) -> str:
 
 
 def put(part: str, text: str, page: Path = PAGE) -> None:
-    """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine and date."""
+    """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine, date and load."""
     whole = page.read_text()
     start, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->"
     before, rest = whole.split(start)
     after = rest.split(end)[1]
-    page.write_text(f"{before}{start}\n{text}\n\nMachine: {machine()}.\n\n{end}{after}")
+    load = f"mean load in the last quarter of an hour {os.getloadavg()[2]:.0f}"
+    page.write_text(f"{before}{start}\n{text}\n\nMachine: {machine()}; {load}.\n\n{end}{after}")

@@ -6,7 +6,6 @@ a process of its own, twice; the first time counts as cold, the second as warm. 
 """
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -120,7 +119,6 @@ def table(kept: dict[str, list[JsonObject]]) -> list[str]:
 
 def main(peers: str) -> int:
     lines = table(measured(peers))
-    lines += ["", f"Mean load of the machine in the last quarter of an hour: {os.getloadavg()[2]:.0f} processes."]
     print("\n".join(lines))
     put("answers", "\n".join(lines), PAGE)
     return 0

@@ -81,7 +81,7 @@ def main() -> None:
     for turns in zip(*others, strict=True):
         rates = tuple(turn.rate for turn in turns)
         lines.append(row(f"{turns[0].name} {turns[0].version}", rates, turns[0].difference))
-    lines += ["", f"Medians of {options.rounds} turns, on all cores where a cell does not say one."]
+    lines += ["", f"Medians of turns ({options.rounds}), on all cores where a cell does not say one."]
     put("simulators", "\n".join(lines), PAGE)
 
 
