@@ -15,7 +15,7 @@ def stored_part(part: str, page: Path) -> str:
 
 
 def put(part: str, text: str, page: Path = PAGE) -> None:
-    """Replace what stands on the page between ``<!-- part -->`` and ``<!-- end of part -->``, with machine, date and load."""
+    """Replace what stands on a page between ``<!-- part -->`` and ``<!-- end of part -->``; machine and load follow."""
     whole = page.read_text()
     start, end = f"<!-- {part} -->\n", f"<!-- end of {part} -->"
     before, rest = whole.split(start)
