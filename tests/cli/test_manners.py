@@ -119,7 +119,7 @@ def test_matlab_reads_a_result(tmp_path):
     (file,) = dj.export(result, "mat", tmp_path / "motor.mat")
     content = loadmat(file, simplify_cells=True)
     np.testing.assert_array_equal(content["rise_time"]["values"], result.dataset["rise_time"].values)
-    assert content["plant_a_0_0"]["units"] == "SI"
+    assert content["parameters_L"]["units"] == "H"
     assert content["steady_state_error_after_4_5"]["units"] == "rad/s"
     assert content["study"]["study_hash"] == study.hash
     assert all(len(name) <= 63 for name in content)

@@ -53,5 +53,6 @@ def test_the_json_of_all(capsys):
     assert guarded(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["kinds"]["controller"]["dssc"]["about"]["l0"]["admissible"] == "> 0"
-    assert found["kinds"]["plant"]["state_space"]["fields"] == ["a", "b", "c", "disturbance", "x0", "outputs", "inputs"]
+    state_space = ["a", "b", "c", "disturbance", "x0", "outputs", "inputs", "d"]
+    assert found["kinds"]["plant"]["state_space"]["fields"] == state_space
     assert "allocation" not in found["kinds"]["plant"]["uav"]["fields"]
