@@ -110,11 +110,11 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
         stays = worse_than.sum(axis=0) < keep
         running, failed, alone = running[stays], failed[stays], alone[np.ix_(stays, stays)]
         order = np.argsort(tally.failures[running], kind="stable")
-        best, others = order[:keep], order[keep:]
-        against = (alone[np.ix_(best, others)], alone[np.ix_(others, best)].T, goal)
+        best, rivals = order[:keep], order[keep:]
+        against = (alone[np.ix_(best, rivals)], alone[np.ix_(rivals, best)].T, goal)
         chosen = running[best]
         shown = within
-        if others.size and not np.all(log_evidence_of_less(*against, within) >= needed):
+        if rivals.size and not np.all(log_evidence_of_less(*against, within) >= needed):
             small = hardly_failing(tally, running[order], keep, within, needed)
             if small is not None:
                 chosen = small
@@ -156,8 +156,8 @@ def hardly_failing(tally: Tally, order: np.ndarray, keep: int, within: float, ne
 
 def only_first(failed: np.ndarray) -> np.ndarray:
     """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N)."""
-    some = failed.astype(np.float32)  # exact up to 2^24 draws
-    return some @ (1.0 - some.T)
+    counted = failed.astype(np.float32)  # exact up to 2^24 draws
+    return counted @ (1.0 - counted.T)
 
 
 def proved_difference(against: tuple[np.ndarray, np.ndarray, int], needed: float) -> float:

@@ -227,8 +227,8 @@ class RestingLoop:
             flown = np.asarray(self.flown(values, indices, begin))
         second = self.settled_from(flown, values, indices)
 
-        def chosen(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-            return np.where(first.settled.reshape(-1, *[1] * (one.ndim - 1)), one, other)
+        def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:
+            return np.where(first.settled.reshape(-1, *[1] * (early.ndim - 1)), early, late)
 
         return jax.tree.map(chosen, first, second)
 
