@@ -5,7 +5,5 @@ import shutil
 import pytest
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(
-    BROWSER is None,
-    reason="no Chromium on the PATH (chromium, chromium-browser, google-chrome); on Debian: apt-get install chromium",
-)
+NO_BROWSER = "no Chromium on the PATH (chromium, chromium-browser, google-chrome); on Debian: apt-get install chromium"
+needs_browser = pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)

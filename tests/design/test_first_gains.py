@@ -7,7 +7,6 @@ from scipy.linalg import solve_discrete_are
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains, plant_at_start
-from dssc_jax.design.linear_plant import in_the_loop
 from tests.study.test_signals import held
 
 INDUCTANCE, CAPACITY, SUPPLY, LOAD = 1e-5, 1e-4, 12.0, 2.0
@@ -222,9 +221,9 @@ def test_the_pid_loop_of_a_first_order_lag_cancels_it():
     assert law["k_p"] == pytest.approx(bandwidth * tau / gain, rel=5e-3)
 
 
-def test_a_state_that_nothing_moves_is_no_pole_of_the_loop():
-    """A chain from a measurement to the command, an integral that nothing feeds, and one that nothing reads."""
-    moves = np.eye(4, dtype=bool)
-    moves[1, 0] = True
-    fed, read = np.array([True, False, False, True]), np.array([False, True, True, False])
-    np.testing.assert_array_equal(in_the_loop(moves, fed, read), [True, True, False, False])
+def test_an_integral_that_nothing_feeds_is_no_pole_of_the_loop():
+    """A plant with a zero at rest gets no k_i, and the integral's eigenvalue of 1 is not the loop's."""
+    plant = {"kind": "transfer_function", "numerator": [1.0, 0.0], "denominator": [1.0, 1.0, 4.0]}
+    found = first_gains(buck(plant=plant, loop={"duration": 4.0, "sample_time": 0.01}), "pid", 20.0)
+    assert "k_i" not in found.table
+    assert found.radius < 1.0

@@ -63,6 +63,8 @@ def end(number: int, _: FrameType | None) -> None:
     """Stop the running command; its folders are closed and its processes end."""
     RECEIVED.append(128 + number)
     discard_closed_output()
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt  # a search may end with the best so far
     raise SystemExit(128 + number)
 
 

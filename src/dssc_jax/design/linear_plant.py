@@ -18,6 +18,7 @@ from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.chains import chain
 from dssc_jax.core.contracts import Controller, Unmodelled
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.influences import closure
 from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.sampled_linear import LinearSystem
@@ -229,12 +230,12 @@ def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: 
     after_sample = np.zeros((total, total + 1))  # the state with which the sample begins, of the state and of u
     after_sample[:n, :n] = np.eye(n)
     after_sample[n:, n:] = np.column_stack([at_sample.state, at_sample.state_input])
-    given = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
-    given_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
-    both = held.a @ after_sample + np.outer(held.b, np.append(given, given_input))
+    acting = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
+    acting_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
+    stepped = held.a @ after_sample + np.outer(held.b, np.append(acting, acting_input))
     transition = np.zeros((total + 1, total + 1))
-    transition[:total, :total] = both[:, :total]
-    transition[total, :total] = given
+    transition[:total, :total] = stepped[:, :total]
+    transition[total, :total] = acting
     reaching = np.concatenate([np.zeros(n), system.c, [system.d]])
 
     def wide(row: np.ndarray) -> np.ndarray:
@@ -243,7 +244,7 @@ def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: 
     signals = [wide(row) + d * reaching for row, d in zip(plant.signals, plant.through, strict=True)]
     return LinearPlant(
         transition,
-        np.append(both[:, total], given_input),
+        np.append(stepped[:, total], acting_input),
         wide(plant.c),
         wide(plant.rate),
         np.reshape(signals, (len(signals), total + 1)),
@@ -282,8 +283,7 @@ def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> Actua
     """The parts of linear actuators, by the derivative of what they do; it is the same at every state."""
     model, params = actuators.model, actuators.params
     if model is None:
-        nothing = np.zeros((0, 0))
-        return ActuatorsAtSample(nothing, np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
+        return ActuatorsAtSample(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
     with arithmetic():
         begin, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.init(params)))
         key = jax.random.key(0)
@@ -333,27 +333,12 @@ def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
             return jnp.append(ravel_pytree(after)[0], command)
 
         of_state, of_shown = map(np.asarray, jax.jacfwd(flat, argnums=(0, 1))(at, quiet))
-    kept = in_the_loop(of_state[:-1] != 0.0, np.any(of_shown[:-1] != 0.0, axis=1), of_state[-1] != 0.0)
+    moves = of_state[:-1] != 0.0
+    shown_states = np.any(of_shown[:-1] != 0.0, axis=1)
+    kept = closure(shown_states, moves.T) & closure(of_state[-1] != 0.0, moves)  # an integral without k_i stands still
     of_state, of_shown = of_state[np.append(kept, True)][:, kept], of_shown[np.append(kept, True)]
     order = int(np.count_nonzero(kept))
     command = np.append(of_shown[order] @ rows, of_state[order])
     a = np.block([[plant.a, np.zeros((len(plant.a), order))], [of_shown[:order] @ rows, of_state[:order]]])
     b = np.append(plant.b, np.zeros(order))
     return ClosedLoop(a + np.outer(b, command), b, command)
-
-
-def in_the_loop(moves: np.ndarray, shown: np.ndarray, heard: np.ndarray) -> np.ndarray:
-    """The states of a controller that a measurement moves and that move the command, directly or through others.
-
-    The integral of a PID without k_i keeps its value, and is no pole of the loop.
-
-    Args:
-        moves: Whether state j moves state i, shape (n, n).
-        shown: Whether a measurement moves the state, shape (n,).
-        heard: Whether the state moves the command, shape (n,).
-    """
-    reached, used = shown, heard
-    for _ in range(len(shown)):
-        reached = reached | (moves @ reached)
-        used = used | (moves.T @ used)
-    return reached & used

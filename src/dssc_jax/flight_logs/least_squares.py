@@ -33,7 +33,6 @@ LEAST_SAMPLES = 20  # of a channel: fewer do not identify its noise
 SCREENED = 64  # points whose residuals are compared; the search starts at the best ones
 STARTS = 8  # of the search for the minimum, at first; the first one is at the medians of the laws
 MOST_STARTS = 24
-INTERRUPT = 130  # exit code with which the command line ends at Ctrl-C
 UNSEEN_MINIMA = 0.5  # expected number of minima that the search has not found, below which it ends
 SAME_MINIMUM = 0.1  # prior standard deviations between two ends of the search in the same minimum
 MINIMUM_ROUNDS = 3  # of the search for the best minimum, each with the noise of the minimum before
@@ -311,8 +310,8 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
                 ends.append(minimise(problem, x))
             if unseen_minima(len(ends), len(distinct_minima(ends))) < UNSEEN_MINIMA:
                 break
-    except (KeyboardInterrupt, SystemExit) as stop:
-        if not ends or (isinstance(stop, SystemExit) and stop.code != INTERRUPT):
+    except KeyboardInterrupt:
+        if not ends:
             raise
         problem.count.interrupted = True
     return ends

@@ -8,7 +8,7 @@ from dssc_jax.analyses.loop_margins.multiloop import JointLoops, multiloop_margi
 from dssc_jax.analyses.loop_margins.structured import lower_bounds, upper_bounds
 from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
-from dssc_jax.engine.linearisation.response import grid_with_poles, own_grids
+from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids
 
 T_S = 0.05
 
@@ -92,7 +92,7 @@ def test_loops_oscillate_at_the_margin_and_are_stable_within_it(channels):
 def test_the_peak_is_that_of_a_dense_grid():
     loops = JointLoops(*random_loops(2))
     poles = np.linalg.eigvals(loops.a)
-    _, largest = peak(loops, grid_with_poles(own_grids(poles), poles))
+    _, largest = peak(loops, grid_with_poles(loop_grids(poles), poles))
     dense = loops.at(np.broadcast_to(np.linspace(1e-6, np.pi, 4000), (len(poles), 4000)))
     bounds = upper_bounds(dense.reshape(-1, 2, 2)).reshape(len(poles), -1)
     assert np.all(largest >= bounds.max(axis=1) * (1.0 - 1e-9))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.analyses.loop_margins import classical_margins, common_grid, grid_with_poles, response_of
-from dssc_jax.engine.linearisation.response import some_margins
+from dssc_jax.engine.linearisation.response import named_margins
 
 SAMPLE_TIME, LOOPS = 0.05, 100
 
@@ -128,7 +128,7 @@ def test_the_response_is_that_of_a_solve_at_each_angle():
             assert value == pytest.approx(exact, rel=1e-10)
 
 
-def test_some_margins_are_those_of_all():
+def test_named_margins_are_those_of_all():
     rng = np.random.default_rng(5)
     a = 0.2 * rng.standard_normal((4, 3, 3))
     b, c = rng.standard_normal((2, 4, 3))
@@ -136,4 +136,4 @@ def test_some_margins_are_those_of_all():
     arguments = response_of(a, b, c), grid_with_poles(common_grid(poles), poles), SAMPLE_TIME
     every = classical_margins(*arguments)
     for name in (*every._fields, "modulus"):
-        np.testing.assert_array_equal(some_margins(*arguments, [name])[name], getattr(every, name))
+        np.testing.assert_array_equal(named_margins(*arguments, [name])[name], getattr(every, name))

@@ -11,9 +11,10 @@ from dssc_jax.analyses.loop_margins.operation import operation
 from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
 from dssc_jax.closed_loop.break_points import break_points
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.influences import closure
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices, closure
+from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
 from dssc_jax.engine.linearisation.response import (
     ClassicalMargins,
     classical_margins,

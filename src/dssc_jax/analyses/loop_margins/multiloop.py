@@ -15,8 +15,8 @@ import numpy as np
 
 from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
-from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices, closure
-from dssc_jax.engine.linearisation.response import golden, grid_with_poles, own_grids
+from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
+from dssc_jax.engine.linearisation.response import golden, grid_with_poles, loop_grids
 
 MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened
 REFINED_PEAKS = 2  # of these, around which the largest bound is looked for
@@ -161,7 +161,7 @@ def joint_margins(
         sample_time: T_s [s].
         bound: The upper bound of mu whose peak is looked for.
     """
-    angles = grid_with_poles(own_grids(poles), poles)
+    angles = grid_with_poles(loop_grids(poles), poles)
     place, largest = peak(loops, angles, bound)
     lower, diagonals = lower_bounds(loops.at(place[:, None])[:, 0])
     factors = (1.0 + 0.5 * diagonals) / (1.0 - 0.5 * diagonals)

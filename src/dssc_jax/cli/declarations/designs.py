@@ -33,9 +33,8 @@ class Design:
 
     Of a study, its plant, its linear actuators, what it measures and T_s matter: the gains of PID, LQG, state feedback
     or SSC follow from the bandwidth, in the plant's units, and the sampled loop with them is stable. --out writes the
-    study with them; `loop` gives their margins. Of bounds,
-    [free] fixes free parameters of Table 1; what it leaves open is chosen for the [goal]: without one, for the smallest
-    guaranteed error at a sampling period of 1 ms.
+    study with them; `loop` gives their margins. Of bounds, [free] fixes free parameters of Table 1; what it leaves open
+    is chosen for the [goal]: without one, for the smallest guaranteed error at a sampling period of 1 ms.
     """
 
     bounds: Annotated[

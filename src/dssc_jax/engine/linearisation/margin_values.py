@@ -14,9 +14,10 @@ from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, closure, lane_loop
+from dssc_jax.core.influences import closure
+from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
-from dssc_jax.engine.linearisation.response import grid_with_poles, own_grids, response_of, some_margins
+from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids, named_margins, response_of
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
@@ -176,8 +177,8 @@ class MarginValues:
                 continue
             a, b, c = (part[stable] for part in loops)
             opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-            angles = grid_with_poles(own_grids(poles[stable]), np.concatenate([poles[stable], opened], axis=1))
-            margins = some_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time, columns)
+            angles = grid_with_poles(loop_grids(poles[stable]), np.concatenate([poles[stable], opened], axis=1))
+            margins = named_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time, columns)
             for name, column in columns.items():
                 column[lanes[stable]] = margins[name]
         return columns

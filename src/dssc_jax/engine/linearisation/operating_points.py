@@ -13,6 +13,7 @@ from dssc_jax.closed_loop.break_points import break_points, sample_map, undistur
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.influences import closure
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
@@ -252,21 +253,6 @@ class RestingLoop:
                 slopes = np.eye(int(np.count_nonzero(kept))) - matrices.a[np.ix_(draws, kept, kept)]
                 inverse = np.linalg.pinv(slopes, rcond=len(slopes[0]) * np.finfo(float).eps)
                 states[np.ix_(draws, kept)] += (inverse @ move[np.ix_(draws, kept)][..., None])[..., 0]
-
-
-def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
-    """The states in ``begin`` and those that influence them, directly or not.
-
-    Args:
-        begin: Masks of states, shape (..., states).
-        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
-    """
-    reached = begin
-    while True:
-        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
-        if np.array_equal(wider, reached):
-            return reached
-        reached = wider
 
 
 def require_derivative(

@@ -96,10 +96,10 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
 
     def at(angles: np.ndarray) -> np.ndarray:
         width = max(1, MOST_ENTRIES // max(1, order * len(angles)))
-        parts = [some(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
+        parts = [substituted(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def some(angles: np.ndarray) -> np.ndarray:
+    def substituted(angles: np.ndarray) -> np.ndarray:
         z = np.exp(1j * angles)
         total = np.zeros(angles.shape, complex)
         x = np.empty((order, *angles.shape), complex)
@@ -121,12 +121,10 @@ def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
         poles: Closed-loop eigenvalues of all loops, any shape.
         count: Number of angles.
     """
-    rates = np.abs(np.log(poles[np.abs(poles) > SMALLEST_FACTOR].astype(complex)))
-    slowest = rates[rates > 10.0**-DECADES].min(initial=1.0)
-    return np.geomspace(max(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES), np.pi * (1.0 - 1e-9), count)
+    return loop_grids(poles.reshape(1, -1), count)[0]
 
 
-def own_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
+def loop_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
     """The :func:`common_grid` of each loop alone, shape (n, count).
 
     Args:
@@ -134,8 +132,8 @@ def own_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
         count: Number of angles.
     """
     rates = np.abs(np.log(np.where(np.abs(poles) > SMALLEST_FACTOR, poles, 1.0).astype(complex)))
-    slowest = np.min(np.where(rates > 10.0**-DECADES, rates, np.inf), axis=1)
-    first = np.maximum(FIRST_FREQUENCY * np.minimum(slowest, 1.0), np.pi * 10.0**-DECADES)
+    slowest = np.min(np.where(rates > 10.0**-DECADES, rates, np.inf), axis=1, initial=1.0)
+    first = np.maximum(FIRST_FREQUENCY * slowest, np.pi * 10.0**-DECADES)
     return np.geomspace(first, np.pi * (1.0 - 1e-9), count, axis=1)
 
 
@@ -264,10 +262,10 @@ def classical_margins(respond: Response, angles: np.ndarray, sample_time: float)
         angles: Ascending angles from 0 to pi at which crossings and peaks are looked for, shape (n, m).
         sample_time: T_s [s].
     """
-    return ClassicalMargins(**some_margins(respond, angles, sample_time, ClassicalMargins._fields))
+    return ClassicalMargins(**named_margins(respond, angles, sample_time, ClassicalMargins._fields))
 
 
-def some_margins(
+def named_margins(
     respond: Response, angles: np.ndarray, sample_time: float, names: Collection[str]
 ) -> dict[str, np.ndarray]:
     """The margins with these names, fields of :class:`ClassicalMargins` or ``modulus``, and no others.

@@ -1,0 +1,18 @@
+"""Which states influence which others, directly or not."""
+
+import numpy as np
+
+
+def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
+    """The states in ``begin`` and those that influence them, directly or not.
+
+    Args:
+        begin: Masks of states, shape (..., states).
+        influences: Whether the state of each row depends on that of each column, shape (..., states, states).
+    """
+    reached = begin
+    while True:
+        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
+        if np.array_equal(wider, reached):
+            return reached
+        reached = wider
