@@ -384,3 +384,24 @@ def motor():
     run = dj.simulate(study, 3)
     columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
     return study, FlightLog("run", columns, 0.0)
+
+
+def test_where_one_factor_of_a_product_keeps_its_law_the_other_covers_the_truth():
+    """12 flights that show the product g h alone, at a level at which too few hits have a probability below 1e-4."""
+    changes = {"g": {"uniform": [0.6, 1.4]}, "h": {"uniform": [0.7, 1.3]}}
+    plant = {"kind": "normal_form", "k_p": "=g*h", "a_p": {"normal": [1.0, 0.2]}, "initial": [0.5, 0.0]}
+    study = linear(parameters=changes, plant=plant)
+    random = np.random.default_rng(5)
+    predictions = {}
+    hits = []
+    for _ in range(12):
+        truth = {"parameters.g": random.uniform(0.6, 1.4), "parameters.h": random.uniform(0.7, 1.3)}
+        u = np.repeat(random.normal(size=40), 10)
+        product = truth["parameters.g"] * truth["parameters.h"]
+        y = output(product, 1.0, u) + 0.01 * random.normal(size=400)
+        fitted = fit_log(study, log_of(y, u), predictions=predictions)
+        (kept,) = set(fitted.kept) & truth.keys()
+        (estimated,) = truth.keys() - {kept}
+        low, high = fitted.law(estimated).quantile(np.array([0.05, 0.95]))
+        hits.append(low <= truth[estimated] <= high)
+    assert stats.binom.cdf(sum(hits), 12, 0.9) > 1e-4

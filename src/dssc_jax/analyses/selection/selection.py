@@ -201,7 +201,10 @@ def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> 
     if over is None:
         extents = ranges(study, {}) if len(study.loop.controller) == 1 else {}
         if not extents:
-            raise ConfigError("select", "finds no gains of the controller that can be tuned; state numbers and ranges")
+            raise ConfigError(
+                "select",
+                "finds no gains of the controller that can be tuned; state numbers and their ranges with `over`",
+            )
         return extents
     for name, (low, high) in over.items():
         if not 0.0 < low < high < np.inf:
