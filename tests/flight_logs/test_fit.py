@@ -10,7 +10,7 @@ import dssc_jax as dj
 from benchmarks.flight_fit import CASES, LEVEL, covered, flight_study, inside
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.fit import covariance_of_kept, fit_log, information_by_names
+from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.least_squares import unseen_minima
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, noise_between_neighbours
@@ -363,20 +363,6 @@ def test_a_damaged_log_is_refused_unless_it_is_allowed(motor):
     assert fit_log(study, damaged, ["unmodelled.mu"], allow_damaged=True, limits=SearchLimits(3)).starts == 1
 
 
-def test_kept_numbers_widen_the_others_as_the_prior_does():
-    """The block of the inverse of information plus the kept numbers' prior is the covariance that is told."""
-    random = np.random.default_rng(4)
-    root = random.normal(size=(6, 3))
-    matrix = root.T @ root
-    names = ["a", "b", "c"]
-    inner = np.linalg.inv(matrix[:2, :2])
-    added = covariance_of_kept(information_by_names(names, matrix), ["a", "b"], ["c"])
-    # without information on c beyond its law, c stays at its prior: drop the part of c that the others leave open
-    schur = matrix[2, 2] - matrix[2, :2] @ inner @ matrix[:2, 2]
-    prior = np.diag([0.0, 0.0, 1.0 - schur])
-    assert np.allclose(inner + added, np.linalg.inv(matrix + prior)[:2, :2])
-
-
 @pytest.fixture(scope="module")
 def motor():
     """The packaged motor, and a flight of its third draw."""
@@ -384,24 +370,3 @@ def motor():
     run = dj.simulate(study, 3)
     columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "u_total")}
     return study, FlightLog("run", columns, 0.0)
-
-
-def test_where_one_factor_of_a_product_keeps_its_law_the_other_covers_the_truth():
-    """12 flights that show the product g h alone, at a level at which too few hits have a probability below 1e-4."""
-    changes = {"g": {"uniform": [0.6, 1.4]}, "h": {"uniform": [0.7, 1.3]}}
-    plant = {"kind": "normal_form", "k_p": "=g*h", "a_p": {"normal": [1.0, 0.2]}, "initial": [0.5, 0.0]}
-    study = linear(parameters=changes, plant=plant)
-    random = np.random.default_rng(5)
-    predictions = {}
-    hits = []
-    for _ in range(12):
-        truth = {"parameters.g": random.uniform(0.6, 1.4), "parameters.h": random.uniform(0.7, 1.3)}
-        u = np.repeat(random.normal(size=40), 10)
-        product = truth["parameters.g"] * truth["parameters.h"]
-        y = output(product, 1.0, u) + 0.01 * random.normal(size=400)
-        fitted = fit_log(study, log_of(y, u), predictions=predictions)
-        (kept,) = set(fitted.kept) & truth.keys()
-        (estimated,) = truth.keys() - {kept}
-        low, high = fitted.law(estimated).quantile(np.array([0.05, 0.95]))
-        hits.append(low <= truth[estimated] <= high)
-    assert stats.binom.cdf(sum(hits), 12, 0.9) > 1e-4
