@@ -379,8 +379,8 @@ def step(
     held = as_arrays(tuple(commands))
     sampled = tuple(channel.unmodelled for channel in channels)
     held_inputs = []
-    for model, p, before, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
-        held_inputs.append(model.step(p, before, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
+    for model, p, previous, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
+        held_inputs.append(model.step(p, previous, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
     following = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:

@@ -79,11 +79,11 @@ def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopS
     """The statistics under the names of all break points that share them, as where a controller takes y alone."""
     gathered: list[tuple[list[str], LoopStatistics]] = []
     for name, statistics in loops.items():
-        same = next((names for names, known in gathered if same_margins(known, statistics)), None)
-        if same is None:
+        shown = next((names for names, known in gathered if same_margins(known, statistics)), None)
+        if shown is None:
             gathered.append(([name], statistics))
         else:
-            same.append(name)
+            shown.append(name)
     return {tuple(names): statistics for names, statistics in gathered}
 
 

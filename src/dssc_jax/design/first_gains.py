@@ -149,8 +149,8 @@ def first_gains(
     found = designed(subject, kind, bandwidth)
     if found.radius < 1.0:
         return found
-    behind = f", behind its linear actuators ({' + '.join(actuators.taken)})" if actuators.taken else ""
-    rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{behind} (largest pole {found.radius:.4g})"
+    suffix = f", behind its linear actuators ({' + '.join(actuators.taken)})" if actuators.taken else ""
+    rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{suffix} (largest pole {found.radius:.4g})"
     raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
 
 

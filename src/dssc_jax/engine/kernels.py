@@ -65,9 +65,9 @@ def requested(choice: str = "") -> str:
     if not choice:
         return Form.LANES if jax.default_backend() == "cpu" else Form.SCAN
     if choice not in tuple(Form):
-        *others, last = tuple(Form)
+        *first_forms, last = tuple(Form)
         raise ConfigError(
-            "kernel", f"must be {', '.join(others)} or {last}, got '{choice}'; {nearest(choice, tuple(Form))}"
+            "kernel", f"must be {', '.join(first_forms)} or {last}, got '{choice}'; {nearest(choice, tuple(Form))}"
         )
     if choice in GPU_FORMS:
         gpu_name(choice)

@@ -175,8 +175,8 @@ def trace_controller(study: Study, index: int) -> SampledController:
     number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
     measured = measured_signals(study, index)
-    others = (number,) * (len(measured) - len(OF_CHANNEL))
-    signals = (Measurement(number, number, others), ReferencePoint(number, number, number))
+    further = (number,) * (len(measured) - len(OF_CHANNEL))
+    signals = (Measurement(number, number, further), ReferencePoint(number, number, number))
     transferred = None
     try:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)

@@ -47,7 +47,7 @@ class FlightFolder:
     """The files of a study's controllers.
 
     Args:
-        study: The study; its sweep is ignored, and uncertain gains have the medians of their laws.
+        study: The study; its sweep is further, and uncertain gains have the medians of their laws.
         premises: Those of the study's certificate, for a monitor of the flight; None: no monitor.
 
     Raises:
@@ -70,9 +70,9 @@ class FlightFolder:
         monitor = {} if self.monitor is None else monitor_texts(self.monitor, study)
         sections = [] if self.software is None else software_lines(self.software)
         sections += [] if self.monitor is None else monitor_lines(self.monitor)
-        beside = software | monitor
-        includes = [f"include {file}" for file in beside if file.endswith(".mk")]
-        return beside | {
+        further = software | monitor
+        includes = [f"include {file}" for file in further if file.endswith(".mk")]
+        return further | {
             f"{name}_controller.h": header_text(self.code),
             f"{name}_controller.c": source_text(self.code),
             "bench.c": fill("bench.c", same_bits=template_text("same_bits.c")),

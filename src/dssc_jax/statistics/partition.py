@@ -91,14 +91,14 @@ def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[fl
     """
     parts = len(counts)
     failures = int(counts.sum())
-    together = float(np.sum(counts * (counts - 1.0))) / (failures * (failures - 1.0))
+    same_part = float(np.sum(counts * (counts - 1.0))) / (failures * (failures - 1.0))
     shares = counts / failures
     second = float(np.sum(shares**2))
     third = float(np.sum(shares**3))
     pairs = failures * (failures - 1.0)
     variance = (2.0 * (second - second**2) + 4.0 * (failures - 2.0) * (third - second**2)) / pairs
     odds = failures / max(draws - failures, 1)
-    removed = odds * (parts * together - 1.0)
+    removed = odds * (parts * same_part - 1.0)
     spread = np.hypot(odds * parts * np.sqrt(variance), removed / np.sqrt(failures))
     reach = float(special.stdtrit(parts - 1, 0.5 * (1.0 + confidence)) * spread)
     return removed, (removed - reach, removed + reach)

@@ -225,8 +225,8 @@ def design_effect(happened: np.ndarray, replicates: int, confidence: float = CON
     if not 0.0 < share < 1.0:
         return None
     draws = len(happened)
-    between = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
-    ratio = between * draws / (share * (1.0 - share))
+    spread = float(happened.reshape(-1, replicates).mean(0).var(ddof=1)) / replicates
+    ratio = spread * draws / (share * (1.0 - share))
     freedom = replicates - 1
     tail = 0.5 * (1.0 - confidence)
     low, high = ratio * freedom / special.chdtri(freedom, [tail, 1.0 - tail])

@@ -79,17 +79,17 @@ def fitted(components: list[Component], points: np.ndarray, weights: np.ndarray)
     roots = []
     totals = []
     for component, responsibility in zip(narrow, responsibilities, strict=True):
-        near = weights * responsibility
-        total = float(near.sum())
-        size = effective_size(near)
+        shares = weights * responsibility
+        total = float(shares.sum())
+        size = effective_size(shares)
         totals.append(total)
         if size < FEWEST:
             means.append(component.mean)
             roots.append(component.root)
             continue
-        mean = near @ points / total
+        mean = shares @ points / total
         means.append(mean)
-        roots.append(root_of_failures(points - mean, near / total, size))
+        roots.append(root_of_failures(points - mean, shares / total, size))
     if not sum(totals):
         return components
     return mixture_of(np.array(means), roots, np.array(totals))

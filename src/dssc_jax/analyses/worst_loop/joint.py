@@ -54,8 +54,8 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
         a = matrices[stable, :-channels, :-channels]
         loops = JointLoops(a, matrices[stable, :-channels, -channels:], matrices[stable, -channels:, :-channels])
         found = joint_margins(loops, np.linalg.eigvals(a), sample_time, balanced_bounds)
-        for whole, part in zip(result, found, strict=True):
-            whole[stable] = part
+        for total, part in zip(result, found, strict=True):
+            total[stable] = part
     return result
 
 

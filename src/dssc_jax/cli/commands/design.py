@@ -58,10 +58,10 @@ def print_first_gains(options: Design) -> int:
     print(toml_entries(found.table, "controller").strip())
     sampled = f"T_s = {study.loop.sample_time:g} s"
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
-    behind = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
+    actuators = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
     sliding = " while it slides" if found.table["kind"] == FirstController.SSC else ""
     decay = study.loop.sample_time / -math.log(found.radius) if found.radius > 0.0 else 0.0
-    print(f"largest pole of the sampled loop{behind}{sliding} {found.radius:.6g}, below 1: stable")
+    print(f"largest pole of the sampled loop{actuators}{sliding} {found.radius:.6g}, below 1: stable")
     print(f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / found.bandwidth:.3g} s")
     print(f"peak of its sensitivity abs(S) {found.sensitivity_peak:.3g}")
     if found.left_out:

@@ -179,12 +179,12 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
     require_co_simulation(path, described)
     require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
     variables = {}
-    others = {}
+    remaining = {}
     for variable in described.modelVariables:
         if variable.type in REAL_TYPES and not variable.dimensions:
             variables[variable.name] = described_variable(variable)
         else:
-            others[variable.name] = (
+            remaining[variable.name] = (
                 f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
             )
     try:
@@ -193,7 +193,7 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
         raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
     experiment = described.defaultExperiment
     step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
-    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, others, step, calls)
+    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, remaining, step, calls)
 
 
 def required_version(path: Path, text: str) -> str:

@@ -283,9 +283,9 @@ def foreign_function(ports: FmuPorts, name: str, head: int, numbers: int, output
         foreign.provide(symbol, ctypes.cast(instances_of(ports).functions[name], ctypes.c_void_p).value or 0)
     words = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
     first = (*words, MemoryPlace(REAL, 8))[:head]
-    given = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
+    places = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
     found = tuple(MemoryPlace(REAL, HEAD + NUMBER * (numbers + i)) for i in range(outputs))
-    return ForeignFunction(symbol, HEAD + NUMBER * (numbers + outputs), (*first, *given), (*words, *found))
+    return ForeignFunction(symbol, HEAD + NUMBER * (numbers + outputs), (*first, *places), (*words, *found))
 
 
 @cache
@@ -320,11 +320,11 @@ def require_independent(fmu: NativeFmu) -> None:
     """
     try:
         alone = [tried_outputs(fmu, [flight]) for flight in (0, 1)]
-        together = tried_outputs(fmu, [0, 1])
-        again = tried_outputs(fmu, [0])
+        pair = tried_outputs(fmu, [0, 1])
+        single = tried_outputs(fmu, [0])
     except FmiError as error:
         raise failure(fmu, error) from None
-    if together != alone[0] + alone[1] or again != alone[0]:
+    if pair != alone[0] + alone[1] or single != alone[0]:
         rule = "keeps numbers outside of its instances (static or global variables), which would mix the draws"
         raise ConfigError("file", f"'{fmu.file}' {rule}; export it without them")
 

@@ -123,9 +123,9 @@ def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantit
     if not parameters:
         return named_type("Params", {name: quantity}, {name: default})
     inner = named_type("Parameters", {signal: variable.quantity for signal, variable in parameters}, {})
-    whole = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
-    whole.__annotations__[PARAMETERS] = inner
-    return whole
+    found = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
+    found.__annotations__[PARAMETERS] = inner
+    return found
 
 
 def values_of(params: Params) -> tuple[Scalar, ...]:

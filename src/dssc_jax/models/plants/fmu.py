@@ -99,8 +99,8 @@ class FmuPlant:
 
     def begin(self, params: Params, state: FmuState, lane: Scalar, steps: int) -> FmuState:
         """The state at t = 0 of a new instance with the draw's parameters."""
-        words, (y, *others) = self.functions.start(lane, steps, values_of(params))
-        y_dot, outputs = (others[0], others[1:]) if self.rate else (state.y_dot, others)
+        words, (y, *further) = self.functions.start(lane, steps, values_of(params))
+        y_dot, outputs = (further[0], further[1:]) if self.rate else (state.y_dot, further)
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def advance(self, params: Params, state: FmuState, drive: PlantInput[Scalar], t: Scalar, h: float) -> FmuState:
@@ -111,8 +111,8 @@ class FmuPlant:
         command = drive.command if self.disturbance else drive.command + drive.disturbance
         inputs: Signals = drive.inputs or (0.0,) * len(self.inputs)
         disturbance = (drive.disturbance,) if self.disturbance else ()
-        words, (y, *others) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
-        y_dot, outputs = (others[0], others[1:]) if self.rate else ((y - state.y) / h, others)
+        words, (y, *further) = self.functions.step(state.words, h, (command, *disturbance, *inputs))
+        y_dot, outputs = (further[0], further[1:]) if self.rate else ((y - state.y) / h, further)
         return FmuState(words, y, y_dot, tuple(outputs))
 
     def report(self, params: Params, state: FmuState, drive: PlantInput[Scalar]) -> Info:

@@ -60,8 +60,8 @@ def reported(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: Pla
     values = []
     for _, row in by_names(outputs):
         value = dot((*row.c, row.d), (*x, command))
-        for name, through in by_names(row.inputs):
-            value = value + through * disturbances.get(name, 0.0)
+        for name, column in by_names(row.inputs):
+            value = value + column * disturbances.get(name, 0.0)
         values.append(value)
     return report_type(tuple(name for name, _ in by_names(outputs)))(*values)
 
@@ -76,9 +76,9 @@ def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
         with errors_under(f"outputs.{name}"):
             require_length("c", row.c, order)
             require_unit(row.unit)
-            for other, _ in by_names(row.inputs):
-                if other not in (inputs or {}):
-                    raise ConfigError(f"inputs.{other}", f"is no input of the plant; {nearest(other, inputs or ())}")
+            for known, _ in by_names(row.inputs):
+                if known not in (inputs or {}):
+                    raise ConfigError(f"inputs.{known}", f"is no input of the plant; {nearest(known, inputs or ())}")
 
 
 def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:

@@ -62,7 +62,7 @@ def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
         power: Power P that the rotors would take at full voltage [W].
     """
     full = battery.full_voltage
-    rest = jnp.maximum(battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
+    open_circuit = jnp.maximum(battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
     load = battery.resistance * power / full
-    voltage = 2.0 * rest / (full + jnp.sqrt(full * full + 4.0 * load * rest))
+    voltage = 2.0 * open_circuit / (full + jnp.sqrt(full * full + 4.0 * load * open_circuit))
     return Supply(voltage, power * voltage * voltage / full)

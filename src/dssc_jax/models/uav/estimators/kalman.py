@@ -100,12 +100,12 @@ class KalmanFilter(NamedTuple):
 
     def predict(self, memory: KalmanMemory, increments: Increments, dt: float) -> KalmanMemory:
         """Strapdown integration, and the covariance after it."""
-        before = memory.estimate
-        rotation = before.attitude.matrix()
+        previous = memory.estimate
+        rotation = previous.attitude.matrix()
         pushed = increments.velocity - memory.accel_bias * dt
         shifted = increments.position - memory.accel_bias * (0.5 * dt * dt)
         force = rotation @ (pushed / dt)
-        position, velocity = carried(before, rotation, pushed, shifted, dt)
+        position, velocity = carried(previous, rotation, pushed, shifted, dt)
         turned = rotation_of(increments.rotation - memory.gyro_bias * dt)
         noises = (
             (VELOCITY, self.sensors.accel_noise),
@@ -118,7 +118,7 @@ class KalmanFilter(NamedTuple):
         for place, density in noises:
             for i in range(place, place + 3):
                 added[i][i] = added[i][i] + density * density * dt
-        estimate = Motion(position, velocity, product(before.attitude, turned).normalised(), before.rate)
+        estimate = Motion(position, velocity, product(previous.attitude, turned).normalised(), previous.rate)
         return memory._replace(estimate=estimate, covariance=tuple(map(tuple, added)))
 
     def correct(self, memory: KalmanMemory, aids: Aids, dt: float) -> KalmanMemory:

@@ -71,12 +71,12 @@ class Parts:
             self.f[place], self.g[place] = demand
             return
         state = self.unit[-1]
-        behind = (demand[0] - state, demand[1])
+        error = (demand[0] - state, demand[1])
         self.f[place] = state
-        self.f[-1] = behind[0] / lag
-        self.g[-1] = behind[1] / lag
+        self.f[-1] = error[0] / lag
+        self.g[-1] = error[1] / lag
         self.b["lag"] = state
-        self.signals |= {achieved: (state, 0.0), "behind": behind}
+        self.signals |= {achieved: (state, 0.0), "behind": error}
 
     def channel(self, controller: ChannelProblem) -> Linear:
         """The channel, with the signals e, e', sigma and the slope of sigma."""

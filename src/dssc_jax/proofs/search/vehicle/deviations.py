@@ -119,8 +119,8 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     """Deviations of the functions from straight lines with these slopes."""
     size = np.abs(points.sigma)
     columns = points.columns
-    both = columns["mean"] + columns["k_n"]
-    ratios = (columns["mean"], columns["k_i"] - slopes[3] * both, both)
+    scale = columns["mean"] + columns["k_n"]
+    ratios = (columns["mean"], columns["k_i"] - slopes[3] * scale, scale)
     straight = (slopes[0], slopes[1] - slopes[3] * (slopes[0] + slopes[2]), slopes[0] + slopes[2])
     first, second, combined = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
     second *= SHARED_ROOM if slopes[3] else 1.0
