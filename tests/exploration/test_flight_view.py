@@ -7,7 +7,7 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.exploration.figures import TICK_TEXT
 from dssc_jax.exploration.flight_page import flight_html
-from dssc_jax.exploration.flight_view import VIEW, FlightView
+from dssc_jax.exploration.flight_view import VIEW, FlightView, mark_of, recorded_flights
 from dssc_jax.exploration.live import ATTITUDE, LiveRun, flies, recorded_signals
 from dssc_jax.runs.recorded_draws import RecordedDraws, SignalKey, all_draws
 from tests.browser import BROWSER, needs_browser
@@ -47,6 +47,15 @@ def test_which_studies_fly(flown):
     assert not flies(motor)
     with pytest.raises(dj.ConfigError, match="no study of a vehicle"):
         flight_html(motor)
+
+
+def test_recorded_flights_fail_and_are_marked_as_the_draws_of_a_run(flown):
+    """The single draws come from another program."""
+    _, run = flown
+    again = recorded_flights(run.study, [dj.simulate(run.study, draw) for draw in range(6)])
+    np.testing.assert_array_equal(again.failed, run.failed)
+    assert [mark_of(again, draw) for draw in range(6)] == [mark_of(run, draw) for draw in range(6)]
+    np.testing.assert_allclose(again.signal("theta"), run.signal("theta"), rtol=1e-6, atol=1e-9)
 
 
 def test_marks_stand_where_a_failure_was_certain(flown):

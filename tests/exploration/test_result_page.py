@@ -76,6 +76,12 @@ def test_a_vehicle_s_path_is_seen_from_above_and_from_the_side():
     assert len(view["across"]) == len(view["colour"]) == 2
     np.testing.assert_array_equal(view["upward"][0], page.flight["y_y"].values)
     np.testing.assert_array_equal(page.sources["desired xz"].data["upward"][0], page.flight["z_y_ref"].values)
+    assert page.flight_view is not None
+    ghosts = page.flight_view.tracks.data["z"]
+    np.testing.assert_array_equal(ghosts[0], page.flight["z_y"].values.astype(np.float32))
+    np.testing.assert_array_equal(ghosts[1], page.pinned[0]["z_y"].values.astype(np.float32))
+    assert page.flight_view.title.text == "2 flights; draw 0 passes"
+    assert page.flight_view.figure in page.view[-1].object.children
 
 
 def test_explore_a_result(page):

@@ -3,10 +3,12 @@
 The browser projects everything for the time of the slider and the direction of view, without a program behind it.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from bokeh.events import MouseWheel, Pan
 from bokeh.layouts import column
 from bokeh.layouts import row as side_by_side
@@ -14,8 +16,10 @@ from bokeh.models import ColumnDataSource, CustomJS, Div, LayoutDOM, Range1d, Sl
 from bokeh.plotting import figure
 
 from dssc_jax.core import files
-from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun
+from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun, recorded_signals
 from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE, RED
+from dssc_jax.runs.recorded_draws import SignalKey
+from dssc_jax.study import Study
 
 SCRIPT = files.read_text(Path(__file__).with_name("flight_view.js"))
 FRAME = 900, 460  # px
@@ -142,6 +146,17 @@ class FlightView:
         self.figure.x_range.update(start=-half * width / height, end=half * width / height)
         self.figure.y_range.update(start=-half, end=half)
         self.floor.data = floor_lines(centre, lows[2], span)
+
+
+def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
+    """Recorded flights of a vehicle as the draws of a run, in their order; the flights have the same samples."""
+    requirements = study.requirements
+    names = ["outcome", "failed_at", *(requirement.name for requirement in requirements)]
+    names += [requirement.violation_name for requirement in requirements]
+    results = {name: np.array([flight.attrs[name] for flight in flights]) for name in names}
+    for signal in recorded_signals(study):
+        results[SignalKey(signal)] = np.stack([flight[signal].values for flight in flights])
+    return LiveRun(study, results, {}, flights[0]["t"].values)
 
 
 def mark_of(run: LiveRun, draw: int) -> int:

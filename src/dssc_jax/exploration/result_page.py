@@ -16,6 +16,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.figures import drawable, path_figure, seen_paths, shown_signals, signal_figure
+from dssc_jax.exploration.flight_view import FlightView, recorded_flights
+from dssc_jax.exploration.live import flies
 from dssc_jax.exploration.page import MEDIAN_DRAW, RANDOM_DRAW, WORST_DRAW, Page, html_pane, markup
 from dssc_jax.exploration.worker import Stale
 from dssc_jax.exploration.wrong_laws import WrongLaws, answer_text, how_wrong_text
@@ -60,6 +62,7 @@ class ResultPage(Page):
         self.sources: dict[str, ColumnDataSource] = {}
         self.figures = [self._figure(name) for name in shown_signals(result.study)]
         self.paths = [self._path(*pair) for pair in seen_paths(result.study)]
+        self.flight_view = FlightView() if flies(result.study) else None
         self.brushing.picked.on_change("data", self._clicked)
 
     def _figure(self, name: str) -> figure:
@@ -114,6 +117,7 @@ class ResultPage(Page):
             self.status,
             self.key,
             pn.GridBox(*figures, ncols=3, sizing_mode="stretch_width"),
+            *([pn.pane.Bokeh(self.flight_view.layout)] if self.flight_view else []),
             sizing_mode="stretch_width",
         )
 
@@ -221,6 +225,9 @@ class ResultPage(Page):
             self.sources[f"desired {across}{upward}"].data = desired
             paths = {**path_lines(flights, f"{across}_y", f"{upward}_y"), "colour": colours}
             self.sources[across + upward].data = paths
+        if self.flight_view is not None and flights:
+            chosen = str(flights[0].attrs["draw"])
+            self.flight_view.show(recorded_flights(self.result.study, flights), 0, name=chosen)
 
 
 def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, Any]:
