@@ -11,6 +11,7 @@ import dssc_jax as dj
 from dssc_jax.exploration.brushing import Brushing
 from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.exploration.interactive_report import interactive_html
+from dssc_jax.exploration.parallel import fitting_label
 from tests.conftest import UNCERTAIN
 from tests.report.conftest import NASTY
 
@@ -85,3 +86,9 @@ def test_an_analysis_has_no_draws_to_brush(explored):
     margins = dj.margin(explored, over="unmodelled.mu", bounds=(0.01, 0.5))
     with pytest.raises(dj.ConfigError, match="not those of 'margin'"):
         interactive_html(margins)
+
+
+def test_labels_under_axes_keep_the_name_of_an_index():
+    assert fitting_label("plant.vehicle.body_inertia.0 [kg m^2]") == "body_inertia.0\n[kg m^2]"
+    assert fitting_label("position_error_max_after_5 [m]") == "position_error_\nmax_after_5\n[m]"
+    assert fitting_label("x") == "x"

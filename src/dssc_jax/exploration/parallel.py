@@ -9,12 +9,12 @@ from dssc_jax.exploration.draw_table import DrawTable
 from dssc_jax.plotting.style import GREY
 
 MOST_AXES = 8
-LONGEST_LABEL = 21  # letters under an axis
+LONGEST_LABEL = 18  # letters in a line under an axis
 MOST_LINES = 2000  # of the brushed draws, and of all
 ONE_LINE = 0.7  # opacity of a line among few; among many, less
 LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
 WIDTH = 1240  # px
-HEIGHT = 290
+HEIGHT = 320
 LEFT = 0.3  # space beside the axes, relative to their distance
 RIGHT = 0.3
 MARGIN = 0.14  # space above the axes, relative to their length
@@ -82,10 +82,19 @@ class ParallelAxes:
 
 
 def fitting_label(label: str) -> str:
-    """The end of a dotted label that has room under an axis."""
-    while len(label) > LONGEST_LABEL and "." in label.partition(" ")[0]:
-        label = label.partition(".")[2]
-    return label
+    """The end of a dotted name in lines that have room under an axis, its unit below.
+
+    An index keeps the name before it: ``inertia.0``.
+    """
+    name, _, unit = label.partition(" ")
+    while len(name) > LONGEST_LABEL and "." in name and not name.partition(".")[2].isdecimal():
+        name = name.partition(".")[2]
+    lines = []
+    while len(name) > LONGEST_LABEL and "_" in name[:LONGEST_LABEL]:
+        end = name.rindex("_", 0, LONGEST_LABEL) + 1
+        lines.append(name[:end])
+        name = name[end:]
+    return "\n".join([*lines, name, *([unit] if unit else [])])
 
 
 def shown_columns(table: DrawTable) -> list[str]:
