@@ -185,6 +185,11 @@ def test_command(tmp_path, capsys):
     assert sorted(found["files"]) == sorted(path.name for path in tmp_path.iterdir())
     values_compared(made(tmp_path, "check"))
     assert json.loads(json.dumps(found)) == found
+    assert guarded(arguments) == 0  # replaces what it wrote
+    changed = tmp_path / "Makefile"
+    changed.write_text("all: ; my own\n")
+    assert guarded(arguments) == 2
+    assert changed.read_text() == "all: ; my own\n"
 
 
 def test_what_has_no_c_is_refused():

@@ -6,7 +6,7 @@ from typing import TypedDict
 
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import NativeLibrary, default_values
+from dssc_jax.core.native.libraries import TRIED_SAMPLES, NativeLibrary, default_values, samples_not_finite
 from dssc_jax.models.controllers.library import KIND
 
 
@@ -20,13 +20,17 @@ class ParameterSummary(TypedDict):
 
 
 class ControllerSummary(TypedDict):
-    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters and telemetry."""
+    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters and telemetry.
+
+    ``samples_not_finite`` counts those of a trial flight whose command is not finite.
+    """
 
     sample_time: float
     precision: int
     bytes: int
     parameters: dict[str, ParameterSummary]
     telemetry: dict[str, str]
+    samples_not_finite: int
 
 
 class LibrarySummary(TypedDict):
@@ -60,6 +64,7 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
         "bytes": controller.size,
         "parameters": parameters,
         "telemetry": {number.name: number.quantity.unit for number in controller.telemetry},
+        "samples_not_finite": samples_not_finite(controller),
     }
 
 
@@ -77,6 +82,9 @@ def show_library(library: NativeLibrary, file: Path) -> None:
             show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
         say(f"telemetry: {reported or 'none'}")
+        if lost := summary["samples_not_finite"]:
+            trial = f"{lost} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
+            say(f"warning: its command is not finite in {trial}")
     say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
     if len(library.controllers) > 1:
         say(f"name = '{library.controllers[0].name}'")

@@ -316,8 +316,15 @@ def test_the_command_builds_and_shows(tmp_path, monkeypatch, capsys):
     shown = last_json(capsys)["controllers"]["my"]
     assert shown["parameters"]["k_p"]["default"] == 4.0
     assert shown["telemetry"] == {"error": "y"}
+    assert shown["samples_not_finite"] == 0
     assert guarded(["library", "own.so"]) == 0
-    assert "file = 'own.so'" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "file = 'own.so'" in printed
+    assert "not finite" not in printed
+    lost = (tmp_path / "own.c").read_text().replace("fmin(", "0.0 / 0.0 + fmin(")
+    (tmp_path / "lost.c").write_text(lost)
+    assert guarded(["library", "lost.c"]) == 0
+    assert "not finite in 64 of 64 samples" in capsys.readouterr().out
     (tmp_path / "own.c").write_text((tmp_path / "own.c").read_text().replace("fmin(", "fmin_of("))
     assert guarded(["library", "own.c"]) == 2
     assert "does not compile" in capsys.readouterr().err

@@ -213,3 +213,18 @@ def test_gains_of_the_position_control_are_told_with_their_values():
     notes = read_airframe(text, cascade=True).notes
     assert "k_p of [controller], of its .z and of its .psi: MPC_XY_P = 0.95, MC_YAW_P = 2.8" in notes
     assert not any("without a counterpart" in note for note in notes)
+
+
+def test_units_are_warned_of():
+    """Places in millimetres; a vehicle of 2 kg and 0.24 m has nothing to warn of."""
+    assert read_airframe(QUAD, mass=2.0).warnings == ()
+    lines = []
+    for line in QUAD.splitlines():
+        words = line.split()
+        if len(words) == 4 and words[2].endswith(("_PX", "_PY")):
+            line = f"{words[0]} {words[1]} {words[2]} {1000.0 * float(words[3])}"
+        lines.append(line)
+    first = read_airframe("\n".join(lines), mass=2.0).warnings[0]
+    assert first.startswith("mean distance of the rotors from the centre is ")
+    with pytest.raises(ConfigError, match="SIH_MASS: must be > 0, got -1 kg"):
+        read_airframe(QUAD, mass=-1.0)

@@ -54,9 +54,10 @@ def quad_script(axes=(-1, -1, -1, -1), moments=(0.05, 0.05, -0.05, -0.05)):
         (quad_script((-1, -1, 1, -1)), "CA_ROTORi_PX", "its axis points down; that of a rotor that lifts points up"),
         (quad_script((1, 1, 1, 1)), "CA_ROTORi_PX", "all axes point down"),
         (quad_script(moments=(0.05, 0.05, 0.04, 0.05)), "CA_ROTORi", "hover needs -"),
+        (quad_script(moments=(0.05, 0.05, -0.05, 0.05)), "CA_ROTORi", "hover needs 0 N of CA_ROTOR0, 0 N of CA_ROTOR1"),
         (quad_script(moments=(0.05, -0.05, 0.05, -0.05)), "CA_ROTORi_KM", "neighbours turn opposite ways"),
         (quad_script(moments=(0, 0, 0, 0)), "CA_ROTORi_KM", "cannot command yaw (rank 3 of 4)"),
-        (rotor_lines([(0.2, y) for y in (-0.3, -0.1, 0.1, 0.3)], (0.05, -0.05, -0.05, 0.05)), "CA_ROTORi", "pitch"),
+        (rotor_lines([(0.2, y) for y in (-0.3, -0.1, 0.1, 0.3)], (0.05, -0.05, -0.05, 0.05)), "CA_ROTORi_PX", "pitch"),
     ],
 )
 def test_airframes_that_cannot_fly_are_refused_in_px4s_names(script, place, rule):

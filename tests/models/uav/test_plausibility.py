@@ -37,6 +37,10 @@ def test_a_racer_is_plausible_and_the_article_s_torque_coefficient_is_not():
         ({"torque_coefficient": 15.0}, "torque over thrust is 15 m"),
         ({"motor_lag": 3.0}, "motor lag is 3 s"),
         ({"body_inertia": (4.0, 4.0, 7.0)}, "radius of gyration over arm is 14"),
+        (
+            {"mass": 45.0, "body_inertia": (0.15, 0.15, 0.26), "thrust_coefficient": 6e-5},
+            "mass over square of arm is 2.66e+03",
+        ),
         ({"thrust_coefficient": 1.5}, "hover speed of a rotor is 1.4 rad/s"),
     ],
 )

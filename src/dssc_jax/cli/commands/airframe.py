@@ -4,6 +4,7 @@ import json
 
 from dssc_jax.cli.declarations.flight import Airframe
 from dssc_jax.cli.exit_codes import DONE
+from dssc_jax.cli.output import say
 from dssc_jax.core import files
 from dssc_jax.core.errors import errors_under
 from dssc_jax.flight_logs.parameters import logged_parameters
@@ -17,10 +18,12 @@ def run(options: Airframe) -> int:
     with errors_under(str(options.file)):
         logged = is_ulog(options.file)
         content = logged_parameters(options.file) if logged else files.read_text(options.file, errors="replace")
-        vehicle, notes, entries = read_airframe(content, options.mass, options.arm, options.cascade)
+        vehicle, notes, entries, warnings = read_airframe(content, options.mass, options.arm, options.cascade)
+    for warning in warnings:
+        say(f"warning: {warning}")
     plant = {"kind": "uav", **entries}
     if options.as_json:
-        print(json.dumps({"vehicle": vehicle, "notes": notes, "plant": plant}))
+        print(json.dumps({"vehicle": vehicle, "notes": notes, "warnings": warnings, "plant": plant}))
     else:
         table = to_toml({"plant": plant | {"vehicle": vehicle}})
         print(table + "".join(f"# {note}\n" for note in notes), end="")

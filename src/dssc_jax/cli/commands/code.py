@@ -10,6 +10,7 @@ from dssc_jax.cli.fmu_library import built_library
 from dssc_jax.cli.loading import read_json, study_of
 from dssc_jax.console.flight import show_code
 from dssc_jax.core import files
+from dssc_jax.core.generated_files import SUMS, require_replaceable, write_sums
 from dssc_jax.flight_code import monitor_text, onboard_text
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.premises import Premises
@@ -28,34 +29,31 @@ def run(options: Code) -> int:
     study = study_of(options).without_sweep()
     folder = FlightFolder(study, None if options.monitor is None else premises_of(study, options.monitor))
     out = options.out
-    attempt(out, lambda: files.make_folder(out))
     texts = folder.texts()
+    recordings = {"recorded.bin": folder.recording}
+    if folder.software is not None:
+        recordings[onboard_text.RECORDING] = folder.software_recording
+    if folder.monitor is not None:
+        recordings[monitor_text.RECORDING] = folder.monitor_recording
+    unit = folder.fmu() if options.fmu else None
+    written = [*texts, *recordings, *([] if unit is None else [f"{unit.name}.fmu"])]
+    require_replaceable(out, written)
+    attempt(out, lambda: files.make_folder(out))
     for name, text in texts.items():
         path = out / name
         attempt(path, lambda path=path, text=text: files.write_text(path, text))
-    path = out / "recorded.bin"
-    parts = folder.recording(options.draws, options.samples)
-    attempt(path, lambda: files.write_parts(path, parts))
-    written = [*texts, path.name]
-    if folder.software is not None:
-        ticks = out / onboard_text.RECORDING
-        recorded = folder.software_recording(options.draws, options.samples)
-        attempt(ticks, lambda: files.write_parts(ticks, recorded))
-        written.append(ticks.name)
-    if folder.monitor is not None:
-        monitored = out / monitor_text.RECORDING
-        flights = folder.monitor_recording(options.draws, options.samples)
-        attempt(monitored, lambda: files.write_parts(monitored, flights))
-        written.append(monitored.name)
+    for name, recording in recordings.items():
+        path = out / name
+        parts = recording(options.draws, options.samples)
+        attempt(path, lambda path=path, parts=parts: files.write_parts(path, parts))
     summary = folder.summary() | {"folder": str(out)}
-    if options.fmu:
-        unit = folder.fmu()
+    if unit is not None:
         library, reason = built_library(unit)
         packed = out / f"{unit.name}.fmu"
         attempt(packed, lambda: files.write_bytes(packed, unit.archive(library)))
-        written.append(packed.name)
         summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
-    summary["files"] = written
+    attempt(out, lambda: write_sums(out, written))
+    summary["files"] = [*written, SUMS]
     if options.as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

@@ -119,3 +119,13 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
             for place in controller.commands:
                 commands[flight] += memory[place : place + real.itemsize].tobytes()
     return [bytes(commands[flight]) for flight in flights]
+
+
+def samples_not_finite(controller: NativeController) -> int:
+    """Number of samples with a command that is not finite in a trial flight, with default parameters.
+
+    The flight has ``TRIED_SAMPLES`` samples of signals within -1 .. 1.
+    """
+    (flown,) = flown_commands(controller, [0])
+    commands = np.frombuffer(flown, f"f{controller.real}").reshape(TRIED_SAMPLES, -1)
+    return int(np.sum(~np.isfinite(commands).all(axis=1)))

@@ -17,13 +17,14 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.uav.airframe_rotors import (
     PlacedRotor,
     are_ratios,
+    flying_vehicle,
     geometry_of,
     placed_rotors,
-    require_flight,
     scaled,
 )
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4 import GAIN_PARAMETERS, gains_from
+from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 LINE = re.compile(
@@ -77,11 +78,13 @@ class Airframe(NamedTuple):
         vehicle: The table ``[plant.vehicle]``.
         notes: What the file does not give, or gives in another form than the model has.
         plant: The other entries of ``[plant]``: desaturation and gains of the inner loops.
+        warnings: Numbers outside of the range that multirotors usually have.
     """
 
     vehicle: TomlTable
     notes: tuple[str, ...]
     plant: TomlTable
+    warnings: tuple[str, ...]
 
 
 def parameters_in(text: str) -> dict[str, float]:
@@ -141,8 +144,10 @@ def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None
     """Require a mass, and lengths for positions that are ratios.
 
     Raises:
-        ConfigError: one is not known; the message names all that are missing.
+        ConfigError: one is not known, and the message names all that are missing; or the mass is not positive.
     """
+    if not known.get("SIH_MASS", 1.0) > 0.0:
+        raise ConfigError("SIH_MASS", f"must be > 0, got {known['SIH_MASS']:g} kg")
     missing = []
     if "SIH_MASS" not in known:
         missing.append("the file does not set SIH_MASS, the mass; give it with --mass KG")
@@ -274,9 +279,9 @@ def read_airframe(
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
-    require_flight(vehicle)
+    warnings = implausible(flying_vehicle(vehicle), vehicle)
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     unused(parameters, cascade, notes)
     note_missing_places(parameters, notes)
-    return Airframe(vehicle, tuple(notes), control)
+    return Airframe(vehicle, tuple(notes), control, tuple(warnings))

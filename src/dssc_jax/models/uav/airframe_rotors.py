@@ -114,8 +114,8 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
-def require_flight(table: TomlTable) -> None:
-    """Require rotors that command thrust, roll, pitch and yaw, and that hover; raises ConfigError in PX4's names.
+def flying_vehicle(table: TomlTable) -> Vehicle:
+    """The vehicle of a table; raises ConfigError in PX4's names if it cannot command all axes, or hover.
 
     Args:
         table: The table ``[plant.vehicle]``.
@@ -130,6 +130,7 @@ def require_flight(table: TomlTable) -> None:
     except ConfigError as error:
         rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
         raise ConfigError(PX4_NAMES.get(error.where, error.where), rule) from None
+    return vehicle
 
 
 def are_ratios(rotors: list[PlacedRotor]) -> bool:

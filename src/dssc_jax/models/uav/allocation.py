@@ -76,7 +76,7 @@ def flying_allocation(vehicle: Vehicle) -> tuple[tuple[float, ...], ...]:
     """The rows (f, M) -> f_i of a checked vehicle that can hover; raises ConfigError with what it cannot do."""
     check_vehicle(vehicle)
     allocation = pseudo_inverse(vehicle)
-    require_hover(vehicle, [row[0] for row in allocation])
+    require_hover(vehicle, np.array(allocation))
     return allocation
 
 

@@ -2,10 +2,9 @@
 
 The matrix B takes the rotors' thrusts to net thrust and moments. A combination of these four that B' maps to zero is
 the same for all thrusts, so what takes part in it cannot be commanded independently. Rotors push one way: hover needs
-positive thrusts of the pseudo-inverse, which allocates.
+positive thrusts of the pseudo-inverse, which allocates. A rotor at rest in hover could only be asked for more, so that
+it commands one way.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -68,25 +67,26 @@ def require_independent_axes(vehicle: Vehicle, matrix: np.ndarray) -> None:
     else:
         remedy = "check which rotors turn which way; on a circle neighbours turn opposite ways"
     rank = len(AXES) - len(unchanged_combinations(matrix))
-    raise ConfigError("rotor" if vehicle.rotor else "spins", f"{lack} (rank {rank} of 4): {remedy}")
+    field = "spins" if "yaw" in dependent else "rotor_angles"
+    raise ConfigError("rotor" if vehicle.rotor else field, f"{lack} (rank {rank} of 4): {remedy}")
 
 
-def require_hover(vehicle: Vehicle, lifts: Sequence[float]) -> None:
-    """Require that every rotor pushes in hover, and no more than it can; raises ConfigError with the rotors.
+def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
+    """Require that every rotor that controls pushes in hover, and no more than it can; raises ConfigError.
 
     Args:
         vehicle: The vehicle; laws count with their medians.
-        lifts: Thrust of each rotor per net thrust, without moments, as allocated; shape (n_r,).
+        allocation: From thrust and moments to the rotors' thrusts, shape (n_r, 4), nominal.
     """
     weight = nominal(vehicle.mass) * GRAVITY
-    thrusts = weight * np.asarray(lifts)
+    thrusts = weight * allocation[:, 0]
     field = "rotor" if vehicle.rotor else "rotor_angles"
-    pulling = np.flatnonzero(thrusts < -SMALLEST_SHARE * weight)
+    used = np.abs(allocation).max(axis=1) > SMALLEST_SHARE * np.abs(allocation).max()
+    pulling = np.flatnonzero(used & (thrusts < SMALLEST_SHARE * weight))
     if pulling.size:
-        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in pulling)
-        raise ConfigError(
-            field, f"hover needs {listed}, and a rotor pushes one way: {pulling_remedy(vehicle, pulling)}"
-        )
+        needed = np.where(np.abs(thrusts) < SMALLEST_SHARE * weight, 0.0, thrusts)
+        listed = ", ".join(f"{needed[i]:.3g} N of {field}.{i}" for i in pulling)
+        raise ConfigError(field, f"hover needs {listed}, and a rotor only pushes: {pulling_remedy(vehicle, pulling)}")
     limit = vehicle.nominal_thrust_limit
     beyond = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
     if beyond.size:
@@ -102,7 +102,7 @@ def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
         return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"
     if set(downward) & set(pulling.tolist()):
         return "its axis points down; that of a rotor that lifts points up, also where it is mounted upside down"
-    return "place the rotors around the centre of mass, and let as many turn each way"
+    return "check the rotors' places around the centre of mass, and which way each of them turns"
 
 
 def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, float]:

@@ -1,0 +1,49 @@
+"""Files that a command writes again: it replaces those which it wrote and which nobody has changed since."""
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+from dssc_jax.core import files
+from dssc_jax.core.errors import ConfigError
+
+SUMS = "dssc_jax_files.sha256"
+"""File beside the others with the digest of each, as ``sha256sum`` writes and checks it."""
+
+
+def require_replaceable(folder: Path, names: Iterable[str]) -> None:
+    """Require that nothing in a folder is in the place of files to write, except those written before.
+
+    Args:
+        folder: The folder; it need not exist.
+        names: Names of the files to write.
+
+    Raises:
+        ConfigError: A file is not as :func:`write_sums` found it; it may be somebody's work.
+    """
+    sums = stored_sums(folder)
+    for name in names:
+        path = folder / name
+        if path.is_file() and not path.is_symlink() and sums.get(name) != digest(path):
+            rule = "is in the place of a generated file" if name not in sums else "was changed after it was generated"
+            raise ConfigError(str(path), f"{rule}, and would be replaced; move it away, or choose another folder")
+
+
+def write_sums(folder: Path, names: Iterable[str]) -> None:
+    """Write the digests of files that were generated; raises OSError."""
+    lines = [f"{digest(folder / name)}  {name}\n" for name in names]
+    files.write_text(folder / SUMS, lines)
+
+
+def stored_sums(folder: Path) -> dict[str, str]:
+    """Digests by name; none where nothing was generated."""
+    path = folder / SUMS
+    if not path.is_file():
+        return {}
+    pairs = [line.split(maxsplit=1) for line in files.read_text(path, errors="replace").splitlines()]
+    return {pair[1]: pair[0] for pair in pairs if len(pair) == 2}
+
+
+def digest(path: Path) -> str:
+    """SHA-256 digest of a file."""
+    return hashlib.sha256(files.read_bytes(path)).hexdigest()
