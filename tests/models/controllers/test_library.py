@@ -241,6 +241,11 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
             "static real kept; kept += 1; const real error = kept + ",
             "outside of its",
         ),
+        (
+            "const real error = ",
+            "static real kept; kept += measurement.y > 100.0; const real error = kept + ",
+            "outside of its",
+        ),
         ("DSSC_JAX_LIBRARY_OF(&my_description);", "", "exports no dssc_jax_controllers"),
         ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
         ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
@@ -250,7 +255,7 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
 def test_a_wrong_library_is_refused(place, old, new, message):
     text = template_text("library.c")
     assert old in text
-    name = f"wrong_{abs(hash(old))}"
+    name = f"wrong_{abs(hash(new))}"
     with pytest.raises(ConfigError, match=message):
         dj.allow_native(built(place, name, text.replace(old, new)))
 

@@ -12,7 +12,8 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.description import CALL, NativeController, described_controllers
 from dssc_jax.lanes import foreign
 
-TRIED_SAMPLES = 64
+TRIED_SAMPLES = 64  # of a trial flight
+LARGEST_SIGNAL = 1000.0  # of a trial flight
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,10 @@ def require_reentrant(controller: NativeController) -> None:
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
-    """Fly some flights in turn, sample by sample; return the bits of all commands of each flight."""
+    """Fly some flights in turn, sample by sample; return the bits of all commands of each flight.
+
+    Signals oscillate, and grow from 1 to ``LARGEST_SIGNAL``, so that limits are met as well.
+    """
     reset = CALL(controller.reset)
     step = CALL(controller.step)
     memories = {flight: initial_memory(controller) for flight in flights}
@@ -112,7 +116,8 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
     real = np.dtype(f"f{controller.real}")
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
-            signals = np.cos(np.arange(1.0, 1.0 + len(controller.signals)) * (0.1 * k + flight + 1.0)).astype(real)
+            angles = np.arange(1.0, 1.0 + len(controller.signals)) * (0.1 * k + flight + 1.0)
+            signals = (LARGEST_SIGNAL ** (k / TRIED_SAMPLES) * np.cos(angles)).astype(real)
             for place, signal in zip(controller.signals, signals, strict=True):
                 memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
             step(memory.ctypes.data)
@@ -124,7 +129,7 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
 def samples_not_finite(controller: NativeController) -> int:
     """Number of samples with a command that is not finite in a trial flight, with default parameters.
 
-    The flight has ``TRIED_SAMPLES`` samples of signals within -1 .. 1.
+    It has the signals of :func:`flown_commands`.
     """
     (flown,) = flown_commands(controller, [0])
     commands = np.frombuffer(flown, f"f{controller.real}").reshape(TRIED_SAMPLES, -1)
