@@ -48,6 +48,13 @@ class MarginKind:
     most: float = math.inf
 
     @property
+    def worst(self) -> float:
+        """The value as which a loop without a margin counts: that at the limit of stability, or the bad end."""
+        if math.isnan(self.neutral):
+            return -math.inf if self.good == "large" else math.inf
+        return self.neutral
+
+    @property
     def unit(self) -> str:
         """The unit of the value."""
         return next(iter(self.units))
