@@ -255,7 +255,7 @@ def test_a_first_command_at_its_limit_does_not_hide_the_equilibrium():
 
 
 def without_rest(**changes):
-    """Integral action on a plant with a zero at rest has no equilibrium at a step; beyond a gain the loop is unstable."""
+    """Integral action on a plant with a zero at rest has no equilibrium at a step; a zero at 20 makes it unstable."""
     table = {
         "name": "no_rest",
         "draws": 60,
