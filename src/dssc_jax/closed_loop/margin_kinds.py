@@ -54,6 +54,12 @@ class MarginKind:
             return -math.inf if self.good == "large" else math.inf
         return self.neutral
 
+    def in_unit(self, value: float, unit: str) -> float:
+        """A value of the margin in one of its units."""
+        if self.units[unit] is decibel:
+            return 20.0 * math.log10(value) if value > 0.0 else -math.inf
+        return value / self.units[unit](1.0)
+
     @property
     def unit(self) -> str:
         """The unit of the value."""

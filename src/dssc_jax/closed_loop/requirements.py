@@ -72,6 +72,14 @@ class Requirement:
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
 
+    def shown(self, value: float) -> tuple[float, str]:
+        """A value of the metric, and its unit: that in which the bound was written, if it was written with one."""
+        margin = self.measure.metric.margin
+        written = self.written.split(" ")[-1]
+        if margin is not None and written in margin.kind.units:
+            return margin.kind.in_unit(value, written), written
+        return value, self.measure.unit
+
     def slack(self, value: Scalar) -> Scalar:
         """Signed distance to the bound, in the metric's unit: negative if the requirement is violated.
 

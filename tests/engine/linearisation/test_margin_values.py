@@ -292,6 +292,14 @@ def test_draws_without_an_operating_point_are_counted_and_told(tmp_path, capsys)
     assert text.format(*counts) in capsys.readouterr().out
 
 
+def test_values_are_shown_in_the_unit_of_the_bound():
+    required = {rule.measure.name: rule for rule in study().requirements}
+    assert required["gain_margin"].shown(10.0) == (pytest.approx(20.0), "dB")
+    assert required["phase_margin"].shown(np.pi / 4.0) == (pytest.approx(45.0), "deg")
+    assert required["delay_margin"].shown(0.25) == (pytest.approx(250.0), "ms")
+    assert required["modulus_margin"].shown(0.25) == (0.25, "1")
+
+
 @pytest.mark.parametrize("of", [study, without_rest])
 def test_who_only_asks_for_failures_gets_those_of_the_whole_evaluation(of):
     asked = of()

@@ -182,7 +182,8 @@ class Falsified(Analysis):
         value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
         if np.isnan(value):
             return "no number"
-        return f"{value:.4g} {requirement.measure.unit}".removesuffix(" 1")
+        shown, unit = requirement.shown(value)
+        return f"{shown:.4g} {unit}".removesuffix(" 1")
 
     def ending_at(self, point: int) -> str | None:
         """How the draw of a point ends early, in words; None if it runs to its end."""

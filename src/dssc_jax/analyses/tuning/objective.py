@@ -201,9 +201,10 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
         broken = violated(slacks) & ~early
         if broken.any():
             excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[broken]))
-            missed.append(
-                MissedBound(requirement.text, int(np.count_nonzero(broken)), excess, requirement.measure.unit)
-            )
+            beyond = requirement.bound + (excess if requirement.maximum is not None else -excess)
+            excess = abs(requirement.shown(beyond)[0] - requirement.shown(requirement.bound)[0])
+            unit = requirement.shown(beyond)[1]
+            missed.append(MissedBound(requirement.text, int(np.count_nonzero(broken)), excess, unit))
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan
         if excess > 0.0:
