@@ -146,7 +146,7 @@ def signal_text(study: Study, name: str) -> str:
         return ""
     return (
         "; a measured signal is no break point: 'input' has the margins for one factor of all measured signals, "
-        "since they act through one command, and a law on the plant's output or on a gain has those of one signal"
+        "since they act through one command; `margin` walks the gain of one signal, such as controller.signals.0"
     )
 
 
