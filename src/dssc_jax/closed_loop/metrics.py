@@ -112,8 +112,7 @@ class Metric(NamedTuple):
         """The value as which a draw without one counts: -inf of a minimum, 0 or the like of a margin."""
         if self.margin is not None:
             return self.margin.kind.worst
-        small = self.certain_after is not None or self.course == Course.FALLS
-        return -math.inf if small else math.inf
+        return -math.inf if self.certain_after is not None or self.course == Course.FALLS else math.inf
 
 
 RISES = Course.RISES
