@@ -15,6 +15,7 @@ from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement, violated
 from dssc_jax.core.contracts import Controller, Plant
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Outcome, Scalar
 from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
 from dssc_jax.engine.kernels import Form
@@ -96,7 +97,9 @@ class Evaluator:
         failed = np.ones(len(indices), bool)
         if left.size:
             found = self.engine.margins({name: column[left] for name, column in values.items()}, indices[left])
-            broken = [violated(np.asarray(rule.slack(found[rule.measure.name]))) for rule in required]
+            with arithmetic(self.swept.config.loop.precision):
+                slacks = [rule.slack(jnp.asarray(found[rule.measure.name])) for rule in required]
+            broken = [violated(np.asarray(slack)) for slack in slacks]
             failed[left] = np.any(broken, axis=0)
         return failed
 
