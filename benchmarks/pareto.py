@@ -295,9 +295,11 @@ GUIDE = """\
 `dssc-jax tune STUDY` tunes the numbers in `[tune.parameters]`, each within its interval. It minimises an aggregate of
 the draws' costs: their mean, the mean of a worst share of the draws (`cvar`), or a smooth approximation of the largest
 cost. Limits bound the mean of a metric; `"start"` sets the limit to the value of the initial gains on the same draws.
-Requirements are limits too. The search uses training draws, selects on validation draws, and is judged on the study's
-own draws, which were not used for tuning. With `certified = true` the free parameters of Table 1 are varied instead,
-and every point is a certified design that passes the strict check.
+Requirements are limits too; the answer names each one that is still missed, by how many validation draws and by how
+much. A draw with an infinite metric, such as one that never settles, counts as missing its bound tenfold. The search
+uses training draws, selects on validation draws, and is judged on the study's own draws, which were not used for
+tuning. With `certified = true` the free parameters of Table 1 are varied instead, and every point is a certified design
+that passes the strict check.
 
 `optimiser` selects the search. The descents of optax (default: `adam`) run under an augmented Lagrangian, with
 mini-batches of `batch` draws and an optional learning-rate schedule. `sqp` needs far fewer steps, but each step uses
@@ -329,8 +331,9 @@ their scores relative to the mode, and the probability of all draws that lie nea
 likelihood. The distance of the likeliest failure found is an upper bound of that of the likeliest one of all.
 
 Requirements are compared by their slacks in shares of their bounds. Where the bound is 0, as for an envelope, the slack
-counts in shares of its median over the first draws. A search that finds no failure proves nothing; a larger `--budget`
-searches longer.
+counts in shares of its median over the first draws. The answer tells what the worst draw violates first and when, and,
+where it ends early, how and when. Nothing is worse than a draw that ends early or misses a bound by an infinite amount,
+so the search stops there. A search that finds no failure proves nothing; a larger `--budget` searches longer.
 """
 
 

@@ -203,3 +203,21 @@ def test_precedence_and_words():
     ):
         values = [certain_after(formula, e, np.cos(e)) for formula in (text, same)]
         assert values[0] == values[1]
+
+
+def test_an_interval_up_to_the_last_sample_and_one_beyond():
+    """The flight's samples end one before its duration; the robustness is that of the trajectory's own samples."""
+    table = {
+        "name": "end",
+        "draws": 2,
+        "loop": {"duration": 4.0, "sample_time": 0.02},
+        "plant": {"kind": "normal_form", "k_p": {"uniform": [0.5, 1.5]}, "initial": [1.0, 0.0]},
+        "controller": {"kind": "pid", "k_p": 1.0, "k_d": 0.1},
+    }
+    study = dj.Study.from_table(table | {"requirement": [{"formula": "always[2,3.98] abs(e) < 1"}]})
+    errors = np.abs(dj.simulate(study, draw=1)["e"].values)
+    assert len(errors) == 200
+    found = dj.run(study, check=False).dataset["slack_formula_1"].values[1]
+    assert found == pytest.approx(1.0 - errors[100:].max(), abs=1e-12)
+    with pytest.raises(ConfigError, match=r"by 0\.02 s, or set loop\.duration = 4\.02"):
+        dj.Study.from_table(table | {"requirement": [{"formula": "always[2,4] abs(e) < 1"}]})

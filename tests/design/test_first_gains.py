@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
+from scipy.optimize import brentq
 
 import dssc_jax as dj
+from dssc_jax.analyses.loop_margins.designed import designed_margins
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains, plant_at_start
+from tests.engine.linearisation.test_margin_values import response_of
 from tests.study.test_signals import held
 
 INDUCTANCE, CAPACITY, SUPPLY, LOAD = 1e-5, 1e-4, 12.0, 2.0
@@ -62,9 +65,65 @@ def test_the_largest_pole_is_that_of_the_loops_own_step():
     assert (y[1500] / y[1000]) ** (1.0 / 500.0) == pytest.approx(found.radius, rel=1e-4)
 
 
-def test_without_a_bandwidth_the_first_that_works_is_taken():
-    found = first_gains(buck(), "pid")
-    assert found.bandwidth == pytest.approx(0.025 * np.pi / T_S)
+def simulated_settling(table):
+    """Time after which the simulated output of an undisturbed buck converter forgets a step at the command."""
+    quiet = buck(table, reference={"kind": "zero"}, disturbance={"kind": "step", "value": 1.0})
+    run = dj.simulate(quiet.override({"loop.duration": 2e-2}))
+    size = np.abs(run["y"].values)
+    return float(run["t"][np.flatnonzero(size > 0.02 * np.max(size))[-1] + 1])
+
+
+@pytest.mark.parametrize("kind", ["pid", "lqg"])
+def test_without_a_bandwidth_the_loop_settles_no_slower_than_at_others(kind):
+    found = first_gains(buck(), kind)
+    settled = simulated_settling(found.table)
+    assert found.settling == pytest.approx(settled, rel=0.02)
+    assert found.sensitivity_peak <= 2.0
+    slower = first_gains(buck(), kind, 0.5 * found.bandwidth)
+    assert settled < 1.05 * simulated_settling(slower.table)
+
+
+def boost(**changes):
+    """A boost converter at half duty: its pole pair resonates, and its zero lies in the right half-plane."""
+    inductance, capacity, load, supply = 1e-4, 1.9e-4, 13.4, 12.0
+    output = 2.0 * supply
+    a = [[-500.0, -0.5 / inductance], [0.5 / capacity, -1.0 / (load * capacity)]]
+    b = [output / inductance, -2.0 * output / (load * capacity)]
+    return buck(loop={"duration": 0.05, "sample_time": 1e-5}, **changes).override(
+        {"plant.a": a, "plant.b": b, "plant.c": [0.0, 1.0]}
+    )
+
+
+def test_the_integral_is_fast_enough_above_a_resonance():
+    """At 3,900 rad/s, just above the resonance, little gain is left below it; the integral is slow then."""
+    found = first_gains(boost(), "pid")
+    assert found.settling < 0.5 * first_gains(boost(), "pid", 3900.0).settling
+    assert found.sensitivity_peak < 2.0
+
+
+def test_the_margins_of_a_design_are_those_of_its_frequency_response():
+    """Crossings of L, written term by term, on a dense grid, refined by Brent's method."""
+    found = first_gains(boost(), "pid", 3900.0)
+    t_s = 1e-5
+    margins = designed_margins(found.loop, t_s)
+    respond = response_of(*plant_at_start(boost())[:3], found.table, t_s)
+    grid = np.geomspace(1.0, np.pi / t_s * (1.0 - 1e-9), 20_000)
+    values = np.array([respond(omega) for omega in grid])
+    gain = [brentq(lambda w: abs(respond(w)) - 1.0, *grid[k : k + 2]) for k in changes(np.abs(values) - 1.0)]
+    crossed = [brentq(lambda w: respond(w).imag, *grid[k : k + 2]) for k in changes(values.imag)]
+    negative = [omega for omega in crossed if respond(omega).real < 0.0]
+    assert len(gain) == 3
+    assert margins.gain_crossovers == pytest.approx(gain, rel=1e-6)
+    assert margins.phase_crossings[: len(negative)] == pytest.approx(negative, rel=1e-6)
+    assert margins.gain_margin == pytest.approx(min(-1.0 / respond(omega).real for omega in negative), rel=1e-6)
+    left = [abs(np.angle(-respond(omega))) for omega in gain]
+    assert margins.phase_margin == pytest.approx(min(left), rel=1e-6)
+    assert margins.phase_margin_at == pytest.approx(gain[int(np.argmin(left))], rel=1e-6)
+
+
+def changes(values):
+    """Where the sign changes."""
+    return np.flatnonzero(values[:-1] * values[1:] < 0.0)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +131,7 @@ def test_without_a_bandwidth_the_first_that_works_is_taken():
     [
         ("dssc", BANDWIDTH, 1.0, "must be one of pid, lqg, state_feedback, ssc"),
         ("pid", 1e7, None, "must be > 0 and <="),
-        ("pid", 2e5, None, "needs a phase lead"),
+        ("pid", 3.1e5, None, "needs a phase lead"),
         ("ssc", BANDWIDTH, None, "is required for 'ssc'"),
     ],
 )

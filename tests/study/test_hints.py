@@ -108,6 +108,35 @@ def test_separators_of_a_file(line, hint, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("line", "hint"),
+    [
+        ("tune.objective.error_max_after_0.5 = 1.0", 'a name with a dot needs quotes: "error_max_after_0.5" = 1.0'),
+        ("tune.parameters.controller.k_p = [1, 2]", 'a name with a dot needs quotes: "controller.k_p" = [1, 2]'),
+        ("sweep.controller.k_p = { values = [1.0] }", '"controller.k_p" = { values = [1.0] }'),
+        ("tune.objective.error_max = { }", "must be a finite number"),
+    ],
+)
+def test_names_with_dots_need_quotes(line, hint, tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text(
+        f'name = "dots"\n{line}\nloop = {{ duration = 1.0, sample_time = 0.1 }}\n'
+        'plant = { kind = "normal_form" }\ncontroller = { kind = "pid", k_p = 1.0 }\n'
+    )
+    with pytest.raises(ConfigError) as caught:
+        Study.load(file)
+    assert hint in str(caught.value)
+
+
+def test_names_with_dots_need_no_quotes_in_an_override():
+    table = {"name": "dots", "loop": {"duration": 1.0, "sample_time": 0.1}, "plant": {"kind": "normal_form"}}
+    table |= {"controller": {"kind": "pid", "k_p": 1.0}}
+    table |= {"tune": {"parameters": {"controller.k_p": [1.0, 2.0]}, "objective": {"error_max": 1.0}}}
+    study = Study.from_table(table)
+    for name in ("tune.parameters.controller.k_p", 'tune.parameters."controller.k_p"'):
+        assert study.override({name: [3.0, 4.0]}).config.tune.parameters == {"controller.k_p": (3.0, 4.0)}
+
+
+@pytest.mark.parametrize(
     ("written", "meant"),
     [("Kp", "k_p"), ("KP", "k_p"), ("K-p", "k_p"), ("kp", "k_p"), ("Ki", "k_i"), ("KD", "k_d"), ("L0", "l0")],
 )

@@ -48,6 +48,19 @@ class MarginKind:
     most: float = math.inf
 
     @property
+    def worst(self) -> float:
+        """The value as which a loop without a margin counts: that at the limit of stability, or the bad end."""
+        if math.isnan(self.neutral):
+            return -math.inf if self.good == "large" else math.inf
+        return self.neutral
+
+    def in_unit(self, value: float, unit: str) -> float:
+        """A value of the margin in one of its units."""
+        if self.units[unit] is decibel:
+            return 20.0 * math.log10(value) if value > 0.0 else -math.inf
+        return value / self.units[unit](1.0)
+
+    @property
     def unit(self) -> str:
         """The unit of the value."""
         return next(iter(self.units))

@@ -109,9 +109,10 @@ class Metric(NamedTuple):
 
     @property
     def worst(self) -> float:
-        """The value as which a draw without one counts: -inf of a minimum or a robustness, the bad side of a margin."""
-        small = self.margin.kind.good == "large" if self.margin else self.certain_after is not None
-        return -math.inf if small or self.course == Course.FALLS else math.inf
+        """The value as which a draw without one counts: -inf of a minimum, 0 or the like of a margin."""
+        if self.margin is not None:
+            return self.margin.kind.worst
+        return -math.inf if self.certain_after is not None or self.course == Course.FALLS else math.inf
 
 
 RISES = Course.RISES

@@ -72,8 +72,22 @@ class Requirement:
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
 
+    def shown(self, value: float) -> tuple[float, str]:
+        """A value of the metric, and its unit: that in which the bound was written, if it was written with one."""
+        margin = self.measure.metric.margin
+        written = self.written.split(" ")[-1]
+        if margin is not None and written in margin.kind.units:
+            return margin.kind.in_unit(value, written), written
+        return value, self.measure.unit
+
     def slack(self, value: Scalar) -> Scalar:
-        """Signed distance to the bound, in the metric's unit: negative if the requirement is violated."""
+        """Signed distance to the bound, in the metric's unit: negative if the requirement is violated.
+
+        Where the loop has no operating point its margins are NaN; the slack is then that at the limit of stability.
+        """
+        margin = self.measure.metric.margin
+        if margin is not None:
+            value = jnp.where(jnp.isnan(value), margin.kind.neutral, value)
         if self.maximum is not None:
             return self.maximum - value
         return value - self.minimum  # type: ignore[operator]
@@ -189,6 +203,29 @@ def binding_requirement(requirements: Sequence[Requirement], results: Mapping[st
     """Index of the requirement with the smallest slack relative to its bound; a NaN counts as smallest."""
     slacks = np.array([results[requirement.name] / requirement.scale for requirement in requirements])
     return np.argmin(np.where(np.isnan(slacks), -np.inf, slacks), axis=0)
+
+
+def first_violation(
+    requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The requirement that each draw violates first, and when; one that it violates by ending early does not count.
+
+    Args:
+        requirements: The requirements; at the same sample the first one in this order counts.
+        results: Times of violation by name, and ``failed_at``, of any one shape.
+
+    Returns:
+        Index of the requirement, -1 if there is none, and the time [s], NaN if there is none; each of that shape.
+    """
+    failed_at = results["failed_at"]
+    first = np.full(failed_at.shape, -1)
+    earliest = np.where(np.isnan(failed_at), np.inf, failed_at)
+    for number, requirement in enumerate(requirements):
+        times = results[requirement.violation_name]
+        is_earlier = times < earliest
+        first = np.where(is_earlier, number, first)
+        earliest = np.where(is_earlier, times, earliest)
+    return first, np.where(first >= 0, earliest, np.nan)
 
 
 def worst_slack(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -83,6 +83,9 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
         for index in np.argsort(-tables[0][:, 0], kind="stable"):
             rows.append((answer.factors[index], *(interval_text(*table[index]) for table in tables)))
         show_table((name, *legends), rows)
+    others = [name for name, found in sensitivity.outputs.items() if found is not None]
+    if others and all(sensitivity.outputs[name] is None for name in answer.headline):
+        console.print(f"summary.json has the indices of: {', '.join(others)}", markup=False, soft_wrap=True)
     show_files(files)
 
 

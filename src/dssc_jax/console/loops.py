@@ -8,6 +8,7 @@ import numpy as np
 from rich.markup import escape
 
 from dssc_jax.analyses.loop_margins import LoopMargins
+from dssc_jax.analyses.loop_margins.designed import DesignedMargins
 from dssc_jax.analyses.loop_margins.result import LoopStatistics, MultiloopStatistics
 from dssc_jax.analyses.worst_loop import WorstLoop
 from dssc_jax.analyses.worst_loop.result import LoopWorst, MultiloopWorst
@@ -39,6 +40,27 @@ MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
     "bandwidth": ("bandwidth", lambda value: f"{value:.4g} rad/s"),
 }
 """Row of each margin and its text."""
+
+
+def margin_lines(margins: DesignedMargins) -> list[str]:
+    """The margins of a designed loop in words, one line each."""
+    lower = f", lower {decibels(margins.gain_lower_margin)}" if margins.gain_lower_margin > 0.0 else ""
+    lines = [f"gain margin {margin_text(margins.gain_margin, decibels)}{lower}"]
+    if not margins.gain_crossovers:
+        return [*lines, "the loop gain is never 1, so there is no phase or delay margin"]
+    delay = margin_text(margins.delay_margin, MARGIN_ROWS["delay"][1])
+    lines.append(
+        f"phase margin {math.degrees(margins.phase_margin):.3g} deg at {margins.phase_margin_at:.4g} rad/s, "
+        f"delay margin {delay}"
+    )
+    for places, meaning in (
+        (margins.gain_crossovers, "the loop gain is 1 at"),
+        (margins.phase_crossings, "the phase is -180 degrees at"),
+    ):
+        if len(places) > 1:
+            frequencies = ", ".join(f"{place:.4g}" for place in places)
+            lines.append(f"{meaning} {len(places)} frequencies: {frequencies} rad/s")
+    return lines
 
 
 def show_loop(margins: LoopMargins, files: list[Path]) -> None:

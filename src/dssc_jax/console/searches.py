@@ -1,13 +1,14 @@
 """Print searches: tuned gains, and the worst draw."""
 
+import math
 from pathlib import Path
 
 from rich.markup import escape
 
 from dssc_jax.analyses.falsification.falsify import Falsified, LikelihoodAnswer
 from dssc_jax.analyses.selection import Selection
-from dssc_jax.analyses.tuning.objective import Verdict
-from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity
+from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
+from dssc_jax.analyses.tuning.result import ObjectiveAnswer, SearchFacts, Tuned, aim_quantity, tuned_table
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
 from dssc_jax.study import Study
 
@@ -61,6 +62,9 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
         rows.append((f"mean {metric}", *means, f"<= {bound:.5g}"))
     failed_at_start, failed = verdict.failures
     rows.append(("failed draws", str(failed_at_start), str(failed), ""))
+    if len(verdict.requirements) > 1:
+        for text, (before, after) in verdict.requirements.items():
+            rows.append((f"  violate {text}", str(before), str(after), ""))
     show_table((f"on {verdict.draws} fresh draws", "start", "result", "limit"), rows)
     low, high = verdict.reduction_interval
     reduction = number_text(verdict.reduction, ".1%")
@@ -88,8 +92,23 @@ def show_search(study: Study, search: SearchFacts) -> None:
         console.print(f"hunt {number}: worst slack {slack} in {hunt.simulations} simulations")
     if not search.feasible:
         missed = number_text(search.violation, ".2%", "draws that end early")
-        console.print(f"no point met every limit on the validation draws; the nearest misses by {missed}")
+        draws = tuned_table(study).validation
+        console.print(f"no point met every limit on the {draws:,} validation draws; the nearest misses by {missed}")
+        for bound in search.missed:
+            console.print(f"  {missed_text(bound, draws)}", markup=False)
     console.print(f"{search.method}, {search.stopped}; {search.seconds:.1f} s")
+
+
+def missed_text(bound: MissedBound, draws: int) -> str:
+    """A bound that a tuned loop misses, and by how much."""
+    excess = number_text(bound.excess, ".4g", "an infinite amount")
+    if math.isfinite(bound.excess):
+        excess = f"{excess} {bound.unit}".removesuffix(" 1")
+    if bound.draws is None:
+        return f"{bound.text}: missed by {excess}"
+    if bound.unit == "" and not math.isfinite(bound.excess):
+        return f"{bound.text}: missed by {bound.draws:,} of {draws:,} draws"
+    return f"{bound.text}: missed by {bound.draws:,} of {draws:,} draws, by at most {excess}"
 
 
 def likelihood_text(likelihood: LikelihoodAnswer) -> str:
@@ -119,7 +138,7 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
         rows.append((name, *values, "" if unit == "1" else unit))
     show_table(("number", *columns, ""), rows)
     worst = answer.worst
-    result = ENDED
+    result = ENDED if worst.ending is None else f"it {worst.ending}"
     if worst.worst_value is not None:
         result = f"{worst.worst_value} where {worst.worst_requirement} is required"
     spent = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
@@ -127,6 +146,11 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
         console.print(f"it fails: {result}; the first failure came after {answer.first_failure} of {spent}")
     else:
         console.print(f"no failure was found, which proves nothing; the worst of {spent}: {result}")
+    course = falsified.course_at(falsified.worst)
+    if course:
+        console.print(f"worst draw: {course}", markup=False, soft_wrap=True)
+    if falsified.nearest_failure is not None and falsified.nearest_failure != falsified.worst:
+        console.print(f"likeliest failure: {falsified.course_at(falsified.nearest_failure)}", markup=False)
     console.print(f"worst draw {likelihood_text(worst.likelihood)}", soft_wrap=True)
     if nearest:
         console.print(f"likeliest failure found {likelihood_text(nearest.likelihood)}", soft_wrap=True)

@@ -4,19 +4,21 @@ The plant is linearised at its start, with the command that keeps it there if th
 command held, behind those of its actuators that are linear. All rules then work with numbers of that system alone,
 whatever its units:
 
-* PID: phase margin of 60 degrees at the bandwidth, integral action a decade below, a lead element split about it. Of a
-  plant with less lag than 84 degrees there, the integral acts higher, for a margin of 90 degrees: a first-order lag is
-  cancelled.
+* PID: phase margin of 60 degrees at the bandwidth, or 45 where one lead element gives no more. Integral action at 0.1,
+  0.2 or 0.4 times the bandwidth. Of a plant with less lag than 84 degrees there, the integral acts higher, for a margin
+  of 90 degrees: a first-order lag is cancelled.
 * LQG: y weighted with 1; the weight of u is that at which the regulator's loop crosses 1 at the bandwidth. The noise of
   the measured signals has the proportions in which a disturbance at the command moves them (Bryson's rule), and the
-  size at which the filter's loop crosses 1 at four times the bandwidth; integral action a decade below.
+  size at which the filter's loop crosses 1 at four times the bandwidth; integral action as for PID.
 * State feedback: the regulator of LQG, with all states measured, or y and y' of a plant of order two.
 * These have no integral action where the plant has a zero at rest.
 * DSSC: its special case SSC, with constants. In sliding it synthesises a PI law of sigma, whose loop has a double pole
   at the bandwidth; e follows at a third of that.
 
 Regulator, filter and SSC are rules for the plant alone. So a design counts only if its sampled closed loop is stable
-with the linear actuators; without a stated bandwidth, one with a peak of abs(S) of at most 2 is looked for. These gains
+with the linear actuators. Of those with a peak of abs(S) of at most 2, the one whose output settles fastest after a
+step of a disturbance at the command is taken: over the integral's frequencies, and without a stated bandwidth over
+bandwidths, too. A bandwidth just above a resonance leaves little gain below it, and so a slow integral. These gains
 begin a study: margins, draws and tuning follow.
 
 References:
@@ -39,30 +41,31 @@ from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import (
     ActuatorsBefore,
+    ClosedLoop,
     LinearPlant,
-    PlantAtStart,
+    Subject,
     actuators_before,
     closed,
     plant_at_start,
     sampled_plant,
 )
+from dssc_jax.design.pid_gains import SLOWEST, acts_at_rest, limits, pid
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.lqg import filter_gain, gain_at_rest, regulator_gain, sampled_system
 from dssc_jax.study.components import parse_component
 from dssc_jax.study.fitting import medians, setting_of
 from dssc_jax.study.study import Study
 
-PHASE_MARGIN = math.radians(60.0)
-MOST_LEAD = math.radians(65.0)  # of one lead element
-MOST_LAG = math.radians(85.0)  # of the integral part at the bandwidth
-MOST_ADVANCE = math.radians(10.0)  # of a plant with a gain at rest that PID can make cross
-DECADE = 10.0
+INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
+"""Frequencies below which the integral acts, in bandwidths, that are tried."""
 FILTER_RATIO = 4.0  # of the filter's bandwidth to the regulator's
 SLOW_ERROR = 3.0  # of the bandwidth to l0
 MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
 PLACES = 9  # bisections' decades of a weight on either side
 DIGITS = 4
 HALVINGS = 14
+FURTHER = 3  # halvings of the bandwidth after the first good loop
+FASTER = 1.05  # ratio of settling times from which on a design is better
 MOST_PEAK = 2.0  # of abs(S), where no bandwidth is stated
 FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
 
@@ -84,36 +87,21 @@ class FirstGains(NamedTuple):
         bandwidth: The frequency that it is made for [rad/s].
         radius: Largest modulus of the poles of the sampled closed loop, below 1; of SSC while it slides.
         sensitivity_peak: Largest abs(S) of that loop, broken at the command.
+        settling: Time after which its output stays within 2 % of the largest deviation, after a step of a disturbance
+            at the command [s].
         taken: Kinds of the actuators in that loop.
         left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
+        loop: That loop.
     """
 
     table: TomlTable
     bandwidth: float
     radius: float
     sensitivity_peak: float
+    settling: float
     taken: tuple[str, ...]
     left_out: tuple[str, ...]
-
-
-class Subject(NamedTuple):
-    """What first gains are made for.
-
-    Args:
-        study: The study.
-        plant: Its plant at the start, in continuous time.
-        alone: The same, sampled without actuators.
-        actuators: Its actuators.
-        whole: The plant sampled behind the linear ones.
-        limit: Largest size of the command, in its unit; None: none.
-    """
-
-    study: Study
-    plant: PlantAtStart
-    alone: LinearPlant
-    actuators: ActuatorsBefore
-    whole: LinearPlant
-    limit: float | None
+    loop: ClosedLoop
 
 
 def first_gains(
@@ -124,8 +112,9 @@ def first_gains(
     Args:
         study: The study; what it says of its controller is not used.
         kind: ``pid``, ``lqg``, ``state_feedback`` or ``ssc``.
-        bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: a twentieth of pi/T_s, or the first
-            half of it, and so on, with a peak of abs(S) of at most 2; else the one with the smallest peak.
+        bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: a twentieth of pi/T_s, its half, and
+            so on: of those with a peak of abs(S) of at most 2 the one that settles fastest after a disturbance, until
+            three more halvings bring nothing better; else the one with the smallest peak.
         limit: Largest size of the command, in its unit; ``ssc`` needs it, the others respect it.
 
     Raises:
@@ -155,6 +144,29 @@ def first_gains(
 
 
 def designed(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
+    """The design of a kind at a bandwidth with the best integral action; raises ConfigError if there is none.
+
+    Its loop need not be stable.
+    """
+    best = tried(subject, kind, bandwidth, INTEGRAL_RATIOS[0])
+    for ratio in INTEGRAL_RATIOS[1:] if kind != FirstController.SSC else ():
+        try:
+            found = tried(subject, kind, bandwidth, ratio)
+        except ConfigError:
+            break
+        if better(found, best):
+            best = found
+    return best
+
+
+def better(found: FirstGains, best: FirstGains) -> bool:
+    """Whether a design is better: with a good peak of abs(S) the one that settles faster, else that with less peak."""
+    if found.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK:
+        return FASTER * found.settling < best.settling
+    return found.sensitivity_peak < best.sensitivity_peak
+
+
+def tried(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstGains:
     """The design of a kind at a bandwidth, whose loop need not be stable; raises ConfigError if there is none."""
     rules = {
         FirstController.PID: pid,
@@ -163,7 +175,7 @@ def designed(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
         FirstController.SSC: ssc,
     }
     study = subject.study
-    table = rounded(rules[FirstController(kind)](subject, bandwidth))
+    table = rounded(rules[FirstController(kind)](subject, bandwidth, ratio))
     controller = parse_component(table, CONTROLLERS, "controller")
     if controller.model.fit is not None:
         setting = setting_for(study)
@@ -172,11 +184,15 @@ def designed(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
     loop = closed(subject.whole, controller)
     radius = loop.radius
     peak = loop.sensitivity_peak if radius < 1.0 else math.inf
-    return FirstGains(table, bandwidth, radius, peak, subject.actuators.taken, subject.actuators.left_out)
+    row = np.zeros(len(loop.a))
+    row[: len(subject.whole.c)] = subject.whole.c
+    settling = loop.settling(row) * study.loop.sample_time
+    taken, left_out = subject.actuators.taken, subject.actuators.left_out
+    return FirstGains(table, bandwidth, radius, peak, settling, taken, left_out, loop)
 
 
 def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
-    """The design at the first of a bandwidth, its half, and so on, that has a good loop; else the best that is stable.
+    """The best design at a bandwidth, its half, and so on, until some after the first good loop are no better.
 
     Raises:
         ConfigError: none is stable.
@@ -184,18 +200,21 @@ def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
     refusal: ConfigError | None = None
     best: FirstGains | None = None
     bandwidth = start
+    left = HALVINGS
     for half in range(HALVINGS):
+        if left == 0:
+            break
+        left -= 1
         bandwidth = start * 0.5**half
         try:
             found = designed(subject, kind, bandwidth)
         except ConfigError as error:
             refusal = refusal or error
             continue
-        if found.sensitivity_peak <= MOST_PEAK:
-            return found
-        if found.radius < 1.0 and (best is None or found.sensitivity_peak < best.sensitivity_peak):
+        if best is None or better(found, best):
             best = found
-    if best is not None:
+            left = FURTHER if found.sensitivity_peak <= MOST_PEAK else left
+    if best is not None and best.radius < 1.0:
         return best  # such as of a plant that is unstable itself
     if refusal is not None:
         raise refusal
@@ -203,50 +222,7 @@ def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
     raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
 
 
-def pid(subject: Subject, omega: float) -> TomlTable:
-    """The PID controller; raises ConfigError."""
-    plant = subject.whole
-    at = plant.response(omega)
-    phase = float(np.angle(at))
-    phase -= 2.0 * math.pi if phase > math.radians(66.0) else 0.0  # a large lag, where no lead is meant
-    integrates = acts_at_rest(plant, omega)
-    if phase > MOST_ADVANCE:
-        rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(phase):.0f} degrees"
-        remedy = "ask for another bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
-        raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
-    behind = min(max(0.5 * math.pi + phase, math.atan(1.0 / DECADE)), MOST_LAG)
-    corner = omega * math.tan(behind) if integrates else 0.0
-    needed = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
-    if needed > MOST_LEAD:
-        rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
-        remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
-        raise ConfigError("`bandwidth`", f"{rule} {remedy}")
-    lead = max(needed, 0.0)
-    ratio = math.sqrt((1.0 + math.sin(lead)) / (1.0 - math.sin(lead)))
-    ahead = ratio / omega if lead else 0.0
-    filtered = 1.0 / (ratio * omega) if lead else 0.0
-    s = 1j * omega
-    gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
-    k_i = gain * corner
-    k_p = gain * (1.0 + corner * ahead) - k_i * filtered
-    k_d = gain * ahead - k_p * filtered if lead else 0.0
-    table: TomlTable = {"kind": "pid", "k_p": k_p} | ({"k_i": k_i} if k_i else {})
-    if lead:
-        table |= {"k_d": k_d, "filter": filtered}
-    return table | limits(subject)
-
-
-def limits(subject: Subject) -> TomlTable:
-    """The limits of the command, as fields of a controller."""
-    return {} if subject.limit is None else {"low": -subject.limit, "high": subject.limit}
-
-
-def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
-    """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect."""
-    return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
-
-
-def lqg(subject: Subject, omega: float) -> TomlTable:
+def lqg(subject: Subject, omega: float, ratio: float) -> TomlTable:
     """The LQG controller of y, or of all measured signals; raises ConfigError."""
     study, plant = subject.study, subject.alone
     nominal = nominal_of(study)
@@ -271,7 +247,7 @@ def lqg(subject: Subject, omega: float) -> TomlTable:
     deviation = crossing(filtered, 1.0)
     weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, z)
     table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight}
-    table |= {"integral_weight": integral_weight(plant, omega)}
+    table |= {"integral_weight": integral_weight(plant, ratio * omega)}
     table |= {"signal_std": [float(deviation * size) for size in sizes], "disturbance_std": [1.0]}
     return table | limits(subject)
 
@@ -292,9 +268,9 @@ def setting_for(study: Study) -> LoopSetting:
         return setting_of(loop.plant, medians(study.template).plant, loop.sample_time, loop.measures)
 
 
-def integral_weight(plant: LinearPlant, omega: float) -> float:
-    """The weight of the integral of y with which it acts a decade below the bandwidth; 0 without a gain at rest."""
-    return (omega / DECADE) ** 2 if acts_at_rest(plant, omega) else 0.0
+def integral_weight(plant: LinearPlant, corner: float) -> float:
+    """The weight of the integral of y with which it acts below a frequency [rad/s]; 0 without a gain at rest."""
+    return corner**2 if acts_at_rest(plant, corner) else 0.0
 
 
 def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
@@ -313,14 +289,14 @@ def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: flo
     return np.linalg.solve(np.exp(1j * omega * sample_time) * np.eye(len(a)) - a, columns)
 
 
-def state_feedback(subject: Subject, omega: float) -> TomlTable:
+def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
     """The regulator of LQG as feedback of measured states, or of y and y'; raises ConfigError."""
     study, plant = subject.study, subject.plant
     z = subject.alone.sample_time
     sampled = sampled_system(plant.a, plant.b[:, None], z)
     weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, z)
     n = len(plant.a)
-    integral = integral_weight(subject.alone, omega)
+    integral = integral_weight(subject.alone, ratio * omega)
     a, b, q = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
     if integral:
         a = np.block([[a, np.zeros((n, 1))], [z * plant.c[None, :], np.ones((1, 1))]])
@@ -351,7 +327,7 @@ def state_feedback(subject: Subject, omega: float) -> TomlTable:
     if k_i < 0.0:
         raise ConfigError(f"{study.source}: plant", "has a negative gain at rest; turn the command's sign")
     table: TomlTable = {"kind": "state_feedback"} | proportional | ({"k_i": k_i} if k_i else {})
-    tracking = {"tracking": DECADE / omega} if k_i and subject.limit is not None else {}
+    tracking = {"tracking": 1.0 / (ratio * omega)} if k_i and subject.limit is not None else {}
     return table | tracking | limits(subject)
 
 
@@ -372,7 +348,7 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
     return math.sqrt(low * high)
 
 
-def ssc(subject: Subject, omega: float) -> TomlTable:
+def ssc(subject: Subject, omega: float, ratio: float) -> TomlTable:
     """SSC, whose loop in sliding is sigma'' + k_p K_P sigma' + k_p K_I sigma; raises ConfigError."""
     study, limit = subject.study, subject.limit
     a, b, c = subject.plant.a, subject.plant.b, subject.plant.c

@@ -6,6 +6,7 @@ x(k+1) = A x(k) + B u(k). It follows from one matrix exponential of the plant an
 from the derivative of what the others do at a sample.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,6 +34,9 @@ NEWTON_STEPS = 20
 AT_REST = 1e-9  # share of the rate of change without a command that may be left
 GRID = 600  # frequencies of the sensitivity's peak
 DECADES = 6.0  # of this grid, below the Nyquist frequency
+SETTLED = 0.02  # of the largest distance from the end
+FADED = 7.0  # time constants of the slowest pole, over which an output is looked at
+INSTANTS = 2000
 
 
 class PlantAtStart(NamedTuple):
@@ -117,6 +121,49 @@ class ClosedLoop(NamedTuple):
         eye = np.eye(len(self.a))
         at = np.linalg.solve(np.exp(1j * angles)[:, None, None] * eye - self.a, self.b[:, None])[..., 0]
         return float(np.max(np.abs(1.0 + at @ self.c)))
+
+    def settling(self, row: np.ndarray) -> float:
+        """Samples after which an output stays near its end, after a step added to the command; infinite if unstable.
+
+        Near is within 2 % of its largest distance from the end.
+
+        Args:
+            row: From the state to the output, shape (n,).
+        """
+        if self.radius >= 1.0:
+            return math.inf
+        order = len(self.a)
+        rest = np.linalg.solve(np.eye(order) - self.a, self.b)
+        decay = -math.log(max(self.radius, np.finfo(float).tiny))
+        stride = max(1, math.ceil(FADED / (decay * INSTANTS)))
+        over = np.linalg.matrix_power(self.a, stride)
+        distance = np.empty(INSTANTS)
+        state = -rest
+        for k in range(INSTANTS):
+            distance[k] = abs(row @ state)
+            state = over @ state
+        far = np.flatnonzero(distance > SETTLED * np.max(distance))
+        return float(stride * (far[-1] + 1)) if far.size else 0.0
+
+
+class Subject(NamedTuple):
+    """What first gains are made for.
+
+    Args:
+        study: The study.
+        plant: Its plant at the start, in continuous time.
+        alone: The same, sampled without actuators.
+        actuators: Its actuators.
+        whole: The plant sampled behind the linear ones.
+        limit: Largest size of the command, in its unit; None: none.
+    """
+
+    study: Study
+    plant: PlantAtStart
+    alone: LinearPlant
+    actuators: ActuatorsBefore
+    whole: LinearPlant
+    limit: float | None
 
 
 def plant_at_start(study: Study) -> PlantAtStart:

@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.margin_measures import margins_of
-from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement
+from dssc_jax.closed_loop.requirements import VIOLATED_AT, Requirement, binding_requirement, violated
 from dssc_jax.core.contracts import Controller, Plant
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Scalar
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import Outcome, Scalar
 from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
 from dssc_jax.engine.kernels import Form
 from dssc_jax.engine.sampling import Arrays
@@ -78,6 +79,29 @@ class Evaluator:
         """
         known = {*self.engine.names, *margins_of(self.swept.measures)}
         return evaluate(self.engine, {name: column for name, column in values.items() if name in known}, indices)
+
+    def fails(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Whether each lane fails, shape (n,); margins are computed only of those whose flight meets all else.
+
+        Args:
+            indices: As for a call.
+            values: As for a call.
+        """
+        margins = margins_of(self.swept.measures)
+        if not margins:
+            return self(indices, values)["outcome"] != Outcome.OK
+        required = [rule for rule in self.swept.requirements if rule.measure.name in margins]
+        met = {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
+        flown = self(indices, {**values, **{name: np.full(len(indices), np.nan) for name in margins}, **met})
+        left = np.flatnonzero(flown["outcome"] == Outcome.OK)
+        failed = np.ones(len(indices), bool)
+        if left.size:
+            found = self.engine.margins({name: column[left] for name, column in values.items()}, indices[left])
+            with arithmetic(self.swept.config.loop.precision):
+                slacks = [rule.slack(jnp.asarray(found[rule.measure.name])) for rule in required]
+            broken = [violated(np.asarray(slack)) for slack in slacks]
+            failed[left] = np.any(broken, axis=0)
+        return failed
 
 
 def driven_parts(study: Study) -> list[tuple[str, Plant | Controller]]:

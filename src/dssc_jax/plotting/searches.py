@@ -74,7 +74,7 @@ def history(ax: Axes, tuned: Analysis) -> None:
     right = ax.twinx()
     right.grid(False)
     violation = 100.0 * data["validation_violation"].values
-    top = max(5.0, 1.1 * max(violation, default=0.0))
+    top = max(5.0, 1.1 * np.max(violation, where=np.isfinite(violation), initial=0.0))
     right.plot(step, violation, ":", color=RED, label="violation, validation draws")
     right.set(ylabel="largest violation of a limit [%]", ylim=(0.0, top))
     lines = [*ax.get_lines(), *right.get_lines()]

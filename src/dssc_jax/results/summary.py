@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import xarray as xr
 
-from dssc_jax.closed_loop.requirements import ended_early, violated
+from dssc_jax.closed_loop.requirements import ended_early, first_violation, violated
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import Outcome
 from dssc_jax.results.fields import MERGED
@@ -171,9 +171,10 @@ def requirements(
 
     ``alone`` counts the completed draws that violate only this requirement, ``first`` the draws that violate it before
     all others, and ``violated_at`` is the median over the draws that violate it of the time at which that was certain.
+    Of a margin, ``unstable`` and ``no_operating_point`` count the completed draws whose loop has none for that reason.
     """
     early = ended_early(lanes["outcome"])
-    first = first_violated(study, lanes)
+    first, _ = first_violation(study.requirements, lanes)
     violations_of_draw = np.sum(list(violations.values()), axis=0)
     table = []
     for number, requirement in enumerate(study.requirements):
@@ -185,23 +186,28 @@ def requirements(
             "first": np.count_nonzero(first == number, axis=-1).tolist(),
             "violated_at": nullable(median_of_some(lanes[requirement.violation_name])),
         }
+        margin = requirement.measure.metric.margin
+        if margin is not None and not np.isnan(margin.kind.neutral):
+            values = lanes[requirement.measure.name]
+            columns["unstable"] = np.count_nonzero(values == margin.kind.neutral, axis=-1).tolist()
+            columns["no_operating_point"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
         table.append([head | row for row in rows(columns)])
     return table
 
 
-def first_violated(study: Study, lanes: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Index of the requirement that each draw violates first; -1 if it meets all, or ended early before that.
-
-    At the same sample the first one in the study's order counts.
-    """
-    first = np.full(lanes["outcome"].shape, -1)
-    earliest = np.where(np.isnan(lanes["failed_at"]), np.inf, lanes["failed_at"])
-    for number, requirement in enumerate(study.requirements):
-        times = lanes[requirement.violation_name]
-        is_earlier = times < earliest
-        first = np.where(is_earlier, number, first)
-        earliest = np.where(is_earlier, times, earliest)
-    return first
+def margins_missing(point: SummaryRow) -> list[str]:
+    """For the required margins of a point: how many draws have none, and why, in words."""
+    named: dict[tuple[int, int], list[str]] = {}
+    for row in point["requirements"]:
+        counts = row.get("unstable", 0), row.get("no_operating_point", 0)
+        if any(counts):
+            named.setdefault(counts, []).append(row["text"])
+    sentences = []
+    for (unstable, without), names in named.items():
+        reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
+        reasons += [f"in {without:,} it has no operating point"] if without else []
+        sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
+    return sentences
 
 
 def median_of_some(values: np.ndarray) -> np.ndarray:

@@ -143,10 +143,12 @@ class FormulaParser:
         formula = with_intervals(formula, self.steps, outermost=True)
         needed = horizon(formula)
         if needed >= self.steps:
-            duration = (self.steps - 1) * self.sample_time
+            last = (self.steps - 1) * self.sample_time
+            missing = (needed - self.steps + 1) * self.sample_time
+            longer = (needed + 1) * self.sample_time
             raise ValueError(
-                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {duration:g} s; "
-                "shorten its intervals, or lengthen loop.duration"
+                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {last:g} s, one sample "
+                f"before the end; shorten its intervals by {missing:g} s, or set loop.duration = {longer:g}"
             )
         unit = next(iter(self.units)) if len(self.units) == 1 else UNCLEAR
         return ParsedFormula(formula, unit, min(self.sizes, default=None))

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pydantic import ValidationError
 
 from dssc_jax.core.errors import ConfigError, close_names, nearest
+from dssc_jax.study.tables import quotes_hint
 
 UNKNOWN_NAME = "unknown name"
 
@@ -25,6 +26,9 @@ def explain(error: ValidationError, names: Iterable[str]) -> ConfigError:
     first = misspelt[0] if misspelt else errors[0]
     path = ".".join(str(part) for part in first["loc"])
     value = first.get("input")
+    hint = quotes_hint(".".join(map(str, first["loc"][:-1])), str(first["loc"][-1]), value)
+    if hint:
+        return ConfigError(path, f"has no valid value{hint}")
     match first["type"]:
         case "extra_forbidden":
             return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(str(first['loc'][-1]), names)}")

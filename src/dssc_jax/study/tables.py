@@ -13,11 +13,14 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
+from dssc_jax.study.parsed_values import AXES
 from dssc_jax.study.separators import toml_hint
 
 PARAMETERS = "parameters"
 DESCRIPTION = ("unit", "meaning")
 """What the table of a parameter holds besides its content."""
+KEYED_BY_NAMES = ("sweep", "correlation", "tune.parameters", "tune.objective", "tune.limits", "tune.over")
+"""Tables whose keys are dotted names, which TOML wants in quotes."""
 LARGEST_FILE = 2**20  # bytes of a study file
 DEEPEST = 32  # tables within tables, and names in a dotted name
 DOTTED_NAME = rf"(?:[^\s.=,\[\]{{}}]++[ \t]*+\.[ \t]*+){{{DEEPEST}}}"
@@ -125,13 +128,16 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
     Raises:
         ConfigError: The name passes through a number, or beyond a list's end.
     """
+    for section in KEYED_BY_NAMES:
+        if name.startswith(f"{section}."):
+            inner: Any = table
+            for part in section.split("."):
+                inner = inner.setdefault(part, {})
+                if not isinstance(inner, dict):
+                    raise ConfigError(section, f"must be a table, got {inner!r}")
+            inner[name.removeprefix(f"{section}.").strip("\"'")] = value
+            return
     first, _, remainder = name.partition(".")
-    if first in ("sweep", "correlation") and remainder:  # the names in these tables are dotted themselves
-        inner = table.setdefault(first, {})
-        if not isinstance(inner, dict):
-            raise ConfigError(first, f"must be a table, got {inner!r}")
-        inner[remainder] = value
-        return
     if first == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first), dict):
         value = described_like(value, table[first].get(remainder))
     *parents, key = name.split(".")
@@ -153,6 +159,26 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
         container[key] = value
     else:
         raise ConfigError(name, f"leads nowhere: '{key}' is not in a table")
+
+
+def quotes_hint(section: str, key: str, value: object) -> str:
+    """The end of a message where a name with dots was not quoted, so that TOML read it as tables; else empty.
+
+    Args:
+        section: Dotted name of the table.
+        key: The key that has no valid value.
+        value: What it has.
+    """
+    if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
+        return ""
+    parts = [key]
+    while isinstance(value, Mapping) and len(value) == 1 and not value.keys() <= set(AXES):
+        (inner,) = value
+        parts.append(str(inner))
+        value = value[inner]
+    if len(parts) == 1 or (isinstance(value, Mapping) and not value.keys() <= set(AXES)):
+        return ""
+    return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"
 
 
 def described_like(value: object, earlier: object) -> object:

@@ -137,3 +137,41 @@ def test_a_robustness_that_is_no_number_can_be_stored(tmp_path):
     assert found.slack == -np.inf
     found.save(tmp_path / "found")
     assert dj.load(tmp_path / "found").dataset["slack"].shape == found.dataset["slack"].shape
+
+
+def test_how_a_draw_ends_is_told():
+    """A pole at 700/s leaves the numbers within a second; the simulated draw says when, and what it violates before."""
+    table = {
+        "name": "diverging",
+        "draws": 8,
+        "loop": {"duration": 4.0, "sample_time": 0.01},
+        "plant": {"kind": "normal_form", "k_p": 1.0, "a_p": {"uniform": [-800.0, -700.0]}, "initial": [1.0, 0.0]},
+        "controller": {"kind": "pid", "k_p": 6.0, "k_d": 3.0},
+        "requirement": [{"metric": "error_max", "after": 3.0, "max": 0.5}, {"metric": "command_max", "max": 100.0}],
+    }
+    found = dj.falsify(dj.Study.from_table(table), budget=32)
+    run = dj.simulate(found.witness_study)
+    worst = found.answer.worst
+    assert worst.ending == "does not stay finite"
+    assert worst.ended_at == pytest.approx(run.attrs["failed_at"])
+    assert worst.first_violated == "command_max <= 100 m/s"
+    passed = float(run["t"][np.flatnonzero(np.abs(run["u"].values) > 100.0)[0]])
+    assert worst.violated_at == pytest.approx(passed)
+    told = f"it does not stay finite at {worst.ended_at:.4g} s; before that it violates command_max <= 100 m/s at"
+    assert found.course_at(found.worst) == f"{told} {passed:.4g} s"
+
+
+def test_a_draw_that_never_settles_does_not_end_early():
+    table = {
+        "name": "unsettled",
+        "draws": 8,
+        "loop": {"duration": 1.0, "sample_time": 0.01},
+        "plant": {"kind": "normal_form", "k_p": {"uniform": [0.5, 1.0]}, "initial": [1.0, 0.0]},
+        "controller": {"kind": "pid", "k_p": 0.1},
+        "requirement": [{"metric": "settling_time", "max": 0.5}],
+    }
+    found = dj.falsify(dj.Study.from_table(table), budget=32)
+    worst = found.answer.worst
+    assert worst.ending is None
+    assert worst.worst_value == "inf s"
+    assert "has inf s where settling_time <= 0.5 s is required" in found.headline

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dssc_jax as dj
-from dssc_jax.analyses.tuning.objective import Goal, weights
+from dssc_jax.analyses.tuning.objective import Goal, missed_bounds, weights
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.evaluation import Derivative
 
@@ -75,3 +75,37 @@ def test_the_soft_worst_is_near_the_worst():
 def test_public_names():
     assert dj.tune.__name__ == "tune"
     assert dj.Tuned.__name__ == "Tuned"
+
+
+def test_what_is_missed_is_named_with_its_size():
+    study = dj.Study.from_table(
+        {
+            "name": "missed",
+            "draws": 4,
+            "loop": {"duration": 1.0, "sample_time": 0.1},
+            "plant": {"kind": "normal_form"},
+            "controller": {"kind": "pid", "k_p": 1.0},
+            "requirement": [{"metric": "error_max", "max": 0.5}, {"metric": "settling_time", "max": 0.5}],
+        }
+    )
+    error, settling = study.requirements
+    results = {
+        "outcome": np.array([0, 16, 16, 1]),
+        error.name: np.array([0.1, -0.2, -0.3, -np.inf]),
+        settling.name: np.array([0.1, 0.2, -np.inf, -np.inf]),
+        "command_tv": np.array([1.0, 2.0, 3.0, np.nan]),
+        "error_max": np.array([0.4, 0.7, 0.8, np.nan]),
+    }
+    goal = Goal({"error_max": 1.0}, "mean", 0.95, {"command_tv": 1.5}, study.requirements)
+    missed = missed_bounds(goal, results, {"command_tv": "m/s"})
+    assert [(bound.text, bound.draws, bound.unit) for bound in missed] == [
+        ("runs to its end", 1, ""),
+        ("error_max <= 0.5 m", 2, "m"),
+        ("settling_time <= 0.5 s", 1, "s"),
+        ("mean command_tv <= 1.5", None, "m/s"),
+    ]
+    np.testing.assert_allclose([bound.excess for bound in missed], [np.inf, 0.3, np.inf, 0.5])
+    completed = {name: column[:3] for name, column in results.items()}
+    merit = goal.merit(completed, ())
+    assert np.isfinite(merit.violation)  # a draw that never settles leaves a direction to the search
+    assert merit.violation > 0.0

@@ -149,6 +149,7 @@ def test_an_unstable_box_has_a_counterexample():
     [
         ({"plant.b.1": 1.0, "plant.a.1.1": -1.0}, {}, "no uncertain number"),
         ({}, {"broken_at": ("inputs",)}, "no break point 'inputs'"),
+        ({}, {"broken_at": ("measured_speed",)}, "a measured signal is no break point: 'input' has the margins"),
         ({}, {"cells": 0}, "cells"),
         ({}, {"points": 0}, "points"),
         ({}, {"sigma": 0.0}, "sigma"),

@@ -11,8 +11,9 @@ from scipy.linalg import expm
 from scipy.optimize import brentq, minimize_scalar
 
 import dssc_jax as dj
+from dssc_jax.console.results import show_result
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.evaluation import Derivative, GradientEvaluator
+from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
 from dssc_jax.engine.linearisation.margin_values import MarginValues
 from dssc_jax.engine.sampling import draw
 from tests.page_examples import BLOCK
@@ -251,3 +252,60 @@ def test_a_first_command_at_its_limit_does_not_hide_the_equilibrium():
     assert np.all(free["gain_margin"] > 1.0)
     for name in ("gain_margin", "phase_margin"):
         np.testing.assert_allclose(limited[name], free[name], rtol=1e-9)
+
+
+def without_rest(**changes):
+    """Integral action on a plant with a zero at rest has no equilibrium at a step; a zero at 20 makes it unstable."""
+    table = {
+        "name": "no_rest",
+        "draws": 60,
+        "parameters": {"zero": {"choice": [0.0, 1.0, 20.0]}},
+        "loop": {"duration": 1.0, "sample_time": 0.01},
+        "plant": {"kind": "transfer_function", "numerator": [1.0, "=zero"], "denominator": [1.0, 2.0, 1.0]},
+        "reference": {"kind": "step", "size": 1.0},
+        "controller": {"kind": "pid", "k_p": 3.0, "k_i": 20.0, "low": -5.0, "high": 5.0},
+        "requirement": [{"margin": "phase", "min": "20 deg"}, {"metric": "error_max", "max": 3.0}],
+    }
+    return dj.Study.from_table(table | changes)
+
+
+def test_draws_without_an_operating_point_are_counted_and_told(tmp_path, capsys):
+    result = dj.run(without_rest(), tmp_path / "run", check=False)
+    zero = result.dataset["parameters.zero"].values
+    phase = result.dataset["phase_margin"].values
+    slack = result.dataset["slack_phase_margin_min"].values
+    np.testing.assert_array_equal(np.isnan(phase), zero == 0.0)
+    np.testing.assert_array_equal(phase == 0.0, zero == 20.0)
+    assert np.all(phase[zero == 1.0] > np.radians(20.0))
+    np.testing.assert_allclose(slack[zero != 1.0], -np.radians(20.0))
+    point = result.summary()["points"][0]
+    row = point["requirements"][0]
+    assert row["no_operating_point"] == np.count_nonzero(zero == 0.0) > 0
+    assert row["unstable"] == np.count_nonzero(zero == 20.0) > 0
+    assert row["failures"] == row["no_operating_point"] + row["unstable"]
+    assert "unstable" not in point["requirements"][1]
+    show_result(result)
+    counts = row["unstable"], row["no_operating_point"]
+    text = (
+        "draws without a margin violate phase_margin >= 20 deg: in {} the loop is unstable, in {} it has no operating"
+    )
+    assert text.format(*counts) in capsys.readouterr().out
+
+
+def test_values_are_shown_in_the_unit_of_the_bound():
+    required = {rule.measure.name: rule for rule in study().requirements}
+    assert required["gain_margin"].shown(10.0) == (pytest.approx(20.0), "dB")
+    assert required["phase_margin"].shown(np.pi / 4.0) == (pytest.approx(45.0), "deg")
+    assert required["delay_margin"].shown(0.25) == (pytest.approx(250.0), "ms")
+    assert required["modulus_margin"].shown(0.25) == (0.25, "1")
+
+
+@pytest.mark.parametrize("of", [study, without_rest])
+def test_who_only_asks_for_failures_gets_those_of_the_whole_evaluation(of):
+    asked = of()
+    evaluator = Evaluator(asked, {}, 16)
+    indices = np.arange(30)
+    values = evaluator.drawn(slice(0, 30))
+    outcome = evaluator(indices, values)["outcome"]
+    np.testing.assert_array_equal(evaluator.fails(indices, values), outcome != 0)
+    assert 0 < np.count_nonzero(outcome) < 30

@@ -21,9 +21,10 @@ from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
+from dssc_jax.results.schema import ENDINGS
 from dssc_jax.statistics import Likelihood, mass_within
 from dssc_jax.study import Study, takes_file
 
@@ -46,6 +47,10 @@ class PointAnswer:
     slack: Annotated[float, Quantity("1", "slack of the worst requirement, relative to its bound")]
     worst_requirement: Annotated[str | None, Quantity("", "that requirement; None if the draw ends early")]
     worst_value: Annotated[str | None, Quantity("", "its metric, with the unit; None if the draw ends early")]
+    ending: Annotated[str | None, Quantity("", "how the draw ends early; None if it runs to its end")]
+    ended_at: Annotated[float | None, Quantity("s", "time at which it ends early")]
+    first_violated: Annotated[str | None, Quantity("", "requirement that it violates first, before it ends")]
+    violated_at: Annotated[float | None, Quantity("s", "time at which that violation is certain")]
     witness: Annotated[dict[str, float], Quantity("that of the number", "value of each uncertain number")]
     likelihood: LikelihoodAnswer
 
@@ -77,7 +82,9 @@ class Falsified(Analysis):
     The dataset has every simulated point, along ``point``: its numbers; its ``slack``, that of the worst requirement
     relative to its bound, or for a bound of 0 to its median over the first points, negative if the draw fails;
     ``binding``, the index of that requirement; ``distance_to_bound``, its slack in the metric's unit;
-    ``simulations``, the number spent so far; and its likelihood, as ``distance``, ``log_density`` and ``mass``
+    ``simulations``, the number spent so far; ``ended``, the outcome code of a draw that ended early, else 0, and its
+    ``failed_at``; ``first``, the index of the requirement that it violated first, or -1, and ``violated_at``; and its
+    likelihood, as ``distance``, ``log_density`` and ``mass``
     (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
     derivative.
 
@@ -96,13 +103,19 @@ class Falsified(Analysis):
     @classmethod
     def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float) -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, signed, spent = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at = (
+            np.concatenate(parts) for parts in zip(*seen, strict=True)
+        )
         study, distances = region.study, region.distances(points)
         columns = {
             "slack": (slacks, "1", "signed slack"),
             "binding": (binding, "1", "index of the worst requirement"),
             "distance_to_bound": (signed, "", "slack of the worst requirement in its metric's unit"),
             "simulations": (spent, "1", "simulations spent until then"),
+            "ended": (ended, "1", "outcome code of a draw that ended early, else 0"),
+            "failed_at": (failed_at, "s", "time at which it ended early (NaN: it did not)"),
+            "first": (first, "1", "index of the requirement that it violated first, else -1"),
+            "violated_at": (violated_at, "s", "time at which that was certain (NaN: none was violated)"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
@@ -156,7 +169,7 @@ class Falsified(Analysis):
 
     def binding_at(self, point: int) -> str | None:
         """The worst requirement of a point; None if its draw ends early, which violates all."""
-        if self.dataset["slack"].values[point] == -np.inf:
+        if self.dataset["ended"].values[point]:
             return None
         return self.study.requirements[int(self.dataset["binding"][point])].text
 
@@ -167,7 +180,31 @@ class Falsified(Analysis):
         requirement = self.study.requirements[int(self.dataset["binding"][point])]
         slack = float(self.dataset["distance_to_bound"][point])
         value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
-        return f"{value:.4g} {requirement.measure.unit}".removesuffix(" 1")
+        if np.isnan(value):
+            return "no number"
+        shown, unit = requirement.shown(value)
+        return f"{shown:.4g} {unit}".removesuffix(" 1")
+
+    def ending_at(self, point: int) -> str | None:
+        """How the draw of a point ends early, in words; None if it runs to its end."""
+        code = int(self.dataset["ended"].values[point])
+        return ENDINGS[Outcome(code)] if code else None
+
+    def course_at(self, point: int) -> str:
+        """How the draw of a point fails, in words, with the times; empty if it runs to its end and meets all."""
+        ending = self.ending_at(point)
+        first = self.first_at(point)
+        at = float(self.dataset["violated_at"].values[point])
+        violation = "" if first is None else f"violates {first} at {at:.4g} s"
+        if ending is None:
+            return violation and f"it first {violation}"
+        text = f"it {ending} at {float(self.dataset['failed_at'].values[point]):.4g} s"
+        return f"{text}; before that it {violation}" if violation else f"{text}, before it violates any requirement"
+
+    def first_at(self, point: int) -> str | None:
+        """The requirement that a point violates first, before its draw ends; None if there is none."""
+        first = int(self.dataset["first"].values[point])
+        return self.study.requirements[first].text if first >= 0 else None
 
     @property
     def simulations(self) -> int:
@@ -190,7 +227,7 @@ class Falsified(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         value, worst = self.value_at(self.worst), self.binding_at(self.worst)
-        ending = "ends early" if value is None else f"has {value} where {worst} is required"
+        ending = self.ending_at(self.worst) if value is None else f"has {value} where {worst} is required"
         verdict = "fails" if self.slack < 0.0 else "passes"
         region = "" if self.within is None else f" within {self.within:.4g} sigma"
         place = f"at {self.likelihood.distance:.3g} sigma"
@@ -222,6 +259,10 @@ class Falsified(Analysis):
             slack=float(self.dataset["slack"][point]),
             worst_requirement=self.binding_at(point),
             worst_value=self.value_at(point),
+            ending=self.ending_at(point),
+            ended_at=None if self.ending_at(point) is None else float(self.dataset["failed_at"].values[point]),
+            first_violated=self.first_at(point),
+            violated_at=None if self.first_at(point) is None else float(self.dataset["violated_at"].values[point]),
             witness=self.numbers_at(point),
             likelihood=likelihood_answer(self.likelihood_at(point)),
         )

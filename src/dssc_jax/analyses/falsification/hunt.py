@@ -8,7 +8,14 @@ from scipy.optimize import differential_evolution
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.falsification.search_sets import SearchSet
-from dssc_jax.closed_loop.requirements import Requirement, add_sizes, binding_requirement, worst_slack
+from dssc_jax.closed_loop.requirements import (
+    Requirement,
+    add_sizes,
+    binding_requirement,
+    ended_early,
+    first_violation,
+    worst_slack,
+)
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, GradientEvaluator, native_code, worst_slopes
@@ -61,6 +68,10 @@ class Seen(NamedTuple):
         binding: Index of that requirement, shape (n,).
         distances: Its slack in the metric's unit, shape (n,).
         spent: Simulations spent until then, shape (n,).
+        ended: Code of how the draw ended early; 0 if it ran to its end, shape (n,).
+        failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).
+        first: Index of the requirement that it violated first, before it ended; -1 if none, shape (n,).
+        violated_at: Time at which that was certain [s]; NaN if none, shape (n,).
     """
 
     points: np.ndarray
@@ -68,6 +79,10 @@ class Seen(NamedTuple):
     binding: np.ndarray
     distances: np.ndarray
     spent: np.ndarray
+    ended: np.ndarray
+    failed_at: np.ndarray
+    first: np.ndarray
+    violated_at: np.ndarray
 
 
 @dataclass
@@ -106,7 +121,11 @@ class Hunt:
         all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
         distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
         spent = self.spent + cost * np.arange(1, len(points) + 1)
-        self.seen.append(Seen(points, slacks, binding, distances, spent))
+        ended = np.where(ended_early(results["outcome"]), results["outcome"], 0)
+        first, violated_at = first_violation(self.requirements, results)
+        self.seen.append(
+            Seen(points, slacks, binding, distances, spent, ended, results["failed_at"], first, violated_at)
+        )
         self.spent += cost * len(points)
         self.worst = min(self.worst, float(slacks.min()))
         if self.progress:

@@ -23,7 +23,7 @@ import numpy as np
 
 from dssc_jax.statistics import CONFIDENCE, log_evidence_of_less
 
-FIRST = 48
+FIRST = 24
 """Draws before the first look."""
 GROWTH = 1.3
 """Draws at a look, relative to the one before."""

@@ -15,7 +15,7 @@ from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST
 from dssc_jax.analyses.selection.race import Race, race
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Outcome, ProgressCallback
+from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.results.analysis import Analysis
@@ -146,7 +146,7 @@ def select(
         keep: Number of those to choose.
         within: Difference of failure probabilities that does not matter.
         most: Largest number of simulations; if they do not suffice, the answer has the difference that they prove.
-        progress: Called with the simulations done; the total is not known beforehand.
+        progress: Called with the simulations done, and with those at the next look; there may be further looks.
 
     Raises:
         ConfigError: a number or range is not admissible, nothing can be chosen, or draws are not independent.
@@ -177,17 +177,20 @@ def select(
         nonlocal finished
         fresh = evaluator.drawn(draws)
         count = draws.stop - draws.start
+        goal = finished + len(running) * count
+        if progress:
+            progress(finished, goal)
         per_batch = max(1, BLOCK // count)
         rows = []
         for begin in range(0, len(running), per_batch):
             part = running[begin : begin + per_batch]
             values = {name: np.tile(column, len(part)) for name, column in fresh.items()}
             values |= {name: np.repeat(column[part], count) for name, column in points.items()}
-            results = evaluator(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
-            rows.append((results["outcome"] != Outcome.OK).reshape(len(part), count))
+            failed = evaluator.fails(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
+            rows.append(failed.reshape(len(part), count))
             finished += len(part) * count
             if progress:
-                progress(finished, None)
+                progress(finished, goal)
         return np.concatenate(rows)
 
     found = race(failing, candidates, keep, within, most)

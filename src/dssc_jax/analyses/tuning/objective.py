@@ -1,5 +1,6 @@
 """Combine the draws' metrics into one objective with limits; compare start and result by it on fresh draws."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
@@ -9,13 +10,14 @@ from scipy.special import softmax
 from scipy.stats import bootstrap
 
 from dssc_jax.analyses.tuning.plan import Plan
-from dssc_jax.closed_loop.requirements import Requirement, ended_early
+from dssc_jax.closed_loop.requirements import Requirement, ended_early, violated
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.evaluation import Derivative, Evaluator
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson, compare_failures, compare_metrics, quantile_interval
 
+ENDLESS = 10.0  # relative excess of a draw that misses a bound by an infinite amount, such as one that never settles
 SHARPNESS = 0.1  # temperature of the soft worst case, in standard deviations of the draws' costs
 REQUIREMENTS = "requirements"
 COUNTEREXAMPLES = "counterexamples"
@@ -103,8 +105,19 @@ class Goal:
 
     def excess(self, results: Arrays) -> np.ndarray:
         """How far each draw misses its worst requirement, relative to the bound; 0 if it meets all."""
-        missed = [-results[r.name] / r.scale for r in self.requirements]
-        return np.maximum(np.max(missed, axis=0), 0.0)
+        return np.maximum(np.max(self._relative(results), axis=0), 0.0)
+
+    def _relative(self, results: Arrays) -> np.ndarray:
+        """How far each draw misses each requirement, relative to the bound, finite; shape (requirements, draws)."""
+        missed = np.array([-results[r.name] / r.scale for r in self.requirements])
+        return np.where(np.isnan(missed) | (missed == np.inf), ENDLESS, missed)
+
+    def undefined(self, results: Arrays) -> np.ndarray:
+        """Which draws have no cost, or no value of a limited metric: those that ended early, or have no margin."""
+        undefined = ended_early(results["outcome"]) | np.isnan(self.cost(results))
+        for name in self.limits:
+            undefined = undefined | np.isnan(results[name])
+        return undefined
 
     def merit(self, results: Arrays, numbers: Sequence[str], added: int = 0) -> Merit:
         """Evaluate a batch, with derivatives if the results contain them.
@@ -115,7 +128,7 @@ class Goal:
             added: Number of counterexamples at the end: they have no cost, and must meet the requirements.
         """
         count = len(results["outcome"]) - added
-        ended = int(np.count_nonzero(ended_early(results["outcome"])))
+        ended = int(np.count_nonzero(self.undefined(results)))
         if ended:
             return Merit(float("inf"), {}, {}, {}, ended)
         drawn = {name: array[:count] for name, array in results.items()}
@@ -143,15 +156,60 @@ class Goal:
 
     def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
         """Mean over the draws of how far the worst requirement is missed, and its derivatives."""
-        missed = np.array([-results[r.name] / r.scale for r in self.requirements])
+        missed = self._relative(results)
         worst = np.argmax(missed, axis=0)
         counts = np.max(missed, axis=0) > 0.0
         slopes = {}
         for number in numbers:
             rows = np.array([-results[Derivative(r.name, number)] / r.scale for r in self.requirements])
             slope = np.take_along_axis(rows, worst[None], 0)[0]
-            slopes[number] = float(np.mean(np.where(counts, slope, 0.0)))
+            slopes[number] = float(np.mean(np.where(counts & np.isfinite(slope), slope, 0.0)))
         return float(np.mean(self.excess(results))), slopes
+
+
+@dataclass(frozen=True)
+class MissedBound:
+    """A requirement or a limit that a point misses.
+
+    Args:
+        text: The bound, in words.
+        draws: Number of draws that miss it; None of a limit, which bounds the mean over the draws.
+        excess: By how much the worst draw misses it, or the mean over the draws; infinite if its metric is.
+        unit: Unit of the excess.
+    """
+
+    text: Annotated[str, Quantity("", "the bound")]
+    draws: Annotated[int | None, Quantity("1", "draws that miss it; None of a bound of the mean")]
+    excess: Annotated[float, Quantity("that of the metric", "by how much the worst draw, or the mean, misses it")]
+    unit: Annotated[str, Quantity("", "unit of the excess")]
+
+
+def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tuple[MissedBound, ...]:
+    """Every requirement and limit that some draws miss, in the study's order.
+
+    Args:
+        goal: The bounds.
+        results: Results of the draws.
+        units: Unit of each limited metric.
+    """
+    early = ended_early(results["outcome"])
+    missed = []
+    if early.any():
+        missed.append(MissedBound("runs to its end", int(np.count_nonzero(early)), math.inf, ""))
+    for requirement in goal.requirements:
+        slacks = results[requirement.name]
+        broken = violated(slacks) & ~early
+        if broken.any():
+            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[broken]))
+            beyond = requirement.bound + (excess if requirement.maximum is not None else -excess)
+            excess = abs(requirement.shown(beyond)[0] - requirement.shown(requirement.bound)[0])
+            unit = requirement.shown(beyond)[1]
+            missed.append(MissedBound(requirement.text, int(np.count_nonzero(broken)), excess, unit))
+    for name, bound in goal.limits.items():
+        excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan
+        if excess > 0.0:
+            missed.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
+    return tuple(missed)
 
 
 RESAMPLES = 2000
@@ -172,6 +230,7 @@ class Verdict:
         difference: Median and exact interval of the draw-by-draw difference of the cost, result minus start.
         limits: Bound of each limit, and the means at the start and of the result.
         failures: Failed draws at the start and of the result.
+        requirements: For each requirement, the draws that violate it at the start and of the result.
         intervals: Exact (Clopper-Pearson) intervals of both failure probabilities.
         failure_difference: Exact interval of their paired difference, result minus start, and McNemar's p-value.
     """
@@ -186,6 +245,9 @@ class Verdict:
         dict[str, Triple], Quantity("that of the metric", "bound, and the means at the start and of the result")
     ]
     failures: Annotated[tuple[int, int], Quantity("1", "failed draws at the start and of the result")]
+    requirements: Annotated[
+        dict[str, tuple[int, int]], Quantity("1", "draws that violate each requirement, at the start and of the result")
+    ]
     intervals: Annotated[tuple[Pair, Pair], Quantity("1", "intervals of both failure probabilities")]
     failure_difference: Annotated[Triple, Quantity("1", "interval of their paired difference, and McNemar's p-value")]
 
@@ -239,6 +301,10 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
         start_mean = float(np.mean(start_results[name]))
         limit = start_mean if bound == "start" else float(bound)
         limits[name] = (limit, start_mean, float(np.mean(results[name])))
+    by_requirement = {}
+    for requirement in goal.requirements:
+        counts = (int(np.count_nonzero(violated(part[requirement.name]))) for part in (start_results, results))
+        by_requirement[requirement.text] = tuple(counts)
     start_count = int(np.count_nonzero(start_failed))
     count = int(np.count_nonzero(failed))
     return Verdict(
@@ -250,6 +316,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
         difference=(paired.difference, *paired.interval),
         limits=limits,
         failures=(start_count, count),
+        requirements=by_requirement,
         intervals=(failure_interval(start_count, failures.draws), failure_interval(count, failures.draws)),
         failure_difference=(*failures.interval, failures.p_value),
     )

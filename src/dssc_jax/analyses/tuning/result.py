@@ -14,7 +14,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.falsification.falsify import PointAnswer
 from dssc_jax.analyses.tuning.derivative_free import Aimed
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
-from dssc_jax.analyses.tuning.objective import Verdict
+from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
 from dssc_jax.analyses.tuning.search_variables import PREFIX
 from dssc_jax.core import files
@@ -61,6 +61,7 @@ class SearchFacts:
     stopped: Annotated[str, Quantity("", "why it ended")]
     feasible: Annotated[bool, Quantity("", "whether every limit holds on the validation draws")]
     violation: Annotated[float, Quantity("1", "largest violation of a limit on the validation draws, relative")]
+    missed: tuple[MissedBound, ...]
     shortened: Annotated[int, Quantity("1", "halvings of steps that led to points that are not allowed")]
     certified_points: Annotated[int | None, Quantity("1", "points certified by Theorem 1; None if not asked")]
     proved_points: Annotated[int | None, Quantity("1", "points that are proved; None if not asked")]

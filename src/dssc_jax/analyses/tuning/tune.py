@@ -10,7 +10,7 @@ from dssc_jax.analyses.falsification.falsify import falsify, require_hunt
 from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, optimise_proof
 from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients
-from dssc_jax.analyses.tuning.objective import judge_tuning
+from dssc_jax.analyses.tuning.objective import MissedBound, judge_tuning, missed_bounds
 from dssc_jax.analyses.tuning.plan import EVOLUTION, PROGRAMMING, SIMPLEX, Plan
 from dssc_jax.analyses.tuning.problem import Point, Problem, Search
 from dssc_jax.analyses.tuning.result import Counterexample, SearchFacts, Tuned, dataset_of
@@ -88,6 +88,7 @@ def tune(
         stopped=outcome.stopped,
         feasible=outcome.best.merit.violation == 0.0,
         violation=float(outcome.best.merit.violation),
+        missed=() if outcome.best.merit.violation == 0.0 else still_missed(problem, outcome.best),
         shortened=outcome.shortened,
         certified_points=certified if plan.theorem else None,
         proved_points=proved if plan.table.proved else None,
@@ -123,6 +124,15 @@ def solve(problem: Problem, progress: ProgressCallback | None) -> tuple[Search, 
         gradients = check_gradients(problem, CHECKED, problem.plan.seed)
     differentiable = problem.differentiable and (gradients is None or useful(gradients))
     return search(problem, first, differentiable, progress), gradients
+
+
+def still_missed(problem: Problem, point: Point) -> tuple[MissedBound, ...]:
+    """What a point misses on the validation draws."""
+    goal = problem.goal_on(problem.validation)
+    results = problem.results(point.z[None], problem.validation, problem.plain)
+    drawn = {name: column[: len(problem.validation)] for name, column in results.items()}
+    units = {measure.name: measure.unit for measure in problem.plan.study.measures}
+    return missed_bounds(goal, drawn, units)
 
 
 def search(

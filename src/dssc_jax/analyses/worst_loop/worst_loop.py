@@ -92,7 +92,9 @@ def worst_loop(
     selected = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
     for name in selected:
         if name not in names:
-            raise ConfigError("broken_at", f"has no break point '{name}'; {nearest(name, names)}")
+            raise ConfigError(
+                "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
+            )
     box = box_of(study, sigma)
     places = declared_places(study, moving=False)
     if progress:
@@ -135,6 +137,17 @@ def worst_loop(
     taken = (*stated(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
     return WorstLoop(study, dataset, sigma, taken, len(family.rows), most, time.perf_counter() - began)
+
+
+def signal_text(study: Study, name: str) -> str:
+    """What to take instead of a break point that is named like a measured signal; else empty."""
+    measured = [signal.name for signal in study.loop.measures]
+    if name not in measured and not name.startswith("measured_"):
+        return ""
+    return (
+        "; a measured signal is no break point: 'input' has the margins for one factor of all measured signals, "
+        "since they act through one command; `margin` walks the gain of one signal, such as controller.signals.0"
+    )
 
 
 def reached_matrices(operating: Operating) -> StateMatrices:

@@ -11,7 +11,10 @@ from dssc_jax.core import files
 from dssc_jax.runs import run as runs
 from dssc_jax.study.tables import to_toml
 
-EARLY = "a draw ended early, or too few simulations are left for another generation"
+EARLY = (
+    "a draw ended early or misses a requirement by an infinite amount, and no draw is worse; "
+    "or too few simulations are left for another generation"
+)
 
 
 def run(options: Falsify) -> int:

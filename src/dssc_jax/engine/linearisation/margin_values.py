@@ -91,7 +91,7 @@ class MarginValues:
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane by the name of its measure, shape (n,).
 
-        A lane whose loop is unstable, or that has no equilibrium, has the value at the limit of stability.
+        A lane whose loop is unstable has the value at the limit of stability, one without an equilibrium NaN.
 
         Args:
             values: Of all uncertain and swept numbers, shape (n,) each.
@@ -160,7 +160,7 @@ class MarginValues:
             point: Index of the break point.
             neutral: The margins' values at the limit of stability.
         """
-        columns = {field: np.full(len(settled), value) for field, value in neutral.items()}
+        columns = {field: np.where(settled, value, np.nan) for field, value in neutral.items()}
         influences = matrices.a != 0.0
         forward = closure(matrices.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
         kept = forward & closure(matrices.c[:, point] != 0.0, influences)

@@ -237,8 +237,8 @@ class RestingLoop:
         """The equilibria to which Newton's method leads from some states, shape (n, states)."""
         smooth = self.smooth(len(indices))
         trial = 0
+        matrices = self.linearise(values, indices, states, 1, smooth)
         while True:
-            matrices = self.linearise(values, indices, states, 1, smooth)
             move = matrices.after - states
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
             felt = closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
@@ -253,6 +253,11 @@ class RestingLoop:
                 slopes = np.eye(int(np.count_nonzero(kept))) - matrices.a[np.ix_(draws, kept, kept)]
                 inverse = np.linalg.pinv(slopes, rcond=len(slopes[0]) * np.finfo(float).eps)
                 states[np.ix_(draws, kept)] += (inverse @ move[np.ix_(draws, kept)][..., None])[..., 0]
+            lanes = np.flatnonzero(moving)
+            moved = {name: column[lanes] for name, column in values.items()}
+            fresh = self.linearise(moved, indices[lanes], states[lanes], 1, smooth[lanes])
+            for array, rows in zip(matrices, fresh, strict=True):
+                array[lanes] = rows
 
 
 def require_derivative(

@@ -294,6 +294,27 @@ def named_margins(
     return {name: found[name] for name in names}
 
 
+def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies [rad/s] of one loop at which abs(L) is 1, and at which L is real and negative, ascending.
+
+    Args:
+        respond: G of the loop.
+        angles: As of :func:`classical_margins`, shape (1, m).
+        sample_time: T_s [s].
+    """
+    g = respond(angles)
+    gains, is_gain = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
+    phases, is_phase = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
+    inner = phases[is_phase]
+    phases = np.append(
+        inner[(inner > np.pi * 10.0**-DECADES) & (inner < np.pi * (1.0 - 10.0**-DECADES))], np.pi
+    )  # no rounding at its ends
+    at = respond(phases[None, :])[0]
+    with np.errstate(all="ignore"):
+        negative = np.real(-at / (1.0 + at)) < -SMALLEST_FACTOR
+    return np.sort(gains[is_gain]) / sample_time, np.sort(phases[negative]) / sample_time
+
+
 def offset_size(respond: Response, offset: float, angles: np.ndarray) -> np.ndarray:
     """|G + offset|."""
     return np.abs(respond(angles) + offset)

@@ -1,0 +1,55 @@
+"""Classical margins of a designed loop, broken at the command."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.design.linear_plant import ClosedLoop
+from dssc_jax.engine.linearisation.response import (
+    classical_margins,
+    crossing_frequencies,
+    grid_with_poles,
+    loop_grids,
+    response_of,
+)
+
+
+@dataclass(frozen=True)
+class DesignedMargins:
+    """Margins of one stable sampled loop; infinite where there is none."""
+
+    gain_margin: Annotated[float, Quantity("1", "smallest destabilising factor of the gain above 1")]
+    gain_lower_margin: Annotated[float, Quantity("1", "largest destabilising factor below 1; 0: none")]
+    phase_margin: Annotated[float, Quantity("rad", "smallest destabilising phase lag")]
+    phase_margin_at: Annotated[float, Quantity("rad/s", "frequency of the phase margin")]
+    delay_margin: Annotated[float, Quantity("s", "smallest destabilising delay")]
+    gain_crossovers: Annotated[tuple[float, ...], Quantity("rad/s", "frequencies at which the loop gain is 1")]
+    phase_crossings: Annotated[
+        tuple[float, ...], Quantity("rad/s", "frequencies at which the phase is -180 degrees, up to pi/T_s")
+    ]
+
+
+def designed_margins(loop: ClosedLoop, sample_time: float) -> DesignedMargins:
+    """The margins of a stable loop, broken at the command.
+
+    Args:
+        loop: The loop.
+        sample_time: T_s [s].
+    """
+    respond = response_of(loop.a[None], loop.b[None], loop.c[None])
+    poles = np.linalg.eigvals(loop.a)[None]
+    opened = np.linalg.eigvals(loop.a - np.outer(loop.b, loop.c))[None]
+    angles = grid_with_poles(loop_grids(poles), np.concatenate([poles, opened], axis=1))
+    margins = classical_margins(respond, angles, sample_time)
+    gains, phases = crossing_frequencies(respond, angles, sample_time)
+    return DesignedMargins(
+        gain_margin=float(margins.gain_upper[0]),
+        gain_lower_margin=float(margins.gain_lower[0]),
+        phase_margin=float(margins.phase[0]),
+        phase_margin_at=float(margins.crossover[0]),
+        delay_margin=float(margins.delay[0]),
+        gain_crossovers=tuple(gains.tolist()),
+        phase_crossings=tuple(phases.tolist()),
+    )

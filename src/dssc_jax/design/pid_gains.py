@@ -1,0 +1,70 @@
+"""First gains of PID: a phase margin at the bandwidth, integral action below it, and one lead element.
+
+Reference:
+    K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), chapters 11 and 12.
+"""
+
+import math
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.design.linear_plant import LinearPlant, Subject
+
+PHASE_MARGIN = math.radians(60.0)
+LEAST_MARGIN = math.radians(45.0)  # where one lead element gives no more with the slowest integral
+SLOWEST = 0.1  # corner of that integral, in bandwidths
+MOST_LEAD = math.radians(65.0)  # of one lead element
+MOST_LAG = math.radians(85.0)  # of the integral part at the bandwidth
+MOST_ADVANCE = math.radians(10.0)  # of a plant with a gain at rest that PID can make cross
+
+
+def pid(subject: Subject, omega: float, ratio: float) -> TomlTable:
+    """The PID controller; raises ConfigError.
+
+    Args:
+        subject: What it is for.
+        omega: The bandwidth [rad/s].
+        ratio: Least corner of the integral action, in bandwidths.
+    """
+    plant = subject.whole
+    at = plant.response(omega)
+    phase = float(np.angle(at))
+    phase -= 2.0 * math.pi if phase > math.radians(66.0) else 0.0  # a large lag, where no lead is meant
+    integrates = acts_at_rest(plant, omega)
+    if phase > MOST_ADVANCE:
+        rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(phase):.0f} degrees"
+        remedy = "ask for another bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
+        raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
+    behind = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
+    corner = omega * math.tan(behind) if integrates else 0.0
+    needed = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
+    reached = PHASE_MARGIN - math.pi - phase + math.atan(min(SLOWEST, corner / omega)) <= MOST_LEAD
+    if needed > MOST_LEAD + (0.0 if reached else PHASE_MARGIN - LEAST_MARGIN):
+        rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
+        remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
+        raise ConfigError("`bandwidth`", f"{rule} {remedy}")
+    lead = min(max(needed, 0.0), MOST_LEAD)
+    ratio = math.sqrt((1.0 + math.sin(lead)) / (1.0 - math.sin(lead)))
+    ahead = ratio / omega if lead else 0.0
+    filtered = 1.0 / (ratio * omega) if lead else 0.0
+    s = 1j * omega
+    gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
+    k_i = gain * corner
+    k_p = gain * (1.0 + corner * ahead) - k_i * filtered
+    k_d = gain * ahead - k_p * filtered if lead else 0.0
+    table: TomlTable = {"kind": "pid", "k_p": k_p} | ({"k_i": k_i} if k_i else {})
+    if lead:
+        table |= {"k_d": k_d, "filter": filtered}
+    return table | limits(subject)
+
+
+def limits(subject: Subject) -> TomlTable:
+    """The limits of the command, as fields of a controller."""
+    return {} if subject.limit is None else {"low": -subject.limit, "high": subject.limit}
+
+
+def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
+    """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect."""
+    return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
