@@ -16,6 +16,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -38,14 +39,19 @@ from dssc_jax.flight_logs.reader import (
     signal_name,
 )
 from dssc_jax.flight_logs.refusals import (
-    Explained,
     NotIdentifiable,
-    explain,
-    require_explained,
+    doubts,
+    require_description,
     require_identifiable,
     require_unique_minimum,
 )
-from dssc_jax.flight_logs.replay import replayed_channel, study_references
+from dssc_jax.flight_logs.replay import (
+    LogReplay,
+    replay_log,
+    replayed_channel,
+    require_same_signals,
+    study_references,
+)
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.study import Study
 
@@ -61,6 +67,7 @@ def fit_log(
     *,
     allow_damaged: bool = False,
     limits: SearchLimits = USUAL_LIMITS,
+    replay: LogReplay | None = None,
     progress: ProgressCallback | None = None,
 ) -> Fitted:
     """Estimate numbers of a study from a logged flight.
@@ -72,10 +79,12 @@ def fit_log(
         predictions: Compiled predictions to use again, by names, for logs of one length.
         allow_damaged: Whether a log that has lost messages is fitted all the same.
         limits: When the search for the minimum ends with the best so far.
+        replay: The log's replay, whose commands are then checked, too; None: only its references are.
         progress: Called with the simulations done, and their largest number.
 
     Raises:
-        ConfigError: a name or the log is not suitable; the log has lost messages.
+        ConfigError: a name or the log is not suitable; the log has lost messages; a signal of it is the study's in
+            another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
 
@@ -99,6 +108,7 @@ def fit_log(
     known: list[Minimum] = []
     study = study.without_sweep()
     chosen = tuple(numbers_to_fit(study, names))
+    require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
     kept: dict[str, float] = {}
@@ -124,8 +134,11 @@ def fit_log(
         known = search.without([name not in unidentified for name in chosen])
         chosen = tuple(name for name in chosen if name not in unidentified)
         if not chosen:
+            x = search.best.x
+            reasons = "".join(f"; {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
             raise NotIdentifiable(
                 f"the flight identifies none of {', '.join(kept)}: their laws are narrower than what it leaves open"
+                f"{reasons}"
             )
 
 
@@ -180,7 +193,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         replayed.append(channel)
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
-        raise ConfigError(log.name, f"{rule} in every channel" if len(loop.channels) > 1 else rule)
+        place = " in every channel" if len(loop.channels) > 1 else ""
+        raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
     return SampledLog(outputs, offsets, commands, held, tuple(replayed))
 
 
@@ -215,15 +229,6 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
         if not width < 1.0:
             unidentified[name] = width
     return unidentified
-
-
-def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
-    """How well the study describes each channel at coordinates, if the residuals can be noise; raises Unexplained."""
-    results = explain(problem, x)
-    for readings, result in zip(problem.readings, results, strict=True):
-        channel = problem.study.loop.channels[readings.channel]
-        require_explained(channel, problem.study.units[readings.channel].output, result)
-    return results
 
 
 def fitted_minimum(
@@ -261,4 +266,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
+        doubts(problem, x, results),
     )
