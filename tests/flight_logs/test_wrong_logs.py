@@ -8,9 +8,10 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.conversions import conversion_text, reference_conversion, reference_shift
-from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.fit import fit_log, sampled_log
+from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations
 from dssc_jax.flight_logs.reader import Column, FlightLog
-from dssc_jax.flight_logs.refusals import Unexplained
+from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, require_unique_minimum
 from dssc_jax.flight_logs.replay import replay_log
 from tests.cli.conftest import last_json
 from tests.flight_logs.test_fit import DT, linear, log_of, output
@@ -107,6 +108,20 @@ def test_what_identifies_nothing_because_it_is_wrong_is_not_described(flight, fa
     study = linear(plant={**linear().table["plant"], **plant})
     with pytest.raises(Unexplained, match=rf"Compare the log's columns, units.*y looks like the study's {words}"):
         fit_log(study, log_of(factor * y, u))
+
+
+def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):
+    """With an information of 100 the region of one number has a radius of 0.196."""
+    study = linear()
+    names = ["plant.k_p"]
+    problem = FitProblem(
+        study, names, lambda values, commands: (values, values), sampled_log(study, log_of(*flight[::-1]))
+    )
+    best = Minimum(np.zeros(1), NormalEquations(10.0, np.zeros(1), np.array([[100.0]])), 4)
+    near, far = (Minimum(np.array([x]), best.equations._replace(cost=11.0), 4) for x in (0.19, 0.21))
+    require_unique_minimum(problem, MinimumSearch(best, [near], 8))
+    with pytest.raises(NotIdentifiable, match="two minima describe it equally well"):
+        require_unique_minimum(problem, MinimumSearch(best, [far], 8))
 
 
 def test_a_log_in_milliseconds_is_no_comparison(flight):

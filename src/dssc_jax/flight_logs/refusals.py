@@ -241,10 +241,15 @@ def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | N
 
 
 def require_unique_minimum(problem: FitProblem, search: MinimumSearch) -> None:
-    """Require that no other minimum describes the log as well as the best one does."""
+    """Require that no other minimum describes the log as well as the best one does.
+
+    A rival within the confidence region of the best minimum says nothing that the region does not.
+    """
     allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
     for rival in search.rivals:
-        if rival.cost - search.best.cost <= allowed:
+        move = rival.x - search.best.x
+        is_near = float(move @ search.best.equations.information @ move) <= allowed
+        if rival.cost - search.best.cost <= allowed and not is_near:
             best = assignments(problem.named_values(search.best.x))
             second = assignments(problem.named_values(rival.x))
             raise NotIdentifiable(
