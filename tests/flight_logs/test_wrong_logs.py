@@ -110,6 +110,20 @@ def test_what_identifies_nothing_because_it_is_wrong_is_not_described(flight, fa
         fit_log(study, log_of(factor * y, u))
 
 
+def test_a_command_that_is_missing_at_its_step_is_told(flight):
+    """The duplicate of a time stamp takes one command of 400, at a change of 3.4 or within a hold of ten samples."""
+    u, y = flight
+    log = log_of(y, u)
+    place = 10 * int(np.argmax(np.abs(np.diff(u[::10])))) + 10
+    for index, told in ((place, ["u_total"]), (place + 5, [])):
+        time = TIME.copy()
+        time[index] = time[index - 1]
+        doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})
+        fitted = fit_log(linear(), doubled)
+        assert fitted.held == {"u_total": 1}
+        assert [doubt.signal for doubt in fitted.doubts] == told
+
+
 def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):
     """With an information of 100 the region of one number has a radius of 0.196."""
     study = linear()

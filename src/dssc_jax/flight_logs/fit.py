@@ -39,6 +39,7 @@ from dssc_jax.flight_logs.reader import (
     signal_name,
 )
 from dssc_jax.flight_logs.refusals import (
+    Doubt,
     NotIdentifiable,
     doubts,
     require_description,
@@ -57,6 +58,7 @@ from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
+LARGE_JUMP = 0.2  # of a command's range
 
 
 def fit_log(
@@ -175,6 +177,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     commands = np.zeros(shape)
     replayed = []
     held: dict[str, int] = {}
+    jumps: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
@@ -185,6 +188,9 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
             held |= held_samples({signal_name(channel, "u_total"): command})
+            jump = largest_jump(command)
+            if jump > LARGE_JUMP * np.ptp(commands[row]):
+                jumps[signal_name(channel, "u_total")] = jump
             continue
         replay = replayed_channel(study, row, signals, references[row])
         if isinstance(replay, str):
@@ -195,7 +201,26 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
-    return SampledLog(outputs, offsets, commands, held, tuple(replayed))
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps)
+
+
+def largest_jump(command: np.ndarray) -> float:
+    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
+    known = np.flatnonzero(np.isfinite(command))
+    changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
+    return float(changes.max(initial=0.0))
+
+
+def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
+    """The commands that are held over large changes."""
+    found = []
+    for name, jump in log.jumps.items():
+        text = (
+            f"{name} changes by {jump:.3g} where the log lacks it, and the last value is held until then: estimates of "
+            "lags and delays may be wrong by more than their intervals. Log every command, with a time stamp of its own"
+        )
+        found.append(Doubt(name, text))
+    return tuple(found)
 
 
 def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
@@ -266,5 +291,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        doubts(problem, x, results),
+        (*doubts(problem, x, results), *held_doubts(problem.log)),
     )
