@@ -157,7 +157,10 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
         scan = scanned(opened.file)
         if not scan.damages:
             return log, True
-        left_out = sorted([*scan.damages, *([] if scan.flags is None else [scan.flags])])  # offsets in flags are wrong
+        left_out = list(scan.damages)
+        if scan.flags is not None:  # its offsets are those of the whole file
+            left_out.append(scan.flags)
+        left_out.sort()
         size = opened.file.seek(0, 2)
         return opened.parse(UndamagedPart(opened.file, left_out, size), chosen), True
 
