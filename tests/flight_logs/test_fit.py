@@ -290,7 +290,7 @@ def test_command(tmp_path, capsys, noisy):
     assert guarded([*arguments, "--json"]) == 1
     refused = last_json(capsys)
     assert refused["explained"] is False
-    assert "Compare the log's columns, units and start" in refused["reason"]
+    assert "Compare the log's columns, units, signs and start" in refused["reason"]
     quiet = "\n".join(["t,y,u_total", *(f"{DT * k},0.5,0.0" for k in range(400))])
     (tmp_path / "log.csv").write_text(quiet)
     assert guarded([*arguments, "--number", "plant.k_p"]) == 1

@@ -122,7 +122,11 @@ def test_what_is_refused(study, logs):
         ((study, []), {}, "at least one flight"),
         ((study.override({"draws": 20}), logs), {}, "must be at least 38"),
         ((study.override({"sampling": "lhs"}), logs), {}, "needs independent draws"),
-        ((study, [FlightLog("empty", {"y_dot": logs[0].columns["y"]}, 50.0)]), {}, "no sample of any signal in common"),
+        (
+            (study, [FlightLog("empty", {"y_dot": logs[0].columns["y"]}, 50.0)]),
+            {},
+            "has no output and no command in the study's 3 s",
+        ),
     ):
         with pytest.raises(dj.ConfigError, match=told):
             dj.next_flight(*arguments, **options)

@@ -4,6 +4,8 @@ import json
 import struct
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -268,13 +270,75 @@ def test_a_message_that_is_too_short_is_damage(kind, tmp_path):
     assert list_topics(tmp_path / "short.ulg").damaged == len(content)
 
 
-def test_a_log_with_a_hole_warns_and_is_listed_up_to_it(tmp_path):
+def test_a_log_with_a_hole_warns_and_goes_on_after_it(tmp_path):
     content = TAKEOFF.read_bytes()
     place = int(0.74 * len(content))
     (tmp_path / "hole.ulg").write_bytes(content[:place] + content[place + 9000 :])
     listed = list_topics(tmp_path / "hole.ulg")
     assert listed.damaged is not None
     assert place - 300 < listed.damaged < place + 1000
-    assert 0.5 * list_topics(TAKEOFF).duration < listed.duration < list_topics(TAKEOFF).duration
+    assert (listed.damages, listed.duration) == (1, list_topics(TAKEOFF).duration)
+    assert 0 < listed.lost < 300
     with pytest.warns(LogWarning, match=r"hole\.ulg is damaged: messages are lost"):
         read_topics(tmp_path / "hole.ulg", ["vehicle_attitude"])
+
+
+def attitudes(path):
+    """Number of messages of the attitude that the package and pyulog read."""
+    topics, _, damaged = read_topics(path, ["vehicle_attitude"])
+    assert damaged
+    return len(topics["vehicle_attitude:0"]["timestamp"]), len(pyulog_attitudes(path))
+
+
+def pyulog_attitudes(path):
+    with redirect_stdout(StringIO()):
+        log = pyulog.ULog(str(path), ["vehicle_attitude"])
+    return next((topic.data["timestamp"] for topic in log.data_list if topic.name == "vehicle_attitude"), [])
+
+
+@pytest.mark.filterwarnings("ignore::dssc_jax.flight_logs.ulog.LogWarning")
+@pytest.mark.parametrize("seed", range(6))
+def test_after_flipped_bytes_nearly_all_messages_are_read(seed, tmp_path):
+    """100 bytes, among them sizes and kinds: at most the messages that they are in, and one before each, are lost."""
+    random = np.random.default_rng(seed)
+    content = bytearray(TAKEOFF.read_bytes())
+    for place in random.integers(len(content) // 4, len(content), 100):  # behind all definitions
+        content[place] ^= int(random.integers(1, 256))
+    path = tmp_path / "flipped.ulg"
+    path.write_bytes(content)
+    whole = list_topics(TAKEOFF)
+    listed = list_topics(path)
+    messages = sum(topic.messages for topic in whole.topics)
+    assert messages - 200 <= sum(topic.messages for topic in listed.topics) < messages
+    assert listed.damages > 5
+    assert listed.lost < 30_000
+    read, by_pyulog = attitudes(path)
+    assert read >= by_pyulog
+    assert read == next(topic.messages for topic in listed.topics if topic.name == "vehicle_attitude")
+    assert read >= 0.95 * len(pyulog_attitudes(TAKEOFF))
+
+
+@pytest.mark.filterwarnings("ignore::dssc_jax.flight_logs.ulog.LogWarning")
+def test_a_topic_whose_announcement_is_lost_takes_no_other_with_it(tmp_path):
+    formats = ["rate:uint64_t timestamp;float value;", "lost:uint64_t timestamp;float value;uint8_t[4] _padding0;"]
+    head = log_head(formats, [("rate", 0), ("lost", 0)])
+    messages = [message(b"D", struct.pack("<HQf", k % 2, k + 1, 0.0)) for k in range(400)]
+    sync = message(b"S", bytes.fromhex("2f731320250cbb12"))
+    path = tmp_path / "sound.ulg"
+    path.write_bytes(head + b"".join(messages) + sync)
+    assert list_topics(path).damaged is None  # messages may lack the padding at their end
+    path.write_bytes(head[:-5] + b"\xff" + head[-4:] + b"".join(messages) + sync)
+    listed = list_topics(path)
+    assert [topic.name for topic in listed.topics] == ["rate"]
+    assert listed.topics[0].messages == 200
+    assert len(read_topics(path, ["rate"]).topics["rate:0"]["value"]) == 200
+
+
+def test_nothing_sound_in_the_rest_of_a_log_is_no_message(tmp_path):
+    """Random bytes and zeros longer than what is searched at a time."""
+    noise = np.random.default_rng(0).bytes(200_000) + bytes(100_000)
+    path = tmp_path / "noise.ulg"
+    path.write_bytes(TAKEOFF.read_bytes() + noise)
+    listed = list_topics(path)
+    assert listed.topics == list_topics(TAKEOFF).topics
+    assert (listed.damaged, listed.damages, listed.lost) == (TAKEOFF.stat().st_size, 1, len(noise))

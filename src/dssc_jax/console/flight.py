@@ -1,6 +1,7 @@
 """Show what was generated for a flight computer, and how a logged flight lies in the draws."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -47,7 +48,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     """Print the p-value, each signal's place among the draws, and how the replayed commands differ."""
     answer = comparison.answer
     say = partial(output().print, soft_wrap=True, markup=False)
-    say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {answer.samples} samples")
+    say(f"{comparison.study.name}: {answer.log} over {answer.draws} draws, {samples_text(answer)}")
     if answer.p_value is None:
         say(NO_SPREAD)
     else:
@@ -56,21 +57,44 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
         show_table(*distances_table(answer))
     if answer.p_value is not None:
         show_rank(answer, answer.p_value)
+    replays = {}
     for name, signal in answer.signals.items():
         if signal.replay is not None:
-            say(
-                f"replay: the analysed controller's {name} differs by at most {signal.replay.largest_difference:.4g} "
-                f"{signal.unit} (at {signal.replay.largest_difference_at:.4g} s), "
-                f"rms {signal.replay.rms_difference:.4g} of {signal.replay.rms_logged:.4g}"
-            )
-    if answer.held_samples:
-        say(held_text(answer.held_samples, answer.replayed_samples, "replay"))
-    for channel, reason in answer.not_replayed.items():
+            replays[name] = asdict(signal.replay) | {"unit": signal.unit}
+    show_replay(asdict(answer) | {"replay": replays})
+    show_files(files)
+
+
+def samples_text(answer: LogAnswer) -> str:
+    """How many samples are compared, and at how many of them the log has a value."""
+    if answer.logged_samples == answer.samples:
+        return f"{answer.samples} samples"
+    return f"which has a value at {answer.logged_samples} of {answer.samples} samples"
+
+
+def show_replay(summary: Mapping[str, Any]) -> None:
+    """Print how the analysed controller's commands and the study's references differ from the log's.
+
+    Args:
+        summary: ``replay`` by signal, ``replayed_samples``, ``held_samples``, ``not_replayed`` and
+            ``reference_differences`` by channel, and ``hints`` by signal.
+    """
+    say = partial(output().print, soft_wrap=True, markup=False)
+    for name, replay in summary["replay"].items():
+        say(
+            f"replay: the analysed controller's {name} differs by at most {replay['largest_difference']:.4g} "
+            f"{replay['unit']} (at {replay['largest_difference_at']:.4g} s), "
+            f"rms {replay['rms_difference']:.4g} of {replay['rms_logged']:.4g}"
+        )
+    if summary["held_samples"]:
+        say(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
+    for channel, reason in summary["not_replayed"].items():
         say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
-    for channel, largest in answer.reference_differences.items():
+    for channel, largest in summary["reference_differences"].items():
         place = f" of {channel}" if channel else ""
         say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
-    show_files(files)
+    for name, text in summary["hints"].items():
+        say(f"warning: {name} {text}")
 
 
 def held_text(held: Mapping[str, int], samples: int, subject: str) -> str:
@@ -156,8 +180,10 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
         f"p = {p_value:.4g}: {answer.draws_at_least_as_extreme} of {answer.draws} draws depart "
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
+    missing = answer.logged_samples < answer.samples
+    few = f", by the {answer.logged_samples} samples that it has" if missing else ""
     if p_value > SIGNIFICANCE:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study")
+        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{few}")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
     if answer.least_p_value > SIGNIFICANCE:
@@ -186,6 +212,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     for minimum in summary["other_minima"]:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in minimum["values"].items())
         say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
+    for doubt in summary["warnings"]:
+        say(f"warning: {doubt['text']}")
     for name in summary["outside_laws"]:
         say(f"the estimate of {name} lies outside its law in the study: compare units, columns and start of the log")
     for name, width in summary["kept"].items():

@@ -4,7 +4,7 @@ from functools import partial
 
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.flight_logs.contents import FieldValues, LogContents
-from dssc_jax.flight_logs.ulog import LogTopic
+from dssc_jax.flight_logs.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
 """What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
@@ -24,7 +24,7 @@ def show_log(log: LogContents) -> None:
     if count:
         say(f"{count} dropouts of together {lost:.3g} s")
     if log.damaged is not None:
-        say(f"damaged: byte {log.damaged} is no message, and the list ends there")
+        say(f"damaged: byte {log.damaged} is no message; {log.lost:,} bytes at {places(log.damages)} are passed over")
     if log.cut:
         say("cut off: the file ends within a message, and what was to come is not in it")
     if log.topics and not log.fields:
@@ -35,6 +35,11 @@ def show_log(log: LogContents) -> None:
         show_table(head, [field_row(field) for field in log.fields])
     if any(field.derived for field in log.fields):
         say(f"{DERIVED_MARK} in the model's axes: east, north, up; a body's forward, left, up; SI units and radians")
+
+
+def places(count: int) -> str:
+    """A number of places in words."""
+    return "1 place" if count == 1 else f"{count:,} places"
 
 
 def topic_row(topic: LogTopic) -> tuple[str, ...]:

@@ -12,13 +12,21 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import log_comparison
-from dssc_jax.flight_logs.reader import FlightLog, channel_signals, held_samples, samples_within, signal_name
-from dssc_jax.flight_logs.replay import ChannelCurves, curves_of_draws, replayed_channel, study_references
+from dssc_jax.flight_logs.reader import FlightLog, signal_name
+from dssc_jax.flight_logs.replay import (
+    ChannelCurves,
+    LogReplay,
+    ReplayedCommand,
+    curves_of_draws,
+    replay_log,
+    replayed_command,
+    signal_unit,
+)
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
@@ -26,23 +34,11 @@ from dssc_jax.study import Study
 
 MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
 DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
-SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
-"""Units of the compared signals, by those of the channel."""
 NO_SPREAD = (
     "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
     "numbers, disturbances or sensors their laws"
 )
 RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
-
-
-@dataclass(frozen=True)
-class ReplayedCommand:
-    """The difference of the analysed controller's command from the logged one, in the signal's unit."""
-
-    largest_difference: Annotated[float, Quantity("that of the signal", "largest difference")]
-    largest_difference_at: Annotated[float, Quantity("s", "its time")]
-    rms_difference: Annotated[float, Quantity("that of the signal", "root mean square of the difference")]
-    rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
 
 
 @dataclass(frozen=True)
@@ -68,6 +64,7 @@ class LogAnswer:
     start: Annotated[float, Quantity("s", "time of the log at which the study begins")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     samples: Annotated[int, Quantity("1", "compared samples")]
+    logged_samples: Annotated[int, Quantity("1", "those of them at which the log has a value")]
     every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
     least_p_value: Annotated[float, Quantity("1", "smallest p-value that so many draws allow")]
@@ -89,6 +86,9 @@ class LogAnswer:
     reference_differences: Annotated[
         dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
     ]
+    hints: Annotated[
+        dict[str, str], Quantity("", "signals that are the study's in another unit, sign, column or at another time")
+    ]
 
 
 @dataclass(eq=False)
@@ -108,6 +108,7 @@ class LogComparison(Analysis):
         held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
+        hints: Signals that are the study's in another unit, sign or column or at another time, with the words for it.
     """
 
     kind = "compare-log"
@@ -121,6 +122,12 @@ class LogComparison(Analysis):
     held: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
+    hints: dict[str, str]
+
+    @property
+    def logged_samples(self) -> int:
+        """Number of compared samples at which the log has a value."""
+        return int(np.count_nonzero(np.isfinite(self.dataset["logged"].values).any(axis=0)))
 
     @property
     def p_value(self) -> float | None:
@@ -160,7 +167,7 @@ class LogComparison(Analysis):
         signal, time = decisive
         largest = self.dataset["statistic"].values[-1]
         return (
-            f"p = {self.p_value:.3g} for the flight as one more draw; "
+            f"p = {self.p_value:.3g} for the flight as one more draw, by the {self.logged_samples} samples it has; "
             f"its largest departure is {largest:.3g}, in {signal} at {time:.4g} s"
         )
 
@@ -184,6 +191,7 @@ class LogComparison(Analysis):
             start=self.start,
             draws=draws,
             samples=self.dataset.sizes["t"],
+            logged_samples=self.logged_samples,
             every=self.every,
             p_value=self.p_value,
             least_p_value=1.0 / (draws + 1),
@@ -198,6 +206,7 @@ class LogComparison(Analysis):
             held_samples=self.held,
             not_replayed=self.not_replayed,
             reference_differences=self.references,
+            hints=self.hints,
         )
 
     def signal_answer(self, name: str) -> SignalAnswer:
@@ -224,38 +233,7 @@ class LogComparison(Analysis):
 
     def unit(self, name: str) -> str:
         """The unit of a signal."""
-        for channel, units in zip(self.study.loop.channels, self.study.units, strict=True):
-            for quantity, unit in SIGNAL_UNITS.items():
-                if name == signal_name(channel, quantity):
-                    return units.of(unit)
-        return ""
-
-
-def replayed_command(time: np.ndarray, logged: np.ndarray, commanded: np.ndarray) -> ReplayedCommand | None:
-    """The difference of a replayed command from the logged one; None if no sample has both.
-
-    Args:
-        time: Of the samples [s], shape (samples,).
-        logged: The logged command, NaN where it is missing.
-        commanded: The analysed controller's command, NaN where it is missing.
-    """
-    difference = commanded - logged
-    compared = np.isfinite(difference)
-    if not compared.any():
-        return None
-    largest = int(np.argmax(np.abs(np.where(compared, difference, 0.0))))
-    return ReplayedCommand(
-        largest_difference=float(abs(difference[largest])),
-        largest_difference_at=float(time[largest]),
-        rms_difference=root_mean_square(difference[compared]),
-        rms_logged=root_mean_square(logged[compared]),
-    )
-
-
-def root_mean_square(values: np.ndarray) -> float:
-    """The root mean square of finite values, however large they are."""
-    size = float(np.abs(values).max())
-    return size * float(np.sqrt(np.mean((values / size) ** 2))) if size > 0.0 else 0.0
+        return signal_unit(self.study, name)
 
 
 def start_of_last_excursion(time: np.ndarray, outside: np.ndarray) -> float | None:
@@ -288,7 +266,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
         progress: Called with the draws done.
 
     Raises:
-        ConfigError: draws are not independent, or the log has no sample within the study's duration.
+        ConfigError: draws are not independent, or the log has hardly any sample within the study's duration.
 
     Example:
         >>> import numpy as np, dssc_jax as dj
@@ -302,29 +280,11 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     require_independent(study, "an exact p-value")
     study = study.without_sweep()
     loop = study.loop
-    samples = samples_within(log, loop.sample_time, loop.steps)
-    references = study_references(study, max(samples, 1))
-    channels = [channel_signals(study, log, index, references[index, 0]) for index in range(len(loop.channels))]
-    if samples < 1 or not any(is_compared(signals) for signals in channels):
-        span = f"{loop.steps * loop.sample_time:g} s from {log.start:g} s on"
-        raise ConfigError(log.name, f"has no output and no command in the study's {span}")
-    logged = {}
-    replays = {}
-    not_replayed = {}
-    held = {}
-    differences = {}
-    for index, (channel, signals) in enumerate(zip(loop.channels, channels, strict=True)):
-        logged |= {signal_name(channel, name): values for name, values in signals.items()}
-        if "y_ref" in signals:
-            distance = np.abs(signals["y_ref"] - references[index, 0])
-            differences[channel] = float(np.nanmax(distance, initial=0.0))
-        replay = replayed_channel(study, index, signals, references[index])
-        if isinstance(replay, str):
-            not_replayed[channel] = replay
-        else:
-            replays[signal_name(channel, "u_total")] = replay
-            inputs = {name: values for name, values in signals.items() if name != "u_total"}
-            held |= {signal_name(channel, name): count for name, count in held_samples(inputs).items()}
+    replay = replay_log(study, log)
+    samples = replay.samples
+    logged = replay.logged
+    replays = replay.commands
+    require_samples(study, log, compared_samples(study, replay))
     signals = [
         Signal(index, quantity, signal_name(channel, quantity))
         for index, channel in enumerate(loop.channels)
@@ -337,12 +297,23 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     replayed = np.array([replays.get(signal.name, missing) for signal in signals])[:, ::stride]
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
-    return LogComparison(study, dataset, log.name, log.start, stride, samples, held, not_replayed, differences)
+    hints = {**replay.hints.conversions, **replay.hints.shifts}
+    held = replay.held
+    not_replayed = replay.not_replayed
+    return LogComparison(
+        study, dataset, log.name, log.start, stride, samples, held, not_replayed, replay.references, hints
+    )
 
 
-def is_compared(signals: dict[str, np.ndarray]) -> bool:
-    """Whether the log of a channel has a value that is compared with the draws."""
-    return any(np.isfinite(signals[name]).any() for name in ChannelCurves._fields if name in signals)
+def compared_samples(study: Study, replay: LogReplay) -> np.ndarray:
+    """Whether a log has a value that is compared with the draws, at each sample, shape (samples,)."""
+    known = np.zeros(replay.samples, bool)
+    for channel in study.loop.channels:
+        for quantity in ChannelCurves._fields:
+            values = replay.logged.get(signal_name(channel, quantity))
+            if values is not None:
+                known |= np.isfinite(values[: replay.samples])
+    return known
 
 
 def drawn_curves(

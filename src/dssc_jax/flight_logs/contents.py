@@ -11,7 +11,6 @@ from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.flight_logs.frames import derived_fields, field_values
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
-    LogTopic,
     Segment,
     TopicData,
     chosen_segment,
@@ -22,6 +21,7 @@ from dssc_jax.flight_logs.ulog import (
     stamps,
     topic_place,
 )
+from dssc_jax.flight_logs.ulog_scan import LogTopic
 from dssc_jax.study.recorded import TIME, recorded_frame
 
 
@@ -68,6 +68,8 @@ class LogContents:
     segments: tuple[Segment, ...]
     dropouts: tuple[int, float]
     damaged: int | None
+    damages: int
+    lost: int
     cut: bool
     fields: tuple[FieldValues, ...]
 
@@ -110,6 +112,8 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             tuple(segments_of(data, begin)),
             listed.dropouts,
             listed.damaged,
+            listed.damages,
+            listed.lost,
             listed.cut,
             tuple(fields),
         )
@@ -147,7 +151,7 @@ def table_contents(path: Path) -> LogContents:
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
     time = columns.get(TIME, np.zeros(1))
     span = float(np.nanmax(time) - np.nanmin(time))
-    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, False, fields)
+    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields)
 
 
 def topic_table(

@@ -11,7 +11,7 @@ from scipy import special
 from dssc_jax.core.json_types import Json
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.flight_logs.least_squares import fit_scale, from_fit_scale
-from dssc_jax.flight_logs.refusals import Explained
+from dssc_jax.flight_logs.refusals import Doubt, Explained
 from dssc_jax.statistics.correlated_noise import correlation_time
 from dssc_jax.statistics.noise_posterior import Posterior
 from dssc_jax.study import Law, Study
@@ -80,6 +80,7 @@ class Fitted:
     rivals: tuple[RivalMinimum, ...]
     simulations: int
     cut: str  # why the search ended before it was complete; empty: it is complete
+    doubts: tuple[Doubt, ...]  # residuals that are many times what noise explains
 
     @property
     def deviations(self) -> np.ndarray:
@@ -172,6 +173,7 @@ class Fitted:
             "simulations": self.simulations,
             "search_cut": self.cut,
             "other_minima": [rival._asdict() for rival in self.rivals],
+            "warnings": [doubt._asdict() for doubt in self.doubts],
             "outside_laws": self.outside_laws(),
             "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},
             "toml": self.toml(),

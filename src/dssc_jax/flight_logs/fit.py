@@ -16,6 +16,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -38,19 +39,26 @@ from dssc_jax.flight_logs.reader import (
     signal_name,
 )
 from dssc_jax.flight_logs.refusals import (
-    Explained,
+    Doubt,
     NotIdentifiable,
-    explain,
-    require_explained,
+    doubts,
+    require_description,
     require_identifiable,
     require_unique_minimum,
 )
-from dssc_jax.flight_logs.replay import replayed_channel, study_references
+from dssc_jax.flight_logs.replay import (
+    LogReplay,
+    replay_log,
+    replayed_channel,
+    require_same_signals,
+    study_references,
+)
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
+LARGE_JUMP = 0.2  # of a command's range
 
 
 def fit_log(
@@ -61,6 +69,7 @@ def fit_log(
     *,
     allow_damaged: bool = False,
     limits: SearchLimits = USUAL_LIMITS,
+    replay: LogReplay | None = None,
     progress: ProgressCallback | None = None,
 ) -> Fitted:
     """Estimate numbers of a study from a logged flight.
@@ -72,10 +81,12 @@ def fit_log(
         predictions: Compiled predictions to use again, by names, for logs of one length.
         allow_damaged: Whether a log that has lost messages is fitted all the same.
         limits: When the search for the minimum ends with the best so far.
+        replay: The log's replay, whose commands are then checked, too; None: only its references are.
         progress: Called with the simulations done, and their largest number.
 
     Raises:
-        ConfigError: a name or the log is not suitable; the log has lost messages.
+        ConfigError: a name or the log is not suitable; the log has lost messages; a signal of it is the study's in
+            another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
 
@@ -99,6 +110,7 @@ def fit_log(
     known: list[Minimum] = []
     study = study.without_sweep()
     chosen = tuple(numbers_to_fit(study, names))
+    require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
     kept: dict[str, float] = {}
@@ -124,8 +136,11 @@ def fit_log(
         known = search.without([name not in unidentified for name in chosen])
         chosen = tuple(name for name in chosen if name not in unidentified)
         if not chosen:
+            x = search.best.x
+            reasons = "".join(f"; {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
             raise NotIdentifiable(
                 f"the flight identifies none of {', '.join(kept)}: their laws are narrower than what it leaves open"
+                f"{reasons}"
             )
 
 
@@ -162,6 +177,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     commands = np.zeros(shape)
     replayed = []
     held: dict[str, int] = {}
+    jumps: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
@@ -172,6 +188,9 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
             held |= held_samples({signal_name(channel, "u_total"): command})
+            jump = largest_jump(command)
+            if jump > LARGE_JUMP * np.ptp(commands[row]):
+                jumps[signal_name(channel, "u_total")] = jump
             continue
         replay = replayed_channel(study, row, signals, references[row])
         if isinstance(replay, str):
@@ -180,8 +199,28 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         replayed.append(channel)
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
-        raise ConfigError(log.name, f"{rule} in every channel" if len(loop.channels) > 1 else rule)
-    return SampledLog(outputs, offsets, commands, held, tuple(replayed))
+        place = " in every channel" if len(loop.channels) > 1 else ""
+        raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps)
+
+
+def largest_jump(command: np.ndarray) -> float:
+    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
+    known = np.flatnonzero(np.isfinite(command))
+    changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
+    return float(changes.max(initial=0.0))
+
+
+def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
+    """The commands that are held over large changes."""
+    found = []
+    for name, jump in log.jumps.items():
+        text = (
+            f"{name} changes by {jump:.3g} where the log lacks it, and the last value is held until then: estimates of "
+            "lags and delays may be wrong by more than their intervals. Log every command, with a time stamp of its own"
+        )
+        found.append(Doubt(name, text))
+    return tuple(found)
 
 
 def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
@@ -215,15 +254,6 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
         if not width < 1.0:
             unidentified[name] = width
     return unidentified
-
-
-def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
-    """How well the study describes each channel at coordinates, if the residuals can be noise; raises Unexplained."""
-    results = explain(problem, x)
-    for readings, result in zip(problem.readings, results, strict=True):
-        channel = problem.study.loop.channels[readings.channel]
-        require_explained(channel, problem.study.units[readings.channel].output, result)
-    return results
 
 
 def fitted_minimum(
@@ -261,4 +291,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
+        (*doubts(problem, x, results), *held_doubts(problem.log)),
     )

@@ -64,6 +64,7 @@ class SampledLog(NamedTuple):
     commands: np.ndarray
     held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
+    jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
 
 
 class Readings(NamedTuple):

@@ -18,6 +18,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.flight_logs.comparison import MOST_NUMBERS, Signal, drawn_curves
+from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import next_flight_figure
 from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
 from dssc_jax.flight_logs.replay import ChannelCurves, study_references
@@ -234,6 +235,8 @@ def next_flight(
     stride = max(1, -(-samples * study.config.draws * len(signals) // MOST_NUMBERS))
     flights = flights[..., ::stride]
     desired = desired[..., ::stride]
+    for log, flight in zip(logs, flights, strict=True):
+        require_samples(study, log, np.isfinite(flight).any(axis=0))
     known = np.all(np.isfinite(flights), axis=0)
     if samples < 1 or not known.any():
         raise ConfigError("logs", "the flights have no sample of any signal in common within the study's duration")

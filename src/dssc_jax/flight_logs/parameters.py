@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dssc_jax.flight_logs.ulog import opened_log
+from dssc_jax.flight_logs.ulog import parsed_log
 
 
 def logged_parameters(path: Path) -> dict[str, float]:
@@ -15,8 +15,7 @@ def logged_parameters(path: Path) -> dict[str, float]:
     Raises:
         ConfigError: pyulog is missing, or the file cannot be read.
     """
-    with opened_log(path) as opened:
-        log = opened.parse(opened.file, [])
+    log, _ = parsed_log(path, [])
     parameters = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         parameters[name] = value

@@ -13,12 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from dssc_jax.flight_logs.conversions import conversion_text
 from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
 from dssc_jax.flight_logs.prediction import study_noise
+from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
 MOST_UNEXPLAINED = 0.1  # of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
+MANY_TIMES = 3.0  # what noise explains of a residual: above, the residual is doubted
+LEAST_DOUBTED = 1e-3  # of the output's variance left unexplained, in a residual that is doubted
+PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
+REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISE_REPLICATES = 16  # of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
 SMALL_COEFFICIENT = 0.1  # of a number in a combination that a message names
@@ -67,6 +73,18 @@ class Explained(NamedTuple):
         largest = float(stats.chi2.ppf(EXPLAINED_CONFIDENCE, self.independent)) / self.independent
         return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the residual is many times what noise explains, and no trifle."""
+        return self.residual > MANY_TIMES * self.noise and self.unexplained > LEAST_DOUBTED
+
+
+class Doubt(NamedTuple):
+    """A residual that is many times what noise explains, in a fit that is accepted all the same."""
+
+    signal: str
+    text: str
+
 
 def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
     """Standard deviation of a series about the straight line between each reading's two neighbours.
@@ -92,13 +110,13 @@ def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> E
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     """How well the model describes each channel that has readings, at coordinates x of the fit.
 
-    If the readings' noise alone leaves too much unexplained in any channel, the study's noise is simulated. Each
-    channel then counts the larger of the two.
+    If the readings' noise alone leaves too much unexplained in any channel, or a residual that is many times as large,
+    the study's noise is simulated. Each channel then counts the larger of the two.
     """
     results = []
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         results.append(explain_channel(readings, noise, columns[:, 0]))
-    if all(result.least_unexplained <= MOST_UNEXPLAINED for result in results):
+    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.doubtful for result in results):
         return results
     added = study_noise(problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES)
     for place, readings in enumerate(problem.readings):
@@ -107,8 +125,47 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     return results
 
 
-def require_explained(channel: str, unit: str, result: Explained) -> None:
-    """Require that the residual of a channel, whose output has a unit, can be noise."""
+def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
+    """In which other unit or sign a channel's readings are what the study predicts; empty if in none.
+
+    Predicted are the outputs at coordinates x and at the medians of the laws.
+
+    Args:
+        problem: The problem.
+        x: The coordinates.
+        place: Position of the readings.
+    """
+    readings = problem.readings[place]
+    label = signal_name(problem.study.loop.channels[readings.channel], "y")
+    for coordinates in (np.zeros_like(x), x):
+        predicted = readings.values - problem.columns(coordinates)[place][:, 0]
+        unit = problem.study.units[readings.channel].output
+        found = conversion_text(readings.values, predicted, PREDICTED, unit)
+        if found:
+            return f". {label} looks like the study's {found}"
+    return ""
+
+
+def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+    """The residuals that are many times what noise explains, by channel, with the remedy."""
+    found = []
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+        if not result.doubtful:
+            continue
+        channel = problem.study.loop.channels[readings.channel]
+        unit = problem.study.units[readings.channel].output
+        text = (
+            f"the residual of {signal_name(channel, 'y')} is {result.residual:.3g} {unit} rms, "
+            f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
+            f"the study lacks something of this flight, or the log is not what the study takes it for. {REMEDY}"
+            f"{converted_text(problem, x, place)}"
+        )
+        found.append(Doubt(signal_name(channel, "y"), text))
+    return tuple(found)
+
+
+def require_explained(channel: str, unit: str, result: Explained, hint: str = "") -> None:
+    """Require that the residual of a channel, whose output has a unit, can be noise; a hint ends the refusal."""
     if result.least_unexplained <= MOST_UNEXPLAINED:
         return
     name = f"y of {channel}" if channel else "y"
@@ -117,9 +174,20 @@ def require_explained(channel: str, unit: str, result: Explained) -> None:
         f"noise explains {result.noise:.3g} {unit} of it, and {100 * result.unexplained:.3g} % of the output's "
         f"variance ({result.output:.3g} {unit})^2 is left unexplained, with {100 * EXPLAINED_CONFIDENCE:g} % "
         f"confidence at least {100 * result.least_unexplained:.3g} %; at most {100 * MOST_UNEXPLAINED:g} % is "
-        "accepted. Compare the log's columns, units and start with the study, and its initial state; give the study "
-        "what acts on the flight (wind, disturbance, sensor noise), or wider laws"
+        f"accepted. {REMEDY}; give the study what acts on the flight (wind, disturbance, sensor noise), or wider laws"
+        f"{hint}"
     )
+
+
+def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
+    """How well the study describes each channel at coordinates, if the residuals can be noise; raises Unexplained."""
+    results = explain(problem, x)
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+        if result.least_unexplained > MOST_UNEXPLAINED:
+            channel = problem.study.loop.channels[readings.channel]
+            unit = problem.study.units[readings.channel].output
+            require_explained(channel, unit, result, converted_text(problem, x, place))
+    return results
 
 
 def combination(names: Sequence[str], direction: np.ndarray) -> str:
@@ -173,10 +241,15 @@ def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | N
 
 
 def require_unique_minimum(problem: FitProblem, search: MinimumSearch) -> None:
-    """Require that no other minimum describes the log as well as the best one does."""
+    """Require that no other minimum describes the log as well as the best one does.
+
+    A rival within the confidence region of the best minimum says nothing that the region does not.
+    """
     allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
     for rival in search.rivals:
-        if rival.cost - search.best.cost <= allowed:
+        move = rival.x - search.best.x
+        is_near = float(move @ search.best.equations.information @ move) <= allowed
+        if rival.cost - search.best.cost <= allowed and not is_near:
             best = assignments(problem.named_values(search.best.x))
             second = assignments(problem.named_values(rival.x))
             raise NotIdentifiable(

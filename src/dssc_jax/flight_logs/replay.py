@@ -1,8 +1,8 @@
 """A logged flight through the analysed controller, and the signals that the study's draws would log."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +13,34 @@ from dssc_jax.closed_loop.draw import Progress, initial_progress, sampler
 from dssc_jax.closed_loop.time_loops import scan_recorded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
 from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_logs.reader import forward_filled
+from dssc_jax.flight_logs.conversions import LogHints, conversion_text, reference_conversion, reference_shift, rms
+from dssc_jax.flight_logs.reader import (
+    FlightLog,
+    channel_signals,
+    forward_filled,
+    held_samples,
+    samples_within,
+    signal_name,
+)
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
 """Share of the samples at which a replay needs the measured output."""
 REFERENCE_TOLERANCE = 1e-3  # of a reference's size: resolution and rounding of a log
+
+SAME_COMMAND = 0.1  # of a command's root mean square: closer, a converted command is that of the replay
+SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
+"""Units of the compared signals, by those of the channel."""
+REMEDY = (
+    "Compare the log's columns, units and signs with the study: a table of columns has a scale for each signal. "
+    "Where the flight had another reference or controller, give the study that one, or leave the signal out"
+)
 
 
 class ChannelCurves(NamedTuple):
@@ -132,6 +149,155 @@ def is_close(logged: np.ndarray, reference: np.ndarray) -> bool:
     """Whether a logged reference is that of the study."""
     size = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
     return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * size
+
+
+@dataclass(frozen=True)
+class ReplayedCommand:
+    """The difference of the analysed controller's command from the logged one, in the signal's unit."""
+
+    largest_difference: Annotated[float, Quantity("that of the signal", "largest difference")]
+    largest_difference_at: Annotated[float, Quantity("s", "its time")]
+    rms_difference: Annotated[float, Quantity("that of the signal", "root mean square of the difference")]
+    rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
+
+
+def replayed_command(time: np.ndarray, logged: np.ndarray, commanded: np.ndarray) -> ReplayedCommand | None:
+    """The difference of a replayed command from the logged one; None if no sample has both.
+
+    Args:
+        time: Of the samples [s], shape (samples,).
+        logged: The logged command, NaN where it is missing.
+        commanded: The analysed controller's command, NaN where it is missing.
+    """
+    difference = commanded - logged
+    compared = np.isfinite(difference)
+    if not compared.any():
+        return None
+    largest = int(np.argmax(np.abs(np.where(compared, difference, 0.0))))
+    return ReplayedCommand(
+        largest_difference=float(abs(difference[largest])),
+        largest_difference_at=float(time[largest]),
+        rms_difference=rms(difference),
+        rms_logged=rms(logged[compared]),
+    )
+
+
+def signal_unit(study: Study, name: str) -> str:
+    """The unit of a logged signal."""
+    for channel, units in zip(study.loop.channels, study.units, strict=True):
+        for quantity, unit in SIGNAL_UNITS.items():
+            if name == signal_name(channel, quantity):
+                return units.of(unit)
+    return ""
+
+
+class LogReplay(NamedTuple):
+    """A log at the study's samples, the commands of the analysed controller for it, and where both disagree.
+
+    Args:
+        samples: Samples of the study up to the log's end.
+        logged: The logged signals by name, NaN where missing, each of shape (samples,).
+        commands: Commands of the analysed controller, by the name of the logged command.
+        held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
+        not_replayed: Why a channel's log was not replayed, by channel.
+        references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
+        hints: Why they may disagree.
+    """
+
+    samples: int
+    logged: dict[str, np.ndarray]
+    commands: dict[str, np.ndarray]
+    held: dict[str, int]
+    not_replayed: dict[str, str]
+    references: dict[str, float]
+    hints: LogHints
+
+    def differences(self, sample_time: float) -> dict[str, ReplayedCommand]:
+        """The differences of the replayed commands from the logged ones, by signal."""
+        times = sample_time * np.arange(self.samples)
+        found = {}
+        for name, command in self.commands.items():
+            if name in self.logged:
+                difference = replayed_command(times, self.logged[name], command)
+                if difference is not None:
+                    found[name] = difference
+        return found
+
+    def summary(self, study: Study) -> dict[str, object]:
+        """For JSON."""
+        differences = self.differences(study.loop.sample_time)
+        return {
+            "replay": {
+                name: asdict(replayed) | {"unit": signal_unit(study, name)} for name, replayed in differences.items()
+            },
+            "replayed_samples": self.samples,
+            "held_samples": self.held,
+            "not_replayed": self.not_replayed,
+            "reference_differences": self.references,
+            "hints": {**self.hints.conversions, **self.hints.shifts},
+        }
+
+
+def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay:
+    """A log at the study's samples beside the analysed controller's commands and the study's references.
+
+    Args:
+        study: The study, without a sweep.
+        log: The flight.
+        commands: Whether its commands are replayed; else only its references are compared.
+    """
+    loop = study.loop
+    samples = samples_within(log, loop.sample_time, loop.steps)
+    references = study_references(study, max(samples, 1))
+    logged: dict[str, np.ndarray] = {}
+    replays: dict[str, np.ndarray] = {}
+    held: dict[str, int] = {}
+    not_replayed: dict[str, str] = {}
+    differences: dict[str, float] = {}
+    conversions: dict[str, str] = {}
+    shifts: dict[str, str] = {}
+    for index, (channel, units) in enumerate(zip(loop.channels, study.units, strict=True)):
+        signals = channel_signals(study, log, index, references[index, 0])
+        logged |= {signal_name(channel, name): values for name, values in signals.items()}
+        if "y_ref" in signals:
+            differences[channel] = largest_distance(signals["y_ref"], references[index, 0])
+            name = signal_name(channel, "y_ref")
+            text = reference_conversion(index, signals["y_ref"], references[:, 0], loop.channels, units.output)
+            shift = 0 if text else reference_shift(signals["y_ref"], references[index, 0])
+            if text:
+                conversions[name] = text
+            elif shift:
+                later = "later" if shift > 0 else "earlier"
+                start = log.start + shift * loop.sample_time
+                shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {later}: set start to {start:g} s"
+        if not commands:
+            continue
+        replay = replayed_channel(study, index, signals, references[index])
+        if isinstance(replay, str):
+            not_replayed[channel] = replay
+            continue
+        name = signal_name(channel, "u_total")
+        replays[name] = replay
+        inputs = {label: values for label, values in signals.items() if label != "u_total"}
+        held |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
+        if "u_total" in signals:
+            text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
+            if text:
+                conversions[name] = f"is the analysed controller's {text}"
+    return LogReplay(samples, logged, replays, held, not_replayed, differences, LogHints(conversions, shifts))
+
+
+def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
+    """The largest distance of a logged reference from the study's; 0 if it has no value."""
+    return float(np.nanmax(np.abs(logged - reference), initial=0.0))
+
+
+def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
+    """Require that no signal of a log is the study's in another unit, sign or column; raises ConfigError."""
+    wrong = replay.hints.conversions
+    if wrong:
+        found = "; ".join(f"{name} {text}" for name, text in wrong.items())
+        raise ConfigError(log.name, f"{found}. {REMEDY}")
 
 
 def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[DrawCurves]:

@@ -19,46 +19,19 @@ import numpy as np
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.frames import MICROSECOND
+from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedPart
 
 if TYPE_CHECKING:
     from pyulog import ULog
 
 HEADER = struct.Struct("<7sBQ")
 MAGIC = b"ULog\x01\x12\x35"
-MESSAGE = struct.Struct("<HB")  # size and kind
-ADDED = struct.Struct("<BH")  # instance and number of a topic
-STAMPED = struct.Struct("<HQ")
-DROPOUT = struct.Struct("<H")
-KINDS = frozenset(b"BFIMPQALCDRSO")
-"""Kinds of messages: flags, format, information, parameter, topic, text, data, removal, synchronisation, dropout."""
 ARMED = 2  # of vehicle_status.arming_state
 SEGMENTS = ("armed", "airborne")
 SEGMENT_TOPICS = ("actuator_armed", "vehicle_status", "vehicle_land_detected")
 
 TopicData: TypeAlias = dict[str, dict[str, np.ndarray]]
 """The fields of each topic, ``name:instance``, each of shape (messages,)."""
-
-
-class LogTopic(NamedTuple):
-    """One instance of a topic.
-
-    Args:
-        name: ``topic``, or ``topic:1`` for its second instance.
-        messages: Number of its messages.
-        first: Time of the first one with a stamp, from the beginning of the log [s]; NaN if none has.
-        last: Time of the last one [s].
-    """
-
-    name: str
-    messages: int
-    first: float
-    last: float
-
-    @property
-    def rate(self) -> float:
-        """Messages a second between the first and the last one; NaN of a single one."""
-        span = self.last - self.first
-        return (self.messages - 1) / span if span > 0.0 else float("nan")
 
 
 class Segment(NamedTuple):
@@ -84,6 +57,8 @@ class LogTopics(NamedTuple):
         topics: Its topics, by name.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message; None: there is none.
+        damages: Number of places with such bytes.
+        lost: Number of such bytes.
         cut: Whether the file ends within a message.
     """
 
@@ -92,6 +67,8 @@ class LogTopics(NamedTuple):
     topics: tuple[LogTopic, ...]
     dropouts: tuple[int, float]
     damaged: int | None
+    damages: int
+    lost: int
     cut: bool
 
 
@@ -154,13 +131,38 @@ def read_topics(path: Path, names: Iterable[str]) -> ReadTopics:
     Warns:
         LogWarning: The log is damaged.
     """
+    log, damaged = parsed_log(path, names)
+    if damaged:
+        text = f"{path.name} is damaged: messages are lost, so that its signals have gaps"
+        warnings.warn(text, LogWarning, stacklevel=2)
+    topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
+    return ReadTopics(topics, float(log.start_timestamp), damaged)
+
+
+def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
+    """A log with the messages of some topics, and whether it is damaged.
+
+    pyulog skips to the next synchronisation message after damage, or stops. A damaged log is therefore parsed again,
+    without the bytes that are no message.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    chosen = sorted(set(names))
     with opened_log(path) as opened:
-        log = opened.parse(opened.file, sorted(set(names)))
-        if log.file_corruption:
-            text = f"{path.name} is damaged: messages are lost, so that its signals have gaps"
-            warnings.warn(text, LogWarning, stacklevel=2)
-        topics = {f"{topic.name}:{topic.multi_id}": topic.data for topic in log.data_list}
-        return ReadTopics(topics, float(log.start_timestamp), bool(log.file_corruption))
+        log = opened.parse(opened.file, chosen)
+    if not log.file_corruption:
+        return log, False
+    with opened_log(path) as opened:
+        scan = scanned(opened.file)
+        if not scan.damages:
+            return log, True
+        left_out = list(scan.damages)
+        if scan.flags is not None:  # its offsets are those of the whole file
+            left_out.append(scan.flags)
+        left_out.sort()
+        size = opened.file.seek(0, 2)
+        return opened.parse(UndamagedPart(opened.file, left_out, size), chosen), True
 
 
 def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
@@ -184,15 +186,22 @@ def list_topics(path: Path) -> LogTopics:
         ConfigError: the file cannot be read.
     """
     with opened_log(path) as opened:
-        begin = log_begin(opened.file)
-        counted = Scan(begin)
-        damaged = counted.run(opened.file)
+        scan = scanned(opened.file)
         opened.file.seek(0)
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
-    topics = tuple(sorted(counted.topics(), key=lambda topic: topic.name))
+    topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
     duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
-    return LogTopics(system, duration, topics, counted.dropouts, damaged, counted.cut)
+    damaged = scan.damages[0].begin if scan.damages else None
+    lost = sum(damage.end - damage.begin for damage in scan.damages)
+    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut)
+
+
+def scanned(file: BinaryIO) -> Scan:
+    """The pass over all messages of a log."""
+    scan = Scan(log_begin(file))
+    scan.run(file)
+    return scan
 
 
 def log_begin(file: BinaryIO) -> int:
@@ -201,76 +210,6 @@ def log_begin(file: BinaryIO) -> int:
     if len(head) < HEADER.size or head[: len(MAGIC)] != MAGIC:
         raise ConfigError("file", "is no ULog: its first bytes are others")
     return HEADER.unpack(head)[2]
-
-
-class Scan:
-    """A pass over the messages of a log, which counts them by topic.
-
-    Args:
-        begin: The time at which the log begins [us].
-    """
-
-    def __init__(self, begin: int) -> None:
-        self._begin = begin
-        self._names: dict[int, str] = {}
-        self._counts: dict[int, int] = {}
-        self._first: dict[int, int] = {}
-        self._last: dict[int, int] = {}
-        self.dropouts = (0, 0.0)
-        self.cut = False
-
-    def run(self, file: BinaryIO) -> int | None:
-        """Read all messages; the position of the first byte that is no message, None if there is none."""
-        read = file.read
-        data = ord("D")
-        while True:
-            head = read(MESSAGE.size)
-            if len(head) < MESSAGE.size:
-                self.cut = len(head) > 0
-                return None
-            size, kind = MESSAGE.unpack(head)
-            body = read(size)
-            if len(body) < size:
-                self.cut = True
-                return None
-            known = self._count(body) if kind == data else kind in KINDS and self._note(kind, body)
-            if not known:
-                return file.tell() - size - MESSAGE.size
-
-    def _count(self, body: bytes) -> bool:
-        """Count a message of a topic, whose first field is its stamp; False: there is no such topic."""
-        if len(body) < STAMPED.size:
-            return False
-        number, stamp = STAMPED.unpack_from(body)
-        if number not in self._names:
-            return False
-        self._counts[number] = self._counts.get(number, 0) + 1
-        if stamp:
-            self._first.setdefault(number, stamp)
-            self._last[number] = stamp
-        return True
-
-    def _note(self, kind: int, body: bytes) -> bool:
-        """Note a topic or a dropout; False: the message is too short for one."""
-        if kind == ord("A"):
-            if len(body) < ADDED.size:
-                return False
-            instance, number = ADDED.unpack_from(body)
-            name = body[ADDED.size :].decode("utf-8", "replace")
-            self._names[number] = f"{name}:{instance}" if instance else name
-        elif kind == ord("O"):
-            if len(body) < DROPOUT.size:
-                return False
-            count, lost = self.dropouts
-            self.dropouts = (count + 1, lost + 1e-3 * DROPOUT.unpack_from(body)[0])
-        return True
-
-    def topics(self) -> Iterator[LogTopic]:
-        """The topics that have messages."""
-        for number, messages in self._counts.items():
-            spans = (self._first.get(number), self._last.get(number))
-            first, last = (np.nan if stamp is None else MICROSECOND * (stamp - self._begin) for stamp in spans)
-            yield LogTopic(self._names[number], messages, first, last)
 
 
 def segments_of(topics: TopicData, begin: float) -> list[Segment]:

@@ -8,7 +8,7 @@ from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.logs import logged_flight
 from dssc_jax.cli.running import require_unset
-from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight
+from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
 from dssc_jax.console.terminal import output, progress_bar
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
@@ -17,6 +17,7 @@ from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
+from dssc_jax.flight_logs.replay import replay_log
 from dssc_jax.flight_logs.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.study import Study
 
@@ -72,6 +73,8 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     as_json = options.as_json
     simulations = MOST_SIMULATIONS if options.simulations is None else options.simulations
     seconds = None if options.minutes is None else 60.0 * options.minutes
+    replay = replay_log(study, log)
+    replayed = replay.summary(study)
     try:
         with progress_bar(study, quiet=as_json, of="simulations", early="if the starts agree") as advance:
             fitted = fit_log(
@@ -80,20 +83,23 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
                 options.number or [],
                 allow_damaged=options.allow_damaged,
                 limits=SearchLimits(simulations, seconds),
+                replay=replay,
                 progress=advance,
             )
     except FitRefused as refusal:
         if as_json:
             verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
-            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal)}))
+            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replayed}))
         else:
+            show_replay(replayed)
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
-    summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None}
+    summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None} | replayed
     if out is not None:
         attempt(out, lambda: files.write_text(out, fitted.toml()))
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
+        show_replay(replayed)
         show_fit(summary)
     return DONE

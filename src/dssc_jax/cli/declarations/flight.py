@@ -137,7 +137,8 @@ class CompareLog(OutputOptions, LogOptions, DrawsOptions):
     flights refute the study, and how many flights would refute or confirm it.
 
     With --fit the plant's numbers are estimated instead, and their laws are proposed as TOML. The exit code is 1, with
-    the reason, if the flight does not identify them, or if the study does not describe the flight.
+    the reason, if the flight does not identify them, or if the study does not describe the flight, and 2 if a reference
+    or command of the log is that of the study with another sign, in another unit or column.
     """
 
     log: Annotated[

@@ -24,7 +24,7 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import clip
+from dssc_jax.core.numerics import clip, root_abs
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.toml import TomlTable
@@ -157,7 +157,7 @@ class Px4Gains(NamedTuple):
 
     def thrust_of(self, setpoint: Vec3, hover: Scalar) -> tuple[Vec3, Scalar]:
         """Thrust for an acceleration, in shares of the full one, within tilt and lower limit; whether that binds."""
-        horizontal = jnp.sqrt(setpoint.x * setpoint.x + setpoint.y * setpoint.y)
+        horizontal = root_abs(setpoint.x * setpoint.x + setpoint.y * setpoint.y)
         steepest = GRAVITY * jnp.sin(self.tilt_max) / jnp.cos(self.tilt_max)
         share = jnp.where(horizontal > steepest, steepest / jnp.maximum(horizontal, steepest), 1.0)
         direction = Vec3(setpoint.x * share, setpoint.y * share, GRAVITY)
@@ -171,11 +171,11 @@ class Px4Gains(NamedTuple):
         low = (thrust.z <= self.thrust_min) & (error.z <= 0.0)
         high = (thrust.z >= self.thrust_max) & (error.z >= 0.0)
         vertical_error = jnp.where(low | high, 0.0, error.z)
-        norm = jnp.sqrt(thrust.x * thrust.x + thrust.y * thrust.y)
+        norm = root_abs(thrust.x * thrust.x + thrust.y * thrust.y)
         kept = jnp.minimum(norm, self.thrust_margin)
         full = self.thrust_max * self.thrust_max
         vertical = jnp.minimum(thrust.z, jnp.sqrt(jnp.maximum(full - kept * kept, 0.0)))
-        left = jnp.sqrt(jnp.maximum(full - vertical * vertical, 0.0))
+        left = root_abs(jnp.maximum(full - vertical * vertical, 0.0))
         share = jnp.where(norm > left, left / jnp.maximum(norm, 1e-12), 1.0)
         allowed = Vec3(thrust.x * share, thrust.y * share, vertical)
         x = allowed.x * (GRAVITY / hover)

@@ -1,0 +1,138 @@
+"""What a logged signal would be with another sign, unit or start: hints for a log that contradicts its study."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
+SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
+FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
+
+
+class Conversion(NamedTuple):
+    """A logged signal that is a multiple of the expected one.
+
+    Args:
+        factor: The multiple.
+        words: The words for it.
+        unit: The unit in which the expected signal's must begin; empty: any.
+        meaning: What the multiple means in that unit.
+    """
+
+    factor: float
+    words: str
+    unit: str = ""
+    meaning: str = ""
+
+    def text(self, unit: str) -> str:
+        """The words for a signal of a unit, with the meaning if the unit is known to fit."""
+        return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
+
+
+CONVERSIONS = (
+    Conversion(-1.0, "with the opposite sign"),
+    Conversion(100.0, "times 100", "m", "centimetres in place of metres"),
+    Conversion(1000.0, "times 1000", "m", "millimetres in place of metres"),
+    Conversion(0.01, "times 0.01"),
+    Conversion(0.001, "times 0.001"),
+    Conversion(180.0 / np.pi, "times 57.3", "rad", "degrees in place of radians"),
+    Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
+    Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
+)
+ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
+
+
+def is_of(unit: str, begin: str) -> bool:
+    """Whether a unit is a base unit or a quotient or product that begins with it: m/s is of m, mol is not."""
+    return unit == begin or unit.startswith((f"{begin}/", f"{begin} "))
+
+
+def rms(values: np.ndarray) -> float:
+    """The root mean square of the finite values, however large they are; infinite if there are none."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return float("inf")
+    size = float(np.abs(finite).max())
+    return size * float(np.sqrt(np.mean((finite / size) ** 2))) if size > 0.0 else 0.0
+
+
+def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> str:
+    """The multiple of the expected signal that the logged one is, in words; empty if there is none, or none is needed.
+
+    Args:
+        logged: Values, NaN where missing, shape (samples,).
+        expected: Values at the same times.
+        tolerance: Largest root mean square of the difference, as a share of the expected signal's.
+        unit: Of the expected signal.
+    """
+    size = rms(expected[np.isfinite(logged)])
+    if size == 0.0 or not np.isfinite(size):
+        return ""
+    best = ""
+    least = min(tolerance * size, FEWER * rms(logged - expected))
+    for conversion in CONVERSIONS:
+        if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
+            continue
+        distance = rms(logged / conversion.factor - expected)
+        if distance <= least:
+            least = distance
+            best = conversion.text(unit)
+    return best
+
+
+def reference_conversion(
+    index: int, logged: np.ndarray, references: np.ndarray, channels: Sequence[str], unit: str
+) -> str:
+    """What a channel's logged reference is of the study's, in words; empty: nothing simple.
+
+    Args:
+        index: Position of the channel.
+        logged: Its logged reference, NaN where missing, shape (samples,).
+        references: The study's, shape (channels, samples).
+        channels: Their names.
+        unit: Of the channel's output.
+    """
+    reference = references[index]
+    distance = rms(logged - reference)
+    if distance <= SAME_REFERENCE * rms(reference):
+        return ""
+    found = conversion_text(logged, reference, SAME_REFERENCE, unit)
+    if found:
+        return f"is the study's {found}"
+    for place, channel in enumerate(channels):
+        size = rms(references[place])
+        if place != index and size > 0.0 and rms(logged - references[place]) <= SAME_REFERENCE * size:
+            return f"is the study's of {channel}"
+    return ""
+
+
+def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
+    """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
+
+    Of several shifts the smallest counts.
+    """
+    size = rms(reference - np.mean(reference))
+    if size == 0.0 or rms(logged - reference) <= SAME_REFERENCE * size:
+        return 0
+    samples = len(reference)
+    for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
+        for later, earlier, found in (
+            (logged[shift:], reference[:-shift], shift),
+            (logged[:-shift], reference[shift:], -shift),
+        ):
+            if rms(earlier - np.mean(earlier)) > 0.5 * size and rms(later - earlier) <= SAME_REFERENCE * size:
+                return found
+    return 0
+
+
+class LogHints(NamedTuple):
+    """Why a log may contradict its study.
+
+    Args:
+        conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
+        shifts: References that are the study's at another time, each with the words for it.
+    """
+
+    conversions: Mapping[str, str]
+    shifts: Mapping[str, str]

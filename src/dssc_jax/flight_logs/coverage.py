@@ -1,0 +1,66 @@
+"""Whether a log has enough of a study's samples to say anything, and whether its times are in seconds."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.study import Study
+
+LEAST_SAMPLES = 5
+"""Samples of a study at which a log needs a value to be compared."""
+UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
+USUAL_GAP = (0.1, 10.0)
+
+
+class TimeUnit(NamedTuple):
+    """A unit of time, with its size [s]."""
+
+    name: str
+    seconds: float
+
+
+TIME_UNITS = (
+    TimeUnit("milliseconds", 1e-3),
+    TimeUnit("microseconds", 1e-6),
+    TimeUnit("nanoseconds", 1e-9),
+    TimeUnit("minutes", 60.0),
+    TimeUnit("hours", 3600.0),
+)
+
+
+def time_unit_text(log: FlightLog, sample_time: float) -> str:
+    """What the times of a log seem to be, if their gaps are not those of a log in seconds; empty else."""
+    gaps = [np.median(np.diff(column.time)) for column in log.columns.values() if len(column.time) > 1]
+    gap = min((float(gap) for gap in gaps if gap > 0.0), default=0.0)
+    if gap == 0.0 or UNUSUAL_GAP[0] <= gap / sample_time <= UNUSUAL_GAP[1]:
+        return ""
+    text = f"; its values are {gap:.4g} s apart, the study's samples {sample_time:g} s"
+    for unit in TIME_UNITS:
+        if USUAL_GAP[0] <= gap * unit.seconds / sample_time <= USUAL_GAP[1]:
+            return f"{text}: are its times in {unit.name}? They must be in seconds"
+    return f"{text}: its times must be in seconds"
+
+
+def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
+    """Require that a log has values at some samples of the study.
+
+    Args:
+        study: The study, without a sweep.
+        log: The flight.
+        known: Whether it has any compared value, at each sample up to its end, shape (samples,).
+
+    Raises:
+        ConfigError: it has hardly any.
+    """
+    loop = study.loop
+    count = int(np.count_nonzero(known))
+    span = f"{loop.steps * loop.sample_time:g} s from {log.start:g} s on"
+    hint = time_unit_text(log, loop.sample_time)
+    if not count:
+        raise ConfigError(log.name, f"has no output and no command in the study's {span}{hint}")
+    needed = min(LEAST_SAMPLES, loop.steps)
+    if count < needed:
+        text = f"has values at {count} of the study's {loop.steps} samples ({span}), and a comparison needs {needed}"
+        raise ConfigError(log.name, f"{text}{hint}")

@@ -1,0 +1,179 @@
+"""Logs in another sign, unit, column or start, with times in milliseconds, or with hardly a sample: what is said."""
+
+import numpy as np
+import pytest
+import tomli_w
+
+import dssc_jax as dj
+from dssc_jax.cli.main import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.conversions import conversion_text, reference_conversion, reference_shift
+from dssc_jax.flight_logs.fit import fit_log, sampled_log
+from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations
+from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, require_unique_minimum
+from dssc_jax.flight_logs.replay import replay_log
+from tests.cli.conftest import last_json
+from tests.flight_logs.test_fit import DT, linear, log_of, output
+
+TIME = DT * np.arange(400)
+SINE = 0.5 * np.sin(np.pi * TIME)  # the reference of the study
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """A command and a noisy output of known numbers."""
+    random = np.random.default_rng(8)
+    u = np.repeat(random.normal(size=40), 10)
+    return u, output(1.1, 0.8, u) + 0.01 * random.normal(size=400)
+
+
+def with_reference(log, reference):
+    return log._replace(columns=log.columns | {"y_ref": Column(TIME[: len(reference)], reference)})
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit", "words"),
+    [
+        (-1.0, "m", "with the opposite sign"),
+        (100.0, "m/s", "times 100 (centimetres in place of metres)"),
+        (100.0, "mol", "times 100"),
+        (57.29577951, "rad", "times 57.3 (degrees in place of radians)"),
+        (57.29577951, "m", ""),
+        (1.0, "m", ""),
+        (1.7, "m", ""),
+    ],
+)
+def test_multiples_are_named(factor, unit, words):
+    logged = factor * SINE
+    logged[10:40] = np.nan
+    assert conversion_text(logged, SINE, 0.01, unit) == words
+
+
+def test_references_of_other_channels_and_times():
+    cosine = np.cos(np.pi * TIME)
+    references = np.array([SINE, cosine])
+    assert reference_conversion(0, cosine, references, ("x", "y"), "m") == "is the study's of y"
+    assert reference_conversion(0, SINE, references, ("x", "y"), "m") == ""
+    step = (TIME > 3.0).astype(float)
+    assert reference_shift((TIME > 4.0).astype(float), step) == 50
+    assert reference_shift((TIME > 2.5).astype(float), step) == -25
+    assert reference_shift(step, step) == reference_shift(SINE**3 + 1.0, step) == 0
+    assert reference_shift(np.ones(400), np.zeros(400)) == 0
+
+
+def test_a_fit_refuses_a_mirrored_reference_and_tells_a_late_start(flight):
+    u, y = flight
+    with pytest.raises(ConfigError, match=r"y_ref is the study's with the opposite sign\. Compare the log's columns"):
+        fit_log(linear(), with_reference(log_of(-y, -u), -SINE))
+    step = linear(reference={"kind": "step", "size": 1.0, "at": 2.0})
+    late = replay_log(step, with_reference(log_of(y, u), (TIME >= 3.0 - 1e-9).astype(float)), commands=False)
+    assert late.hints.shifts == {"y_ref": "is the study's, 1 s later: set start to 1 s"}
+    assert late.references == {"": 1.0}
+
+
+def test_a_replayed_command_in_another_unit_is_refused():
+    """The command of the study's PI controller for the logged output, times 100."""
+    study = linear(draws=1)
+    run = dj.simulate(study, 0)
+    columns = {name: Column(run["t"].values, run[name].values) for name in ("y", "y_dot", "y_ref", "u_total")}
+    log = FlightLog("flight", columns, 0.0)
+    assert replay_log(study, log).hints == ({}, {})
+    columns["u_total"] = columns["u_total"]._replace(value=100.0 * columns["u_total"].value)
+    log = FlightLog("flight", columns, 0.0)
+    with pytest.raises(ConfigError, match="u_total is the analysed controller's times 100"):
+        fit_log(study, log, replay=replay_log(study, log))
+
+
+def test_a_residual_of_many_times_the_noise_is_doubted(flight):
+    """A slow wave of 3 cm, 0.5 % of the output's variance, beside 1 cm of noise."""
+    u, y = flight
+    wave = 0.045 * np.sin(2.0 * np.pi * TIME / 3.0)
+    fitted = fit_log(linear(), log_of(y + wave, u))
+    (doubt,) = fitted.doubts
+    assert doubt.signal == "y"
+    assert "times the 0.01" in doubt.text
+    assert "Compare the log's columns, units, signs and start" in doubt.text
+    assert fitted.summary()["warnings"] == [doubt._asdict()]
+    assert fit_log(linear(), log_of(y, u)).doubts == ()
+    noise = {"kind": "noisy", "position_std": 0.04, "velocity_std": 0.0}
+    assert fit_log(linear(sensor=noise), log_of(y + wave, u)).doubts == ()  # the study's sensor explains it
+
+
+@pytest.mark.parametrize(("factor", "words"), [(-1.0, "with the opposite sign"), (100.0, "times 100")])
+def test_what_identifies_nothing_because_it_is_wrong_is_not_described(flight, factor, words):
+    """Laws so narrow that no number is identified: the residual is refused before."""
+    u, y = flight
+    plant = {"k_p": {"uniform": [1.0999, 1.1001]}, "a_p": {"uniform": [0.7999, 0.8001]}}
+    study = linear(plant={**linear().table["plant"], **plant})
+    with pytest.raises(Unexplained, match=rf"Compare the log's columns, units.*y looks like the study's {words}"):
+        fit_log(study, log_of(factor * y, u))
+
+
+def test_a_command_that_is_missing_at_its_step_is_told(flight):
+    """The duplicate of a time stamp takes one command of 400, at a change of 3.4 or within a hold of ten samples."""
+    u, y = flight
+    log = log_of(y, u)
+    place = 10 * int(np.argmax(np.abs(np.diff(u[::10])))) + 10
+    for index, told in ((place, ["u_total"]), (place + 5, [])):
+        time = TIME.copy()
+        time[index] = time[index - 1]
+        doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})
+        fitted = fit_log(linear(), doubled)
+        assert fitted.held == {"u_total": 1}
+        assert [doubt.signal for doubt in fitted.doubts] == told
+
+
+def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):
+    """With an information of 100 the region of one number has a radius of 0.196."""
+    study = linear()
+    names = ["plant.k_p"]
+    problem = FitProblem(
+        study, names, lambda values, commands: (values, values), sampled_log(study, log_of(*flight[::-1]))
+    )
+    best = Minimum(np.zeros(1), NormalEquations(10.0, np.zeros(1), np.array([[100.0]])), 4)
+    near, far = (Minimum(np.array([x]), best.equations._replace(cost=11.0), 4) for x in (0.19, 0.21))
+    require_unique_minimum(problem, MinimumSearch(best, [near], 8))
+    with pytest.raises(NotIdentifiable, match="two minima describe it equally well"):
+        require_unique_minimum(problem, MinimumSearch(best, [far], 8))
+
+
+def test_a_log_in_milliseconds_is_no_comparison(flight):
+    u, y = flight
+    log = FlightLog("flight", {"y": Column(1000.0 * TIME, y), "u_total": Column(1000.0 * TIME, u)}, 0.0)
+    study = linear(draws=19, plant=linear().table["plant"])
+    text = r"has values at 1 of the study's 400 samples.*needs 5; its values are 20 s apart.*times in milliseconds\?"
+    with pytest.raises(ConfigError, match=text):
+        dj.compare_log(study, log)
+    with pytest.raises(ConfigError, match=r"fewer than 20 values .* times in milliseconds"):
+        fit_log(study, log)
+    with pytest.raises(ConfigError, match=text):
+        dj.next_flight(study.override({"draws": 200}), [log])
+
+
+def test_a_rare_log_is_compared_and_the_samples_are_told(tmp_path, capsys):
+    """One value a second of a study at 50 Hz: eight samples, in the headline and the verdict."""
+    study = linear(draws=39)
+    run = dj.simulate(study.override({"draws": 60}), 50)
+    rows = [f"{t},{y},{u}" for t, y, u in zip(*(run[name].values[::50] for name in ("t", "y", "u_total")), strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,y,u_total", *rows]))
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(study.table))
+    arguments = ["compare-log", str(tmp_path / "s.toml"), str(tmp_path / "log.csv"), "--out", str(tmp_path / "out")]
+    assert guarded(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "which has a value at 8 of " in printed
+    assert "by the 8 samples that it has" in printed
+
+
+def test_the_command_tells_of_replay_and_reference(tmp_path, capsys, flight):
+    u, y = flight
+    lines = [f"{t},{a},{b},{r}" for t, a, b, r in zip(TIME, y, u, SINE + 0.1, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,y,u_total,y_ref", *lines]))
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(linear().table))
+    arguments = ["compare-log", str(tmp_path / "s.toml"), str(tmp_path / "log.csv"), "--fit"]
+    assert guarded([*arguments, "--json"]) == 0
+    found = last_json(capsys)
+    assert found["reference_differences"][""] == pytest.approx(0.1)
+    assert found["not_replayed"] == {"": "the controller needs y_dot or y_ref_dot or y_ref_ddot, which the log lacks"}
+    assert guarded(arguments) == 0
+    assert "the logged reference differs from the study's by at most 0.1" in capsys.readouterr().out
