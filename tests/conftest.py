@@ -2,6 +2,15 @@
 
 import gc
 import os
+from importlib.metadata import version
+
+# Plain programs compile for longer than they run here, and in longer still where XLA fuses by way of MLIR. JAX reads
+# these when it starts, in the processes of tests, too. XLA ends a process for a flag that its version does not know.
+os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.05"
+os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+if version("jaxlib").startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 import jax
 import pytest
@@ -10,7 +19,6 @@ import dssc_jax
 
 os.environ["DSSC_JAX_VERIFY"] = "1"  # each program of lanes, after each pass
 jax.config.update("jax_enable_x64", True)
-jax.config.update("jax_disable_most_optimizations", True)  # plain programs compile for longer than they run here
 gc.freeze()  # compiled programs are many long-lived objects, and a full collection visits all of them
 gc.set_threshold(50_000, 20, 50)
 
@@ -26,9 +34,8 @@ def compiled_by_xla(tmp_path_factory):
     session = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         session = session.parent
-    jax.config.update("jax_compilation_cache_dir", str(session / "xla"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.05)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(session / "xla")
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 
 
 CASE_2 = {

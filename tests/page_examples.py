@@ -5,6 +5,7 @@ block runs; a page's Python blocks share their names. Commands run in this proce
 all of them; those that are not ours, or use the shell, run in a shell.
 """
 
+import gc
 import os
 import re
 import shlex
@@ -70,6 +71,7 @@ def run_page(page: Path) -> None:
 
 
 if __name__ == "__main__":
+    gc.set_threshold(1_000_000)  # as a command does
     here = Path.cwd()
     for page in [Path(name).resolve() for name in sys.argv[1:]]:
         enter(here / page.stem)

@@ -91,7 +91,7 @@ def test_a_hundred_random_loops_agree_with_python_control(study, found):
     assert stable > 80
 
 
-def disk_margin(loop, points=200):
+def disk_margin(loop, points=80):
     """The least of python-control's disk margins: over all frequencies, then between the neighbours of the least."""
     omega = np.geomspace(1e-2, np.pi / SAMPLE_TIME, points)
     nearest = int(np.argmin(control.disk_margins(loop, omega, returnall=True)[0]))

@@ -60,14 +60,14 @@ def verify_value(value: Value, defined: set[int]) -> None:
         require_defined(operand, defined, operation)
     if operation not in (Operation.INPUT, Operation.RARELY, Operation.WRITE, Operation.FOREIGN):
         count = OPERAND_COUNTS.get(operation, 2)
-        require(len(operands) == count, value, f"takes {count} operands, got {len(operands)}")
+        require(len(operands) == count, value, "takes {} operands, got {}", count, len(operands))
     types = [operand.dtype for operand in operands]
     if operation in SAME_TYPE:
-        require(set(types) == {value.dtype}, value, f"operands and result must have one type, got {types}")
+        require(set(types) == {value.dtype}, value, "operands and result must have one type, got {}", types)
     elif operation in COMPARISONS:
-        require(value.dtype == BOOL and len(set(types)) == 1, value, f"must compare one type, got {types}")
+        require(value.dtype == BOOL and len(set(types)) == 1, value, "must compare one type, got {}", types)
     elif operation == Operation.SELECT:
-        require(types[0] == BOOL and types[1:] == [value.dtype] * 2, value, f"must select its own type, got {types}")
+        require(types[0] == BOOL and types[1:] == [value.dtype] * 2, value, "must select its own type, got {}", types)
     elif operation == Operation.BITCAST:
         require(types[0].itemsize == value.dtype.itemsize, value, "must keep the number of bits")
     elif operation == Operation.ANY:
@@ -77,7 +77,7 @@ def verify_value(value: Value, defined: set[int]) -> None:
     elif operation in (Operation.MEMORY, Operation.READ, Operation.WRITE):
         verify_access(value)
     elif operation == Operation.FOREIGN:
-        require(types == [place.dtype for place in value.detail.operands], value, f"must have its types, got {types}")
+        require(types == [place.dtype for place in value.detail.operands], value, "must have its types, got {}", types)
     elif operation == Operation.PART:
         places = operands[0].detail.results
         require(operands[0].operation == Operation.FOREIGN, value, "must be of a call")
@@ -119,7 +119,7 @@ def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
     for begin, state, following, result in zip(*parts, strict=True):
         require_defined(following, inside, "a loop's state")
         types = {value.dtype for value in (begin, state, following, result)}
-        require(len(types) == 1, state, f"a state must keep its type, got {types}")
+        require(len(types) == 1, state, "a state must keep its type, got {}", types)
         require(state.varying or not (begin.varying or following.varying), state, "is uniform, and its values vary")
         require(result.varying == state.varying, result, "must vary as the state does")
         define(result, defined)
@@ -151,13 +151,12 @@ def define(value: Value, defined: set[int]) -> None:
 
 def require_defined(value: Value, defined: set[int], reader: str) -> None:
     """Require that a value is a constant or defined before its reader."""
-    require(
-        value.operation == Operation.CONSTANT or id(value) in defined, value, f"is read by {reader} before it is set"
-    )
+    known = value.operation == Operation.CONSTANT or id(value) in defined
+    require(known, value, "is read by {} before it is set", reader)
 
 
-def require(holds: bool, value: Value | None, rule: str) -> None:
-    """Raise :class:`InvalidProgram` unless a rule holds for a value."""
+def require(holds: bool, value: Value | None, rule: str, *details: object) -> None:
+    """Raise :class:`InvalidProgram` unless a rule holds for a value; its text has a place ``{}`` for each detail."""
     if not holds:
         subject = "the program" if value is None else f"'{value.operation}' of type {value.dtype}"
-        raise InvalidProgram(f"{subject}: {rule}")
+        raise InvalidProgram(f"{subject}: {rule.format(*details)}")

@@ -141,8 +141,9 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.shape[1]))
     for _ in range(MOST_SAMPLES // SIDE**2):
-        block = np.abs(short_rows @ (long_jumps @ z).reshape(SIDE, n, -1)).reshape(SIDE**2, m, -1)
-        added = block[..., :q].sum(axis=0)
+        block = short_rows @ (long_jumps @ z).reshape(SIDE, n, -1)
+        block = np.abs(block, out=block).reshape(SIDE**2, m, -1)
+        added = block.sum(axis=0)[:, :q]  # of all columns, which lie together
         sums = sums + added
         peaks = np.maximum(peaks, block[..., q:].max(axis=0))
         if not np.all(np.isfinite(added)):

@@ -150,15 +150,15 @@ def middle_of(piece: tuple[float, float]) -> float:
 
 def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
     """The gains for |sigma| in an interval."""
-    k_o_tau_av, tau_m = functions_at(problem, size)
-    t = arb(problem["sample_time"])
     constants = constants_of(problem)
+    k_o_tau_av, tau_m = functions_at(problem, constants, size)
+    t = arb(problem["sample_time"])
     proportional = 1 / k_o_tau_av
     filtered = 1 / constants["k_o"] if "k_o" in constants else constants["tau_av"] * proportional  # tau_av K_P
     integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
     nominal = problem["nominal"]
     pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
-    mean = {} if problem["functions"]["kind"] == "sta" else {"mean": mean_gain(problem, size, k_o_tau_av)}
+    mean = {} if problem["functions"]["kind"] == "sta" else {"mean": mean_gain(problem, constants, size, k_o_tau_av)}
     return mean | {
         "k_p": proportional,
         "k_i": integral,
@@ -174,11 +174,10 @@ def constants_of(problem: Problem) -> Balls:
     return {name: arb(value) for name, value in problem["functions"].items() if name != "kind"}
 
 
-def functions_at(problem: Problem, size: tuple[float, float]) -> tuple[arb, arb]:
-    """k_o tau_av and tau_m for |sigma| in an interval: the rows of Table 2 and of Section V."""
-    c = constants_of(problem)
+def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple[arb, arb]:
+    """k_o tau_av and tau_m for |sigma| in an interval, with constants c: the rows of Table 2 and of Section V."""
     kind = problem["functions"]["kind"]
-    low, high = (arb(end).sqrt() for end in size)
+    low, high = ends_of(size)
     r = low.union(high)
     match kind:
         case "constant":
@@ -191,8 +190,7 @@ def functions_at(problem: Problem, size: tuple[float, float]) -> tuple[arb, arb]
             tau_m = c["kappa1"] / c["kappa2"] * r
         case "approx_sta_1":
             k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
-            defect = ratio_to_defect(low / c["delta"]).union(ratio_to_defect(high / c["delta"]))
-            tau_m = c["kappa1"] / c["kappa2"] * c["delta"] * defect
+            tau_m = c["kappa1"] / c["kappa2"] * c["delta"] * defect_ratio(size, c["delta"])
         case "approx_sta_2":
             k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
             tau_m = c["kappa1"] / c["kappa2"] * (r + c["delta"])
@@ -208,9 +206,14 @@ def functions_at(problem: Problem, size: tuple[float, float]) -> tuple[arb, arb]
     return k_o_tau_av, tau_m
 
 
-def mean_gain(problem: Problem, size: tuple[float, float], k_o_tau_av: arb) -> arb:
+def ends_of(size: tuple[float, float]) -> tuple[arb, arb]:
+    """|sigma|^(1/2) at the ends of an interval of |sigma|, which is often a point."""
+    low = arb(size[0]).sqrt()
+    return low, low if size[0] == size[1] else arb(size[1]).sqrt()
+
+
+def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av: arb) -> arb:
     """phi_1/sigma, the mean of K_P over [0, sigma], where k_o tau_av is alpha (r + beta) with r = |sigma|^(1/2)."""
-    c = constants_of(problem)
     match problem["functions"]["kind"]:
         case "constant":
             return 1 / k_o_tau_av
@@ -225,8 +228,14 @@ def mean_gain(problem: Problem, size: tuple[float, float], k_o_tau_av: arb) -> a
             beta = c["delta"] * c["k_o"] * c["kappa1"] / 2
         case kind:
             raise Rejected(f"P2: phi_1 of the functions '{kind}' is not known")
-    low, high = (ratio_to_defect(arb(end).sqrt() / beta) for end in size)
-    return 2 / (alpha * beta * low.union(high))
+    return 2 / (alpha * beta * defect_ratio(size, beta))
+
+
+def defect_ratio(size: tuple[float, float], scale: arb) -> arb:
+    """:func:`ratio_to_defect` of r over a scale, for |sigma| in an interval."""
+    low, high = ends_of(size)
+    at_low = ratio_to_defect(low / scale)
+    return at_low if low is high else at_low.union(ratio_to_defect(high / scale))
 
 
 def ratio_to_defect(x: arb) -> arb:

@@ -41,11 +41,12 @@ def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
     """The largest ratio of slopes within a sample, of functions of sigma alone."""
     ends = (np.sqrt(sigma) * np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
     ends[-1] = sigma
+    constants = constants_of(problem)
     largest = arb(1)
     for low, high in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         begin = float(np.nextafter(low - change, -np.inf))
         end = float(np.nextafter(high + change, np.inf))
-        k_o_tau_av, _ = functions_at(problem, (max(0.0, begin), min(sigma, end)))
+        k_o_tau_av, _ = functions_at(problem, constants, (max(0.0, begin), min(sigma, end)))
         largest = maximum(largest, (k_o_tau_av.upper() / k_o_tau_av.lower()).upper())
     return largest
 
