@@ -21,7 +21,8 @@ from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.selection.race import race
-from dssc_jax.analyses.sensitivity.outputs import refusal
+from dssc_jax.analyses.sensitivity.chaos import Chaos
+from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.statistics import (
     CONFIDENCE,
@@ -35,7 +36,7 @@ from dssc_jax.statistics import (
 
 REPETITIONS, NOMINAL, ALLOWED = 1000, 0.95, 0.02
 FEWER = 200  # repetitions of what takes seconds each
-SLOW = ("chosen design", "strata", "importance sampling")
+SLOW = ("chosen design", "strata", "importance sampling", "G function, 4,096", "Ishigami, 4,096")
 TELLING = 100  # printed intervals from which their share is told, where most are refused
 
 
@@ -129,7 +130,9 @@ def indices(function: Callable[[np.ndarray], np.ndarray], truth: np.ndarray, row
             a[:, -1], b[:, -1] = np.random.default_rng(seed).random((2, rows))
         f_a, f_b = function(a), function(b)
         mixed = np.stack([np.where(np.arange(factors) == i, b, a) for i in range(factors)])
-        return refusal(f_a, f_b) or side(np.stack(sobol_indices(f_a, f_b, function(mixed)))[..., 1:], truth)
+        known = np.concatenate([[a, b], mixed])[..., : factors - noisy]
+        found = refusal(f_a, f_b) or sobol_indices(f_a, f_b, function(mixed), chaos=Chaos(known, REPLICATES))
+        return found if isinstance(found, str) else side(np.stack(found)[..., 1:], truth)
 
     return trial
 
