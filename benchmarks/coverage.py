@@ -36,7 +36,7 @@ from dssc_jax.statistics import (
 
 REPETITIONS, NOMINAL, ALLOWED = 1000, 0.95, 0.02
 FEWER = 200  # repetitions of what takes seconds each
-SLOW = ("chosen design", "strata", "importance sampling", "G function, 4,096", "Ishigami, 4,096")
+SLOW = ("chosen design", "strata", "importance sampling", "G function", "Ishigami, 4,096", "failure of a")
 TELLING = 100  # printed intervals from which their share is told, where most are refused
 
 

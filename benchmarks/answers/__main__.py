@@ -53,6 +53,9 @@ ROWS: dict[tuple[str, str, str], dict[str, str]] = {
 }
 """The task of each tool that has a method, by question, model and bound."""
 
+LAST = ("splitting", "OpenTURNS subset", "OpenTURNS plain 0.1 %")
+"""Tasks that take minutes, and come last."""
+
 PEERS = ("OpenTURNS", "UQpy", "SALib", "Monaco")
 
 
@@ -75,19 +78,19 @@ def answers(command: list[str]) -> list[JsonObject]:
 def measured(peers: str) -> dict[str, list[JsonObject]]:
     """All answers by model, bound and task; those that are kept are not asked again."""
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
-    for (_, model, bound), tasks in ROWS.items():
-        for tool, task in tasks.items():
-            key = f"{model}, {bound}, {task}"
-            if key in kept:
-                continue
-            if tool in (OURS, "splitting"):
-                command = [sys.executable, "-m", "benchmarks.answers.ours", model, bound, task]
-            else:
-                command = [peers, "benchmarks/answers/peers.py", sys.executable, model, bound, task]
-            kept[key] = answers(command)
-            print(key, kept[key], flush=True)
-            KEPT.parent.mkdir(exist_ok=True)
-            KEPT.write_text(json.dumps(kept, indent=1))
+    asked = [(model, bound, tool, task) for (_, model, bound), tasks in ROWS.items() for tool, task in tasks.items()]
+    for model, bound, tool, task in sorted(asked, key=lambda ask: ask[-1] in LAST):
+        key = f"{model}, {bound}, {task}"
+        if key in kept:
+            continue
+        if tool in (OURS, "splitting"):
+            command = [sys.executable, "-m", "benchmarks.answers.ours", model, bound, task]
+        else:
+            command = [peers, "benchmarks/answers/peers.py", sys.executable, model, bound, task]
+        kept[key] = answers(command)
+        print(key, kept[key], flush=True)
+        KEPT.parent.mkdir(exist_ok=True)
+        KEPT.write_text(json.dumps(kept, indent=1))
     return kept
 
 

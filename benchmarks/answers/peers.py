@@ -19,6 +19,7 @@ HALF_WIDTH, NARROW = 0.01, 0.001
 SOBOL_HALF_WIDTH = 0.05
 FIRST_ROWS, MOST_ROWS = 256, 32_768
 NORMAL = 1.959964
+BLOCKS = 10
 VARIATION = 0.13  # leaves a factor of 1.3 in 95 % of the cases
 ONCE = ("OpenTURNS plain 0.1 %", "OpenTURNS subset", "UQpy subset")  # tasks that take minutes are asked once
 
@@ -103,8 +104,8 @@ def openturns_subset(evaluator: Evaluator, seed: int) -> object:
     while True:
         evaluator.evaluations = 0
         algorithm = ot.SubsetSampling(openturns_event(evaluator, seed))
-        algorithm.setBlockSize(size)
-        algorithm.setMaximumOuterSampling(100)
+        algorithm.setBlockSize(size // BLOCKS)
+        algorithm.setMaximumOuterSampling(BLOCKS)  # of a level
         algorithm.setMaximumCoefficientOfVariation(VARIATION)
         algorithm.run()
         result = algorithm.getResult()
