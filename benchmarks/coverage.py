@@ -12,6 +12,7 @@ from itertools import count
 from statistics import mode
 
 import numpy as np
+from coverage_claims import CLAIM_CASES
 from coverage_designs import DESIGN_CASES, Trial, latin, side, sobol
 from page import put
 from scipy import integrate, optimize, special, stats
@@ -281,6 +282,7 @@ CASES: dict[str, tuple[str, Trial]] = {
     "Latin-hypercube replicates, p = 0.1, n = 1000": ("failure probability", latin(0.1, 1000)),
     "Latin-hypercube replicates, p = 0.004, n = 1000": ("failure probability", latin(0.004, 1000)),
     **DESIGN_CASES,
+    **CLAIM_CASES,
     "median, lognormal, n = 100": ("quantile", quantile(0.5, 100)),
     "95 % quantile, lognormal, n = 200": ("quantile", quantile(0.95, 200)),
     "0.06 against 0.04, n = 500": ("paired difference", paired(0.06, 0.04, 500)),

@@ -53,7 +53,7 @@ ROWS: dict[tuple[str, str, str], dict[str, str]] = {
 }
 """The task of each tool that has a method, by question, model and bound."""
 
-LAST = ("splitting", "OpenTURNS subset", "OpenTURNS plain 0.1 %")
+LAST = ("splitting", "UQpy subset", "OpenTURNS subset", "OpenTURNS plain 0.1 %")
 """Tasks that take minutes, and come last."""
 
 PEERS = ("OpenTURNS", "UQpy", "SALib", "Monaco")
