@@ -81,10 +81,11 @@ class Chaos:
         self.counts = [count for count in counts if count <= most]
         self.terms = np.array(terms[: max(self.counts, default=0)], int).reshape(-1, 4)
         width = len(self.terms) + 1
-        self.squares = np.zeros((replicates, width, width))
-        for points in self.fitted:
-            basis = self.basis(points)
-            self.squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicates])
+        self.bases = [self.basis(points) for points in self.fitted]
+        squares = np.zeros((replicates, width, width))
+        for basis in self.bases:
+            squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicates])
+        self.factors = {count: self.factors_of(squares[:, : count + 1, : count + 1]) for count in self.counts}
 
     def basis(self, points: np.ndarray) -> np.ndarray:
         """The constant and the terms at points of shape (n, d); shape (n, 1 + terms)."""
@@ -97,14 +98,16 @@ class Chaos:
         first, p, second, q = self.terms.T
         return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T
 
+    def factors_of(self, squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
+        """Cholesky factors of the squares of all other replicates, for each; from shape (replicates, n, n)."""
+        matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
+        return [linalg.cho_factor(matrix) for matrix in matrices]
+
     def coefficients(self, products: np.ndarray, count: int) -> np.ndarray:
         """Coefficients of the constant and the first terms for each replicate, from all others."""
-        part = slice(0, count + 1)
-        squares = self.squares[:, part, part]
-        matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(count + 1)
-        targets = products[:, part].sum(axis=0) - products[:, part]
-        pairs = zip(matrices, targets, strict=True)
-        return np.array([linalg.solve(matrix, target, assume_a="pos") for matrix, target in pairs])
+        targets = (products.sum(axis=0) - products)[:, : count + 1]
+        pairs = zip(self.factors[count], targets, strict=True)
+        return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
 
     def predict(self, values: np.ndarray) -> Predicted | None:
         """Predict an output by the set of polynomials that does best; None where none explains much of it.
@@ -113,16 +116,15 @@ class Chaos:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).
         """
         known = values[:, : self.fitted.shape[1]]
-        bases = [self.basis(points) for points in self.fitted]
-        products = np.zeros(self.squares.shape[:2])
-        for basis, column in zip(bases, known, strict=True):
+        products = np.zeros((len(self.replicates), len(self.terms) + 1))
+        for basis, column in zip(self.bases, known, strict=True):
             products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
         best = None
         least = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
         for count in self.counts:
             found = self.coefficients(products, count)
             error = 0.0
-            for basis, column in zip(bases, known, strict=True):
+            for basis, column in zip(self.bases, known, strict=True):
                 for rows, coefficients in zip(self.replicates, found, strict=True):
                     error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
             if error < least:
