@@ -12,6 +12,7 @@ from itertools import count
 from statistics import mode
 
 import numpy as np
+from coverage_claims import CLAIM_CASES
 from coverage_designs import DESIGN_CASES, Trial, latin, side, sobol
 from page import put
 from scipy import integrate, optimize, special, stats
@@ -21,7 +22,8 @@ from dssc_jax.analyses.rare_events.estimate import SlackFunction
 from dssc_jax.analyses.rare_events.importance import importance_sampling
 from dssc_jax.analyses.rare_events.splitting import split
 from dssc_jax.analyses.selection.race import race
-from dssc_jax.analyses.sensitivity.outputs import refusal
+from dssc_jax.analyses.sensitivity.chaos import Chaos
+from dssc_jax.analyses.sensitivity.outputs import REPLICATES, refusal
 from dssc_jax.analyses.sensitivity.sobol import saltelli, sobol_indices
 from dssc_jax.statistics import (
     CONFIDENCE,
@@ -35,7 +37,7 @@ from dssc_jax.statistics import (
 
 REPETITIONS, NOMINAL, ALLOWED = 1000, 0.95, 0.02
 FEWER = 200  # repetitions of what takes seconds each
-SLOW = ("chosen design", "strata", "importance sampling")
+SLOW = ("chosen design", "strata", "importance sampling", "G function", "Ishigami, 4,096", "failure of a")
 TELLING = 100  # printed intervals from which their share is told, where most are refused
 
 
@@ -129,7 +131,9 @@ def indices(function: Callable[[np.ndarray], np.ndarray], truth: np.ndarray, row
             a[:, -1], b[:, -1] = np.random.default_rng(seed).random((2, rows))
         f_a, f_b = function(a), function(b)
         mixed = np.stack([np.where(np.arange(factors) == i, b, a) for i in range(factors)])
-        return refusal(f_a, f_b) or side(np.stack(sobol_indices(f_a, f_b, function(mixed)))[..., 1:], truth)
+        known = np.concatenate([[a, b], mixed])[..., : factors - noisy]
+        found = refusal(f_a, f_b) or sobol_indices(f_a, f_b, function(mixed), chaos=Chaos(known, REPLICATES))
+        return found if isinstance(found, str) else side(np.stack(found)[..., 1:], truth)
 
     return trial
 
@@ -278,6 +282,7 @@ CASES: dict[str, tuple[str, Trial]] = {
     "Latin-hypercube replicates, p = 0.1, n = 1000": ("failure probability", latin(0.1, 1000)),
     "Latin-hypercube replicates, p = 0.004, n = 1000": ("failure probability", latin(0.004, 1000)),
     **DESIGN_CASES,
+    **CLAIM_CASES,
     "median, lognormal, n = 100": ("quantile", quantile(0.5, 100)),
     "95 % quantile, lognormal, n = 200": ("quantile", quantile(0.95, 200)),
     "0.06 against 0.04, n = 500": ("paired difference", paired(0.06, 0.04, 500)),

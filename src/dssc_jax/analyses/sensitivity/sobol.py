@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.analyses.sensitivity.chaos import Chaos, Predicted
 from dssc_jax.analyses.sensitivity.outputs import (
     REPLICATES,
     RowDesign,
@@ -47,7 +48,13 @@ def saltelli(rows: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.ndarra
     return points[:, :factors], points[:, factors:]
 
 
-def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence: float = CONFIDENCE) -> Indices:
+def sobol_indices(
+    f_a: np.ndarray,
+    f_b: np.ndarray,
+    f_ab: np.ndarray,
+    confidence: float = CONFIDENCE,
+    chaos: Chaos | None = None,
+) -> Indices:
     """First-order and total indices with their intervals.
 
     With centred outputs, S_i = E[f_B f_ABi]/V and S_Ti = E[(f_A - f_ABi)^2]/(2 V), with V the variance over A and B.
@@ -59,6 +66,7 @@ def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence
         f_b: Output at B, shape (rows,).
         f_ab: Output at AB_i, shape (factors, rows).
         confidence: Confidence of the intervals.
+        chaos: Predicts the output from the rows' points, if they are known.
 
     Reference:
         M. J. W. Jansen, Computer Physics Communications 117 (1999) 35-43; A. Saltelli et al., Computer Physics
@@ -72,6 +80,9 @@ def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence
     f_ab = f_ab - middle
     variance = 0.5 * (f_a**2 + f_b**2)
     shares = np.concatenate([f_b * f_ab, 0.5 * (f_a - f_ab) ** 2])  # a row's share of each numerator
+    predicted = None if chaos is None else chaos.predict(np.stack([f_a, f_b, *f_ab]))
+    if predicted is not None:
+        shares, variance = corrected(shares, variance, predicted)
     if carried**2 / len(f_a) >= JOINT:
         pairs = zip(shares, [*f_ab, *f_ab], strict=True)
         shares = np.stack([controlled(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
@@ -80,6 +91,23 @@ def sobol_indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray, confidence
     half = np.hypot(0.5 * (high - low), unseen(carried, confidence))[:, None]
     table = np.concatenate([indices, indices - half, indices + half], axis=1)
     return Indices(table[: len(f_ab)], table[len(f_ab) :])
+
+
+def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) -> tuple[np.ndarray, np.ndarray]:
+    """Numerators and variance with those of a prediction replaced by their means, which are known.
+
+    Args:
+        shares: A row's share of each numerator, shape (2 factors, rows).
+        variance: A row's share of the variance, shape (rows,).
+        predicted: The prediction.
+    """
+    g_a, g_b = predicted.values[:2]
+    g_ab = predicted.values[2:]
+    replicate = np.arange(len(variance)) % REPLICATES
+    missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, of which the prediction knows nothing
+    means = [np.pad(part, ((0, 0), (0, missing)))[replicate].T for part in (predicted.alone, predicted.total)]
+    known = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
+    return shares - known, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
 
 
 def controlled(
@@ -135,9 +163,10 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
         samples.append(RowSample(mixed, indices_a))
     if noisy:
         samples.append(RowSample(a, indices_b))
+    chaos = Chaos(np.stack([sample.levels for sample in samples]), REPLICATES)
     return RowDesign(
         rows,
         samples,
         refusal=lambda values: refusal(values[0], values[1]),
-        quantities=lambda values: sobol_indices(values[0], values[1], values[2:], confidence),
+        quantities=lambda values: sobol_indices(values[0], values[1], values[2:], confidence, chaos),
     )

@@ -1,0 +1,148 @@
+"""A prediction of an output by polynomials, as a control variate of its Sobol indices: polynomial chaos.
+
+The polynomials are products of at most two Legendre polynomials of the numbers' levels. They are orthonormal, so that
+the indices of a prediction are sums of squared coefficients, without a simulation. An index of the output is that of
+the prediction and a correction, which the simulations tell. The better the prediction, the less the correction
+scatters. Coefficients for a replicate's rows come from all other replicates, so that the correction has no bias.
+
+Reference:
+    B. Sudret, Reliability Engineering and System Safety 93 (2008) 964-979.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+MOST_DEGREE = 10
+DEGREES = ((3, 0), (5, 2), (8, 4), (MOST_DEGREE, 8))
+"""Nested sets of polynomials: the largest degree in one number, and that in two numbers together."""
+MOST_TERMS = 700
+SIMULATIONS_OF_TERM = 5
+"""Simulations of a fit for each of its polynomials."""
+FIT_ROWS = 512  # rows that a fit takes, at most
+FEWEST_EXPLAINED = 0.3  # share of the variance that a prediction must explain to be used
+RIDGE = 1.0  # added to the diagonal of a fit's squares, which is about the number of simulations
+
+
+class Term(NamedTuple):
+    """A product of Legendre polynomials of two numbers; the second degree is 0 where it is of one number."""
+
+    first: int
+    first_degree: int
+    second: int
+    second_degree: int
+
+
+class Predicted(NamedTuple):
+    """A prediction with mean 0, and its variances for each replicate's coefficients.
+
+    Args:
+        values: At A, B and each AB_i, shape (2 + factors, rows).
+        alone: Variance that each number explains alone, shape (replicates, d).
+        total: Variance of all terms with the number, shape (replicates, d).
+        variance: Of the prediction, shape (replicates,).
+    """
+
+    values: np.ndarray
+    alone: np.ndarray
+    total: np.ndarray
+    variance: np.ndarray
+
+
+def nested_terms(dimension: int) -> tuple[list[Term], list[int]]:
+    """The terms in d numbers, and how many of the first terms each nested set has."""
+    terms: dict[Term, None] = {}
+    counts = []
+    for alone, together in DEGREES:
+        for first in range(dimension):
+            terms.update(dict.fromkeys(Term(first, degree, first, 0) for degree in range(1, alone + 1)))
+            for second in range(first + 1, dimension):
+                for p in range(1, together):
+                    terms.update(dict.fromkeys(Term(first, p, second, q) for q in range(1, together - p + 1)))
+        counts.append(len(terms))
+    return list(terms), counts
+
+
+class Chaos:
+    """Fits polynomials to outputs on the samples of one design.
+
+    Args:
+        samples: Points of the unit cube of A, B and each AB_i, shape (2 + factors, rows, d).
+        replicates: Row i belongs to replicate i mod this.
+    """
+
+    def __init__(self, samples: np.ndarray, replicates: int) -> None:
+        self.samples = samples
+        self.replicates = [slice(r, None, replicates) for r in range(replicates)]
+        terms, counts = nested_terms(samples.shape[-1])
+        self.fitted = samples[:, :FIT_ROWS]
+        most = min(MOST_TERMS, self.fitted.shape[0] * self.fitted.shape[1] // SIMULATIONS_OF_TERM)
+        self.counts = [count for count in counts if count <= most]
+        self.terms = np.array(terms[: max(self.counts, default=0)], int).reshape(-1, 4)
+        width = len(self.terms) + 1
+        self.bases = [self.basis(points) for points in self.fitted]
+        squares = np.zeros((replicates, width, width))
+        for basis in self.bases:
+            squares += np.stack([basis[rows].T @ basis[rows] for rows in self.replicates])
+        self.factors = {count: self.factors_of(squares[:, : count + 1, : count + 1]) for count in self.counts}
+
+    def basis(self, points: np.ndarray) -> np.ndarray:
+        """The constant and the terms at points of shape (n, d); shape (n, 1 + terms)."""
+        scaled = 2.0 * points - 1.0
+        table = np.ones((MOST_DEGREE + 1, *points.shape))
+        table[1] = scaled
+        for k in range(1, MOST_DEGREE):
+            table[k + 1] = ((2 * k + 1) * scaled * table[k] - k * table[k - 1]) / (k + 1)
+        table *= np.sqrt(2.0 * np.arange(MOST_DEGREE + 1) + 1.0)[:, None, None]
+        first, p, second, q = self.terms.T
+        return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T
+
+    def factors_of(self, squares: np.ndarray) -> list[tuple[np.ndarray, bool]]:
+        """Cholesky factors of the squares of all other replicates, for each; from shape (replicates, n, n)."""
+        matrices = squares.sum(axis=0) - squares + RIDGE * np.eye(squares.shape[-1])
+        return [linalg.cho_factor(matrix) for matrix in matrices]
+
+    def coefficients(self, products: np.ndarray, count: int) -> np.ndarray:
+        """Coefficients of the constant and the first terms for each replicate, from all others."""
+        targets = (products.sum(axis=0) - products)[:, : count + 1]
+        pairs = zip(self.factors[count], targets, strict=True)
+        return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
+
+    def predict(self, values: np.ndarray) -> Predicted | None:
+        """Predict an output by the set of polynomials that does best; None where none explains much of it.
+
+        Args:
+            values: The output at A, B and each AB_i, shape (2 + factors, rows).
+        """
+        known = values[:, : self.fitted.shape[1]]
+        products = np.zeros((len(self.replicates), len(self.terms) + 1))
+        for basis, column in zip(self.bases, known, strict=True):
+            products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
+        best = None
+        least = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
+        for count in self.counts:
+            found = self.coefficients(products, count)
+            error = 0.0
+            for basis, column in zip(self.bases, known, strict=True):
+                for rows, coefficients in zip(self.replicates, found, strict=True):
+                    error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
+            if error < least:
+                best, least = found, error
+        return None if best is None else self.predicted(best[:, 1:])
+
+    def predicted(self, coefficients: np.ndarray) -> Predicted:
+        """The prediction from coefficients of the first terms, shape (replicates, terms), at all points."""
+        count = coefficients.shape[1]
+        values = np.empty(self.samples.shape[:2])
+        for points, column in zip(self.samples, values, strict=True):
+            basis = self.basis(points)[:, 1 : count + 1]
+            for rows, row in zip(self.replicates, coefficients, strict=True):
+                column[rows] = basis[rows] @ row
+        first, _, second, second_degree = self.terms[:count].T
+        contains = np.zeros((count, self.samples.shape[-1]))
+        contains[np.arange(count), first] = 1.0
+        contains[np.arange(count), second] = 1.0
+        energies = coefficients**2
+        single = contains * (second_degree == 0)[:, None]
+        return Predicted(values, energies @ single, energies @ contains, energies.sum(axis=1))
