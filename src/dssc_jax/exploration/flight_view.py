@@ -16,6 +16,7 @@ from bokeh.models import ColumnDataSource, CustomJS, Div, LayoutDOM, Range1d, Sl
 from bokeh.plotting import figure
 
 from dssc_jax.core import files
+from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun, recorded_signals
 from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE, RED
 from dssc_jax.runs.recorded_draws import SignalKey
@@ -153,7 +154,7 @@ def recorded_flights(study: Study, flights: Sequence[xr.Dataset]) -> LiveRun:
     requirements = study.requirements
     names = ["outcome", "failed_at", *(requirement.name for requirement in requirements)]
     names += [requirement.violation_name for requirement in requirements]
-    results = {name: np.array([flight.attrs[name] for flight in flights]) for name in names}
+    results: Arrays = {name: np.array([flight.attrs[name] for flight in flights]) for name in names}
     for signal in recorded_signals(study):
         results[SignalKey(signal)] = np.stack([flight[signal].values for flight in flights])
     return LiveRun(study, results, {}, flights[0]["t"].values)
