@@ -2,15 +2,11 @@
 
 import gc
 import os
-from importlib.metadata import version
 
-# Plain programs compile for longer than they run here, and in longer still where XLA fuses by way of MLIR. JAX reads
-# these when it starts, in the processes of tests, too. XLA ends a process for a flag that its version does not know.
+# Plain programs compile for longer than they run here. JAX reads these when it starts, in the processes of tests, too.
 os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "true"
 os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.05"
 os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
-if version("jaxlib").startswith("0.10."):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 import jax
 import pytest
