@@ -32,7 +32,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.linearisation.operating_points import Operating, RestingLoop, StateMatrices
 from dssc_jax.engine.linearisation.response import common_grid
-from dssc_jax.engine.linearisation.smooth_parts import declared_places, stated
+from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, stated
 from dssc_jax.study import Study, takes_file
 
 GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
@@ -102,8 +102,16 @@ def worst_loop(
     resting = RestingLoop(study, places)
     operating, findings = resting_operation(resting, study.config.draws)
     settled = findings[operating.reached]
-    if np.any(settled != settled[0]):
-        raise ConfigError(study.source, "lies at a corner of a part in some draws, and not in others")
+    differing = np.flatnonzero(np.any(settled != settled[0], axis=0))
+    if differing.size:
+        place = places[differing[0]]
+        boundary = place.remaining.meaning.partition(";")[0]
+        count = int(np.count_nonzero(settled[:, differing[0]] != Finding.SMOOTH))
+        raise ConfigError(
+            study.source,
+            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled)} draws, so that no one linear "
+            "loop covers all; give it room, or narrow the laws that bring it there",
+        )
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
 
     def advance(linearised: int) -> None:

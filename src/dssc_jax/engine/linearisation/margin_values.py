@@ -91,7 +91,8 @@ class MarginValues:
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane by the name of its measure, shape (n,).
 
-        A lane whose loop is unstable has the value at the limit of stability, one without an equilibrium NaN.
+        A lane whose loop is unstable has the value at the limit of stability. One without an equilibrium has NaN, and
+        so has one that rests beyond a limit which opens the loop.
 
         Args:
             values: Of all uncertain and swept numbers, shape (n,) each.
@@ -138,9 +139,11 @@ class MarginValues:
         """The margins of the first lanes of a batch; the others make it as long as all batches."""
         states, matrices, settled, _ = self.resting.settle(values, indices)
         settled[count:] = False
+        outside = np.zeros(len(settled), bool)
         if settled.any():
             findings = self.examine(values, indices, np.where(settled[:, None], states, states[settled][0]), 1)
             require_smooth_at(self.study, self.resting.places, findings[settled])
+            outside = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):
                 matrices = self.resting.linearise(values, indices, states, 1, findings)
         places = place_names(self.study.loop.channels)
@@ -148,22 +151,26 @@ class MarginValues:
         for margin in self.margins.values():
             if margin.place not in by_place:
                 fields = {m.kind.field: m.kind.neutral for m in self.margins.values() if m.place == margin.place}
-                by_place[margin.place] = self._at(matrices, settled, places.index(margin.place), fields)
+                by_place[margin.place] = self._at(matrices, settled, outside, places.index(margin.place), fields)
         return {name: by_place[margin.place][margin.kind.field][:count] for name, margin in self.margins.items()}
 
-    def _at(self, matrices: StateMatrices, settled: np.ndarray, point: int, neutral: dict[str, float]) -> Arrays:
+    def _at(
+        self, matrices: StateMatrices, settled: np.ndarray, outside: np.ndarray, point: int, neutral: dict[str, float]
+    ) -> Arrays:
         """The margins at one break point.
 
         Args:
             matrices: Of the batch.
             settled: Which lanes have an equilibrium, shape (n,).
+            outside: Which of them rest beyond the boundary of a part, shape (n,).
             point: Index of the break point.
             neutral: The margins' values at the limit of stability.
         """
-        columns = {field: np.where(settled, value, np.nan) for field, value in neutral.items()}
         influences = matrices.a != 0.0
         forward = closure(matrices.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
         kept = forward & closure(matrices.c[:, point] != 0.0, influences)
+        settled = settled & (np.any(kept, axis=1) | ~outside)
+        columns = {field: np.where(settled, value, np.nan) for field, value in neutral.items()}
         for mask in np.unique(kept[settled], axis=0):
             lanes = np.flatnonzero(settled & np.all(kept == mask, axis=1))
             loops = ClosedLoops(

@@ -165,7 +165,8 @@ class Resting(NamedTuple):
         states: Shape (n, states).
         matrices: Of the loop without substitutes for corners.
         settled: Which states are at rest, shape (n,).
-        felt: States on which the loop's signals depend, shape (n, states); others need not be at rest.
+        felt: States on which the loop's signals depend, there or with all parts within their boundaries, shape
+            (n, states); others need not be at rest.
     """
 
     states: np.ndarray
@@ -206,6 +207,17 @@ class RestingLoop:
             begin = np.asarray(self.initial(values, indices))
         return self.linearise(values, indices, begin, 0, self.smooth(len(indices))).after
 
+    def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """States on which the loop's signals depend where every part is within its boundaries, shape (n, states).
+
+        Beyond a limit no signal depends on the state of what drives it, such as an integrator that still moves.
+        """
+        if not any(place.inner for place in self.places):
+            return np.zeros(states.shape, bool)
+        within = np.full((len(indices), len(self.places)), Finding.CORNER.value)
+        matrices = self.linearise(values, indices, states, 1, within)
+        return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+
     def smooth(self, count: int) -> np.ndarray:
         """Findings of a loop whose parts are all smooth, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
@@ -237,11 +249,12 @@ class RestingLoop:
         """The equilibria to which Newton's method leads from some states, shape (n, states)."""
         smooth = self.smooth(len(indices))
         trial = 0
+        inner = self.inner_dependence(values, indices, states)
         matrices = self.linearise(values, indices, states, 1, smooth)
         while True:
             move = matrices.after - states
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-            felt = closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+            felt = inner | closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
             settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
             moving = finite & ~settled
             if not moving.any() or trial == NEWTON_STEPS:
