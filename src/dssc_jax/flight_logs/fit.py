@@ -53,6 +53,7 @@ from dssc_jax.flight_logs.replay import (
     require_same_signals,
     study_references,
 )
+from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.study import Study
 
@@ -267,7 +268,8 @@ def fitted_minimum(
     require_identifiable(problem.names, search.best.equations.information)
     require_unique_minimum(problem, search)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
-    covariance = averaged_covariance(problem, posteriors) + covariance_by_kept
+    rough = roughness(problem, search.best)
+    covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
     require_identifiable(problem.names, np.linalg.inv(covariance))
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
@@ -291,5 +293,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        (*doubts(problem, x, results), *held_doubts(problem.log)),
+        (*doubts(problem, x, results), *held_doubts(problem.log), *roughness_doubts(rough)),
     )

@@ -37,6 +37,11 @@ UNSEEN_MINIMA = 0.5  # expected number of minima that the search has not found, 
 SAME_MINIMUM = 0.1  # prior standard deviations between two ends of the search in the same minimum
 MINIMUM_ROUNDS = 3  # of the search for the best minimum, each with the noise of the minimum before
 NOISE_DRAWS = 512  # of the channels' noises together
+NEIGHBOURS = 48  # points around a minimum whose residuals are compared
+FARTHEST = 5.0  # of them, in standard deviations of the estimate
+RESTARTED = 4  # best of them, from which the search starts again
+NEIGHBOUR_ROUNDS = 4
+LEAST_GAIN = 0.1  # of the weighted sum of squares, by which a round must improve to be followed by another
 TINY = 1e-300  # in place of 0 in a denominator
 
 
@@ -299,6 +304,35 @@ def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     return minimum
 
 
+def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
+    """The best minimum to which points around one lead; the same one if none is better.
+
+    Where limits of a sampled loop act, the residual has kinks and small jumps, and the search stops at one of them
+    while better points are some standard deviations away.
+    """
+    random = np.random.default_rng(0)
+    size = len(problem.names)
+    for _ in range(NEIGHBOUR_ROUNDS):
+        values, directions = np.linalg.eigh(minimum.equations.information)
+        lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LARGEST_STEP / FARTHEST)
+        rays = random.normal(size=(NEIGHBOURS, size))
+        rays *= random.uniform(0.0, FARTHEST, (NEIGHBOURS, 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
+        found = []
+        for x in minimum.x + (rays * lengths) @ directions.T:
+            if problem.count.reason:
+                return minimum
+            if problem.is_admissible(problem.values(x)):
+                found.append(Minimum(x, problem.normal_equations(x), minimum.starts))
+        found.sort(key=lambda point: point.cost)
+        ends = [minimise(problem, point.x, minimum.starts) for point in found[:RESTARTED]]
+        best = min([minimum, *ends], key=lambda end: end.cost)
+        gain = minimum.cost - best.cost
+        minimum = best
+        if gain < LEAST_GAIN:
+            break
+    return minimum
+
+
 def searched_minima(problem: FitProblem) -> list[Minimum]:
     """The ends of the search from the best of many points; those so far at a limit or an interrupt."""
     ends: list[Minimum] = []
@@ -322,8 +356,10 @@ def find_minima(problem: FitProblem, known: Sequence[Minimum] = ()) -> MinimumSe
     """The minima of several starts, or from known ones on; None if no start has a finite output."""
     ends = [minimise(problem, minimum.x, minimum.starts) for minimum in known] or searched_minima(problem)
     minima = distinct_minima(ends)
-    for _ in range(MINIMUM_ROUNDS if minima else 0):
+    for turn in range(MINIMUM_ROUNDS if minima else 0):
         best = reweighted_minimum(problem, minima[0])
+        if turn == 0:
+            best = neighbouring_minimum(problem, best)
         minima = distinct_minima([best, *(minimise(problem, rival.x, rival.starts) for rival in minima[1:])])
         if minima[0].cost >= best.cost:
             break

@@ -1,0 +1,50 @@
+"""Roughness of a fit: how far its sum of squares is from the parabola that the intervals assume.
+
+Limits and samples within a plant, as in the cascade of an autopilot, make the output jump by a little where a number
+moves an event across a sample. The sum of squares then has steps, and any point whose parabola is lower than a step
+may be the best one.
+"""
+
+import math
+
+import numpy as np
+
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.refusals import Doubt
+
+POINTS = 32
+NEAREST, FARTHEST = 0.5, 3.0  # of the points, in standard deviations of the estimate
+SMOOTH = 1.0  # of a weighted sum of squares: the unit of its noise
+
+
+def roughness(problem: FitProblem, minimum: Minimum) -> float:
+    """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares."""
+    size = len(problem.names)
+    random = np.random.default_rng(1)
+    values, directions = np.linalg.eigh(minimum.equations.information)
+    rays = random.normal(size=(POINTS, size))
+    rays *= random.uniform(NEAREST, FARTHEST, (POINTS, 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
+    deviations = []
+    for ray in rays:
+        x = minimum.x + directions @ (ray / np.sqrt(np.maximum(values, TINY)))
+        if problem.is_admissible(problem.values(x)):
+            cost = problem.normal_equations(x).cost
+            deviations.append(cost - minimum.cost - ray @ ray)
+    known = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+
+
+def widening(rough: float) -> float:
+    """The factor of the covariance for a roughness: a step of the sum of squares as large as its noise counts as 1."""
+    return max(1.0, rough / SMOOTH)
+
+
+def roughness_doubts(rough: float) -> tuple[Doubt, ...]:
+    """What is told of a sum of squares that is no parabola."""
+    if widening(rough) == 1.0:
+        return ()
+    text = (
+        f"the sum of squares deviates from a parabola by {rough:.3g} times its noise, as where limits or samples of an "
+        f"inner loop make the output jump: all intervals are widened by {math.sqrt(widening(rough)):.3g}"
+    )
+    return (Doubt("", text),)
