@@ -33,8 +33,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
             gains = ", ".join(tuned_numbers(untuned, controller.controller))
             console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
         console.print(f"tuning: {escape(answer.tuned.budget)}", soft_wrap=True)
-    for name in answer.untuned:
-        reason = f"none of its usual gains is a plain number; [compare.{name}.tune] may name others"
+    for name, reason in answer.untuned.items():
         console.print(f"{name} keeps its gains: {reason}", markup=False, soft_wrap=True)
     show_files(files)
 

@@ -174,7 +174,7 @@ class Falsified(Analysis):
         """The worst requirement of a point; None if its draw ends early, which violates all."""
         if self.dataset["ended"].values[point]:
             return None
-        return self.study.requirements[int(self.dataset["binding"][point])].text
+        return self.study.requirements[int(self.dataset["binding"][point])].short
 
     def value_at(self, point: int) -> str | None:
         """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
@@ -207,7 +207,7 @@ class Falsified(Analysis):
     def first_at(self, point: int) -> str | None:
         """The requirement that a point violates first, before its draw ends; None if there is none."""
         first = int(self.dataset["first"].values[point])
-        return self.study.requirements[first].text if first >= 0 else None
+        return self.study.requirements[first].short if first >= 0 else None
 
     @property
     def simulations(self) -> int:
