@@ -94,6 +94,17 @@ def boost(**changes):
     )
 
 
+def test_between_two_halvings_a_loop_may_settle_much_faster():
+    """That of the motor with friction has a peak of abs(S) above 2 at 15.7 rad/s, and settles slowly at 7.85 rad/s."""
+    motor = dj.Study.load("studies/motor.toml")
+    highest = 0.05 * np.pi / motor.loop.sample_time
+    found = first_gains(motor, "ssc", limit=0.5)
+    halved = [first_gains(motor, "ssc", highest * 0.5**half, limit=0.5) for half in range(1, 6)]
+    calm = [design.settling for design in halved if design.sensitivity_peak <= 2.0]
+    assert found.sensitivity_peak <= 2.0
+    assert found.settling < 0.7 * min(calm)
+
+
 def test_the_integral_is_fast_enough_above_a_resonance():
     """At 3,900 rad/s, just above the resonance, little gain is left below it; the integral is slow then."""
     found = first_gains(boost(), "pid")

@@ -1,14 +1,21 @@
 """The block diagram holds what the study holds, and nothing else."""
 
+import copy
 import re
+import tomllib
 from itertools import combinations
+from pathlib import Path
 
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.report.diagram import LINE_LENGTH, diagram, words
+from dssc_jax.report.diagram import LINE_LENGTH, NAMES, diagram, words
 from dssc_jax.study.library import find
 from tests.conftest import CASE_2, UNCERTAIN
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ("actuators", "flight", "parameters", "references", "signals", "tutorial", "vehicle")  # with whole studies
+BLOCK = re.compile(r"^```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
 def titles(study):
@@ -35,6 +42,52 @@ def test_a_vehicle_has_wind_and_channels():
 def test_a_sensor_of_one_channel_alone_is_there():
     study = dj.Study.load(find("uav_robustness")).override({"sensor": {"psi": {"kind": "noisy"}, "kind": "ideal"}})
     assert "sensor" in titles(study)
+
+
+CHANNEL_PARTS = {
+    "sensor": {"kind": "noisy"},
+    "unmodelled": {"kind": "lag", "mu": 0.1},
+    "disturbance": {"kind": "constant", "value": 0.1},
+    "differentiator": {"kind": "lead_filter", "tau_f": 0.01},
+}
+
+
+@pytest.mark.parametrize("slot", CHANNEL_PARTS)
+def test_the_common_kind_of_a_slot_may_be_absent(slot):
+    """A study takes a slot whose channels each have a kind, and no table for all of them has one."""
+    study = dj.Study.load(find("uav_robustness")).without_sweep()
+    part = CHANNEL_PARTS[slot]
+    by_channel = dj.Study.from_table({**study.table, slot: dict.fromkeys(study.loop.channels, part)})
+    common = dj.Study.from_table({**study.table, slot: part})
+    assert words(by_channel) == words(common)
+    neutral = {"kind": "ideal" if slot == "sensor" else "none"}
+    absent = dj.Study.from_table({**study.table, slot: dict.fromkeys(study.loop.channels, neutral)})
+    assert titles(absent) == titles(common) - {NAMES[slot]}
+
+
+def test_the_sensor_of_measured_signals_needs_no_kind():
+    table = copy.deepcopy(UNCERTAIN)
+    plain = titles(dj.Study.from_table(table))
+    assert "sensor" not in plain
+    table["sensor"] = {"measures": ["y"]}
+    assert titles(dj.Study.from_table(table)) == plain
+    table["sensor"]["y"] = {"kind": "noisy", "position_std": 0.1}
+    study = dj.Study.from_table(table)
+    assert titles(study) == plain | {"sensor"}
+    assert "sensor noisy" in words(study)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_studies_of_the_documentation_have_a_diagram(page):
+    checked = 0
+    for text in BLOCK.findall((DOCS / f"{page}.md").read_text("utf-8")):
+        table = tomllib.loads(text)
+        if not {"loop", "plant", "controller"} <= table.keys():
+            continue
+        study = dj.Study.from_table(table)
+        assert str(study.config.plant["kind"]) in words(study)
+        checked += 1
+    assert checked
 
 
 def test_uncertain_and_swept_numbers_are_marked():

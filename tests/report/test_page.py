@@ -17,6 +17,7 @@ from dssc_jax.report.subject import Subject, worst_draws
 from dssc_jax.report.vector import SVG_COLOURS, inline
 from dssc_jax.results.proofs import SweepProofs
 from dssc_jax.study import read_toml
+from tests.conftest import UNCERTAIN
 
 VOID = {"meta", "br", "link", "input", "img", "hr"}
 
@@ -51,6 +52,14 @@ class Page(HTMLParser):
     @property
     def text(self):
         return " ".join(" ".join(self.texts).split())
+
+
+def test_a_study_whose_optional_slots_give_no_kind_has_a_page():
+    """Of the slots of one channel only a sensor with measured signals may give none; others are absent."""
+    optional = ("reference", "sensor", "differentiator", "unmodelled", "disturbance", "wind", "actuator", "sweep")
+    table = {name: value for name, value in UNCERTAIN.items() if name not in optional}
+    study = dj.Study.from_table({**table, "sensor": {"measures": ["y"]}, "draws": 4})
+    assert "The loop" in Page(html(dj.run(study), worst=0)).text
 
 
 @pytest.fixture(scope="module")

@@ -64,13 +64,18 @@ class Requirement:
 
     @property
     def text(self) -> str:
-        """The requirement in words."""
+        """The requirement in words, with a formula in full."""
         if self.formula:
             return f"{self.label}: {self.formula}"
         if self.written:
             return f"{self.measure.label} {'<=' if self.maximum is not None else '>='} {self.written}"
         side = f"<= {self.maximum:g}" if self.maximum is not None else f">= {self.minimum:g}"
         return f"{self.measure.label}{self.measure.window_text} {side} {self.measure.unit}".removesuffix(" 1")
+
+    @property
+    def short(self) -> str:
+        """The requirement in a table: a formula by its name, any other in words."""
+        return self.label if self.formula else self.text
 
     def shown(self, value: float) -> tuple[float, str]:
         """A value of the metric, and its unit: that in which the bound was written, if it was written with one."""

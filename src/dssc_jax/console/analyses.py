@@ -14,6 +14,8 @@ from dssc_jax.analyses.sensitivity import Sensitivity
 from dssc_jax.console.terminal import number_text, output, show_files, show_pairs, show_table
 from dssc_jax.results.summary import largest_count
 
+LEADING = 3  # factors that are told of a required metric, at most
+
 
 def show_comparison(comparison: Comparison, files: list[Path]) -> None:
     """Print controllers singly and in pairs, with corresponding gains (Table 2) and with tuned gains, if any."""
@@ -31,8 +33,7 @@ def show_comparison(comparison: Comparison, files: list[Path]) -> None:
             gains = ", ".join(tuned_numbers(untuned, controller.controller))
             console.print(f"{name} tuned: {gains or 'the given gains stay'}", markup=False, soft_wrap=True)
         console.print(f"tuning: {escape(answer.tuned.budget)}", soft_wrap=True)
-    for name in answer.untuned:
-        reason = f"none of its usual gains is a plain number; [compare.{name}.tune] may name others"
+    for name, reason in answer.untuned.items():
         console.print(f"{name} keeps its gains: {reason}", markup=False, soft_wrap=True)
     show_files(files)
 
@@ -65,7 +66,7 @@ def tuned_numbers(untuned: Mapping[str, object], tuned: Mapping[str, object], pa
 
 
 def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
-    """Print what failure and the study's headline metric depend on; the folder has all outputs."""
+    """Print what failure, the headline metric and each required metric depend on; the folder has all outputs."""
     answer = sensitivity.answer
     console = output()
     console.print(
@@ -76,17 +77,33 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
     for name in answer.headline:
         quantities = sensitivity.outputs[name]
         if quantities is None:
-            console.print(f"{name}: no answer; it {answer.reasons[name]}", markup=False, soft_wrap=True)
             continue
         tables = list(quantities.values())
         rows = []
         for index in np.argsort(-tables[0][:, 0], kind="stable"):
             rows.append((answer.factors[index], *(interval_text(*table[index]) for table in tables)))
         show_table((name, *legends), rows)
-    others = [name for name, found in sensitivity.outputs.items() if found is not None]
-    if others and all(sensitivity.outputs[name] is None for name in answer.headline):
-        console.print(f"summary.json has the indices of: {', '.join(others)}", markup=False, soft_wrap=True)
+    required = [requirement.measure.name for requirement in sensitivity.study.requirements]
+    shown = dict.fromkeys((*answer.headline, *required))
+    brief = [name for name in shown if name not in answer.headline and name not in answer.reasons]
+    if brief:
+        ranking = sensitivity.description.ranking
+        legend = answer.quantities[ranking].legend
+        rows = [(name, leading_factors(sensitivity, name)) for name in brief]
+        show_table(("required metric", f"depends most on ({legend})"), rows)
+    refused = [f"{name} ({answer.reasons[name]})" for name in shown if name in answer.reasons]
+    if refused:
+        console.print(f"no answer: {'; '.join(refused)}", markup=False, soft_wrap=True)
     show_files(files)
+
+
+def leading_factors(sensitivity: Sensitivity, name: str) -> str:
+    """The factors on which an output depends most, with intervals: those beyond doubt, or else the largest."""
+    quantities = sensitivity.outputs[name] or {}
+    table = quantities[sensitivity.description.ranking]
+    order = np.argsort(-table[:, 0], kind="stable")[:LEADING]
+    clear = [index for index in order if table[index, 1] > 0.0] or order[:1]
+    return ", ".join(f"{sensitivity.factors[index]} {interval_text(*table[index])}" for index in clear)
 
 
 def interval_text(value: float, low: float, high: float) -> str:

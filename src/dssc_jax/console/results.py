@@ -125,11 +125,11 @@ def show_point(study: "Study", point: SummaryRow, equal: bool = False) -> None:
     share = () if equal else SHARE
     if point["requirements"]:
         rows = []
-        for requirement in point["requirements"]:
+        for rule, requirement in zip(study.requirements, point["requirements"], strict=True):
             cells = failure_cells(requirement, point["draws"], equal)
             time = requirement["violated_at"]
             timing = str(requirement["first"]), "-" if time is None else f"{time:.4g}"
-            rows.append((requirement["text"], *cells, str(requirement["alone"]), *timing))
+            rows.append((rule.short, *cells, str(requirement["alone"]), *timing))
         show_table(("requirement", "violated by", *share, "by it alone", "first", "median time [s]"), rows)
     for text in margins_missing(point):
         output().print(text, markup=False)

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -47,7 +47,7 @@ def announce_compiling(study: "Study", quiet: bool = False) -> None:
 
 @contextmanager
 def progress_bar(
-    study: "Study", quiet: bool, of: str = "draws", early: str = "", compiles: bool = True
+    study: "Study", quiet: bool, of: str = "draws", early: str | Callable[[], str] = "", compiles: bool = True
 ) -> Iterator["ProgressCallback"]:
     """Show a progress bar with the time left on stderr; with ``quiet`` only if stderr is a terminal.
 
@@ -55,7 +55,7 @@ def progress_bar(
         study: The study that is computed.
         quiet: Whether a program reads the command's output.
         of: The unit that is counted.
-        early: The reason why the work may end early, if it may.
+        early: The reason why the work may end early, if it may, or a function that gives it once the work has ended.
         compiles: Whether the loop is compiled first.
 
     Yields:
@@ -94,7 +94,8 @@ def progress_bar(
         if bar.live.is_started:
             bar.stop()
     if counted < limit and not bar.disable:
-        notify(f"{study.name} stopped early after {counted:,} of at most {limit:,} {of}: {early}")
+        reason = early() if callable(early) else early
+        notify(f"{study.name} stopped early after {counted:,} of at most {limit:,} {of}: {reason}")
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:

@@ -64,7 +64,9 @@ MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
 PLACES = 9  # bisections' decades of a weight on either side
 DIGITS = 4
 HALVINGS = 14
-FURTHER = 3  # halvings of the bandwidth after the first good loop
+FURTHER = 3  # halvings of the bandwidth after the last better loop
+NEARBY = tuple(2.0 ** (third / 3.0) for third in (2, 1, -1, -2))
+"""Bandwidths that are tried around the best of the halvings, relative to it."""
 FASTER = 1.05  # ratio of settling times from which on a design is better
 MOST_PEAK = 2.0  # of abs(S), where no bandwidth is stated
 FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
@@ -114,7 +116,8 @@ def first_gains(
         kind: ``pid``, ``lqg``, ``state_feedback`` or ``ssc``.
         bandwidth: Frequency at which the loop gain is to cross 1 [rad/s]; None: a twentieth of pi/T_s, its half, and
             so on: of those with a peak of abs(S) of at most 2 the one that settles fastest after a disturbance, until
-            three more halvings bring nothing better; else the one with the smallest peak.
+            three more halvings bring nothing better; else the one with the smallest peak. Then the best of that one
+            and of four around it, a third of an octave apart.
         limit: Largest size of the command, in its unit; ``ssc`` needs it, the others respect it.
 
     Raises:
@@ -192,7 +195,7 @@ def tried(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstG
 
 
 def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
-    """The best design at a bandwidth, its half, and so on, until some after the first good loop are no better.
+    """The best design at a bandwidth, its half, and so on, until some are no better, and around the best of these.
 
     Raises:
         ConfigError: none is stable.
@@ -214,12 +217,27 @@ def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
         if best is None or better(found, best):
             best = found
             left = FURTHER if found.sensitivity_peak <= MOST_PEAK else left
-    if best is not None and best.radius < 1.0:
-        return best  # such as of a plant that is unstable itself
+    if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
+        return best_nearby(subject, kind, best, start)
     if refusal is not None:
         raise refusal
     rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
     raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
+
+
+def best_nearby(subject: Subject, kind: str, best: FirstGains, highest: float) -> FirstGains:
+    """The best of a design and of those at bandwidths around it, up to the highest."""
+    middle = best.bandwidth
+    for factor in NEARBY:
+        if factor * middle > highest:
+            continue
+        try:
+            found = designed(subject, kind, factor * middle)
+        except ConfigError:
+            continue
+        if better(found, best):
+            best = found
+    return best
 
 
 def lqg(subject: Subject, omega: float, ratio: float) -> TomlTable:

@@ -159,8 +159,8 @@ def standing(result: Result, ax: Axes | None = None) -> Figure:
 
 
 def required_text(result: Result) -> str:
-    """The study's requirements in one line."""
-    texts = [requirement.text for requirement in result.study.requirements]
+    """The study's requirements in one line, formulas by their names."""
+    texts = [requirement.short for requirement in result.study.requirements]
     return "; ".join(texts) or "the draw stays finite"
 
 

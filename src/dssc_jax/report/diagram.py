@@ -18,6 +18,7 @@ MARGIN = 14
 RADIUS = 9  # of a junction
 LINE_LENGTH = 24  # characters across a block
 ABSENT = ("none", "ideal")
+ALWAYS = ("reference", "plant", "controller")  # blocks of every loop
 NAMES = {
     "reference": "reference",
     "controller": "controller",
@@ -64,17 +65,19 @@ class Drawing:
 
 
 def part_kind(study: Study, slot: str) -> str:
-    """The kind that a slot of the study holds."""
-    return kind_in(study.config, slot)
-
-
-def present(study: Study, slot: str) -> bool:
-    """Whether a slot has a part other than ``none``, in any channel."""
+    """The kind that a slot of the study holds; without one for all, those of its channels and measured signals."""
     table = getattr(study.config, section_of(study.config, slot))
-    if isinstance(table, list):
-        return any(part.get("kind") not in ABSENT for part in table)
-    channel_tables = [table[name] for name in study.loop.channels if name and name in table]
-    return any(part.get("kind", table["kind"]) not in ABSENT for part in (table, *channel_tables))
+    common = kind_in(study.config, slot)
+    is_common = isinstance(table, list) or ("kind" in table and common not in ABSENT)
+    return common if is_common else ", ".join(present_kinds(study, slot)) or common
+
+
+def present_kinds(study: Study, slot: str) -> list[str]:
+    """The kinds of a slot's parts other than ``none``: for all channels, in one of them, or of a measured signal."""
+    table = getattr(study.config, section_of(study.config, slot))
+    parts = table if isinstance(table, list) else [table, *(part for part in table.values() if isinstance(part, dict))]
+    kinds = (part.get("kind") for part in parts)
+    return [kind for kind in dict.fromkeys(kinds) if kind not in (None, *ABSENT)]
 
 
 def has_nominal(study: Study) -> bool:
@@ -107,7 +110,7 @@ def shortened(text: str) -> str:
 
 def words(study: Study) -> str:
     """The diagram in one sentence."""
-    slots = [slot for slot in NAMES if slot in ("reference", "plant", "controller") or present(study, slot)]
+    slots = [slot for slot in NAMES if slot in ALWAYS or present_kinds(study, slot)]
     parts = [f"{NAMES[slot]} {part_kind(study, slot)}" for slot in slots]
     nominal = ", with a nominal part added to the command" if has_nominal(study) else ""
     return f"Block diagram of the closed loop: {', '.join(parts)}{nominal}. The output is fed back to the controller."
@@ -127,17 +130,17 @@ def diagram(study: Study) -> h.Element:
     if has_nominal(study):
         x = add(drawing, x, middle, "nominal control", [], upper_x, "u", "uₙ")
         upper_x = x
-    if present(study, "unmodelled"):
+    if present_kinds(study, "unmodelled"):
         drawing.arrow((x, middle), (x + GAP, middle), label="uₚ" if has_nominal(study) else "u")
         drawing.block(x + GAP, FORWARD_ROW, NAMES["unmodelled"], notes(study, "unmodelled"))
         x += GAP + WIDTH
         upper_x = x - WIDTH
-    if present(study, "disturbance"):
+    if present_kinds(study, "disturbance"):
         x = add(drawing, x, middle, NAMES["disturbance"], notes(study, "disturbance"), upper_x, "", "d")
     drawing.arrow((x, middle), (x + GAP, middle))
     plant = x + GAP
     drawing.block(plant, FORWARD_ROW, NAMES["plant"], notes(study, "plant"))
-    if present(study, "wind"):
+    if present_kinds(study, "wind"):
         drawing.block(plant, UPPER_ROW, NAMES["wind"], notes(study, "wind"))
         drawing.arrow((plant + WIDTH // 2, UPPER_ROW + HEIGHT), (plant + WIDTH // 2, FORWARD_ROW))
     end = plant + WIDTH
@@ -148,7 +151,8 @@ def diagram(study: Study) -> h.Element:
         text = f"Everything but reference, wind and plant is there in each channel: {', '.join(study.loop.channels)}."
         bottom += 2 * MARGIN
         drawing.parts.append(h.text(".note", x=MARGIN, y=bottom)[text])
-    top = UPPER_ROW if any((has_nominal(study), present(study, "disturbance"), present(study, "wind"))) else FORWARD_ROW
+    above = has_nominal(study) or present_kinds(study, "disturbance") or present_kinds(study, "wind")
+    top = UPPER_ROW if above else FORWARD_ROW
     size = (end + GAP + 2 * MARGIN, bottom - top + 2 * MARGIN)
     head = h.marker("#arrow", viewBox="0 0 8 8", refX=8, refY=4, markerWidth=8, markerHeight=8, orient="auto")
     box = f"0 {top - MARGIN} {size[0]} {size[1]}"
@@ -181,7 +185,7 @@ def feed_back(drawing: Drawing, study: Study, start: int, middle: int, target: i
         The lowest point.
     """
     drawing.parts.append(h.circle(".node", cx=start, cy=middle, r=3))
-    slots = [slot for slot in ("sensor", "differentiator") if present(study, slot)]
+    slots = [slot for slot in ("sensor", "differentiator") if present_kinds(study, slot)]
     row = FEEDBACK_ROW + HEIGHT // 2 if slots else FEEDBACK_ROW
     points = [(start, middle), (start, row)]
     for i, slot in enumerate(slots):

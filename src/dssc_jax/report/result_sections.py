@@ -32,7 +32,7 @@ from dssc_jax.results.result import Result, headline
 from dssc_jax.results.schema import ENDINGS, outcome_codes
 from dssc_jax.results.summary import SummaryRow, extreme_points, margins_missing, most_violated
 from dssc_jax.statistics.order import upper_quantiles
-from dssc_jax.study import Described
+from dssc_jax.study import Described, Study
 
 MOST_ROWS = 400
 MOST_FACTORS = 24
@@ -83,10 +83,10 @@ def ways(subject: Subject) -> list[h.Node]:
             bounds = method.interval(ended == code).tolist()
             n = int(np.count_nonzero(ended == code))
             rows.append((words, f"{n:,}", probability_text(n / draws, bounds), interval(bounds), "", "", ""))
-    for requirement in point["requirements"]:
+    for rule, requirement in zip(result.study.requirements, point["requirements"], strict=True):
         time = requirement["violated_at"]
         timing = f"{requirement['first']:,}", "" if time is None else f"{time:.4g}"
-        rows.append((f"violates {requirement['text']}", *fails(requirement), f"{requirement['alone']:,}", *timing))
+        rows.append((f"violates {rule.short}", *fails(requirement), f"{requirement['alone']:,}", *timing))
     rows.append((h.strong["fails in any way"], *fails(point), "", "", ""))
     head = (
         "how a draw ended",
@@ -106,18 +106,18 @@ def ways(subject: Subject) -> list[h.Node]:
         table(f"Outcomes of {counted(draws, 'draw')}{subject.point_phrase}", head, rows),
         h.p[note],
         *(h.p[f"{text}."] for text in margins_missing(point)),
-        *together(point),
+        *together(point, result.study),
     ]
 
 
-def together(point: SummaryRow) -> list[h.Node]:
+def together(point: SummaryRow, study: Study) -> list[h.Node]:
     """Pairs of requirements that the same draws violate, if there are at least two requirements."""
     if len(point["requirements"]) < 2:
         return []
     pairs = [pair for pair in point["overlaps"] if pair["draws"]]
     if not pairs:
         return [h.p["No draw that ran to its end violates two requirements."]]
-    text = {requirement["name"]: requirement["text"] for requirement in point["requirements"]}
+    text = {requirement.label: requirement.short for requirement in study.requirements}
     rows = []
     for pair in pairs:
         first, second = pair["names"]

@@ -12,6 +12,7 @@ from dssc_jax.core.signals import Params
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.study.components import Component, as_table, parse_component
+from dssc_jax.study.measures import MEASURES, USUAL_SENSOR
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
 from dssc_jax.study.schema import STRICT, StudyTable
@@ -158,8 +159,16 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
 
 
 def kind_in(config: StudyTable, slot: str, channel: str = "") -> str:
-    """The kind of the part in a slot, or the kinds of a chain or a sum of winds."""
-    return " + ".join(str(table.get("kind", "by channel")) for table in tables_of(config, slot, channel)) or "none"
+    """The kind of the part in a slot, the kinds of a chain or a sum of winds, or that each channel has a part."""
+    usual = usual_kind(config, slot) or "by channel"
+    return " + ".join(str(table.get("kind", usual)) for table in tables_of(config, slot, channel)) or "none"
+
+
+def usual_kind(config: StudyTable, slot: str) -> str | None:
+    """The kind of a slot whose table gives none; None: the table of each channel gives one."""
+    if slot == "sensor" and MEASURES in config.sensor:
+        return USUAL_SENSOR
+    return "zero" if slot == "reference" else None
 
 
 def section_of(config: StudyTable, slot: str) -> str:

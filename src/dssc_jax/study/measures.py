@@ -16,6 +16,8 @@ from dssc_jax.study.components import Component, as_table, parse_component
 
 MEASURES = "measures"
 WHOLE_STATE = "state"
+USUAL_SENSOR = "ideal"
+"""Kind of the sensor of y and y' where signals are measured, and of each of those, if its table gives none."""
 OF_RATE = ("velocity", "jitter")
 """Beginnings of a sensor's fields that need the measured signal's derivative."""
 
@@ -74,7 +76,7 @@ def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorT
             raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
     signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
-    default = {"kind": "ideal"} if named else {}
+    default = {"kind": USUAL_SENSOR} if named else {}
     return SensorTables(default | channels, tuple(named), signals)
 
 
@@ -86,7 +88,7 @@ def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal])
     """
     sensors = []
     for index, name in enumerate(tables.measures):
-        table = tables.signals.get(name, {"kind": "ideal"})
+        table = tables.signals.get(name, {"kind": USUAL_SENSOR})
         path = f"sensor.{name}"
         component = parse_component(table, SENSORS, path)
         for field in table:

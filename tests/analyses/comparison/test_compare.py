@@ -9,7 +9,7 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.analyses.comparison import Tuning, tuned
-from dssc_jax.analyses.comparison.tuning import RUNOFF, candidate_points, ranges
+from dssc_jax.analyses.comparison.tuning import RUNOFF, candidate_points, ranges, untuned_reason
 from dssc_jax.results.manifest import write_sealed
 from dssc_jax.statistics import compare_failures
 from tests.loops import LAGGED
@@ -173,10 +173,28 @@ def test_what_cannot_be_tuned_keeps_its_gains_and_is_named():
     table |= {"compare": {"lqg": lqg, "tuned": pid | {"tune": {"k_p": [1.0, 8.0]}}}}
     study = dj.Study.from_table(table)
     found = dj.compare(study, ["pid", "lqg", "tuned"], candidates=2, tuning_draws=4)
-    assert found.untuned == ("pid", "lqg")
-    assert found.summary()["untuned"] == ["pid", "lqg"]
+    assert list(found.untuned) == ["pid", "lqg"]
+    assert found.summary()["untuned"] == found.untuned
+    assert found.untuned["pid"].startswith(
+        "of its usual gains k_p follows from parameters, k_i follows from parameters"
+    )
+    assert found.untuned["lqg"] == "it declares no usual gains"
     assert found.tuned.tables["pid"] == found.corresponding.tables["pid"]
     assert 1.0 <= found.tuned.tables["tuned"]["k_p"] <= 8.0
     none = dj.compare(study, ["pid", "lqg"], candidates=2, tuning_draws=4)
     assert none.tuned is None
-    assert none.untuned == ("pid", "lqg")
+    assert none.untuned == {name: found.untuned[name] for name in ("pid", "lqg")}
+
+
+def test_a_state_feedback_of_signals_alone_tells_what_it_lacks():
+    """Its usual gains are those of y and y', which are 0; its integral gain is another number."""
+    plant = {"kind": "state_space", "a": [[0.0, 1.0], [0.0, -1.0]], "b": [0.0, 1.0], "c": [1.0, 0.0], "x0": [1.0]}
+    feedback = {"kind": "state_feedback", "signals": [4.0, 2.0], "k_i": 1.5}
+    study = dj.Study.from_table({**TABLE, "plant": plant, "sensor": {"measures": "state"}, "controller": feedback})
+    lacking = "of its usual gains k_1 = 0 is not positive, k_2 = 0 is not positive"
+    assert untuned_reason(study, "sf") == f"{lacking}; [compare.sf.tune] may name others: k_i, signals.0, signals.1"
+    assert ranges(study, {}) == {}
+    named = ranges(study, {"k_i": [1.0, 2.0], "signals.0": [3.0, 5.0]})
+    assert tuned(study, Tuning(2, 4, 1), named).keys() == {"controller.k_i", "controller.signals.0"}
+    feeding = study.override({"controller.k_2": 0.5})
+    assert list(ranges(feeding, {})) == ["controller.k_2"]

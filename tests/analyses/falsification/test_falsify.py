@@ -1,6 +1,7 @@
 """The hunt finds what random draws would not, and its witness is a draw like any other."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,33 @@ def test_a_draw_that_ends_early_is_the_worst(study):
     found = dj.falsify(unstable, budget=64)
     assert found.slack == -np.inf
     assert found.simulations < 64
+    assert found.stopped == "a draw ended early, and no draw is worse"
+
+
+def test_an_infinite_miss_names_its_requirement(study):
+    """A root of a negative number is no number, which no draw can miss by more."""
+    found = dj.falsify(study.override({"requirement": [{"name": "root", "formula": "always sqrt(e) > -1"}]}), budget=64)
+    assert found.slack == -np.inf
+    assert found.stopped == "a draw misses root by an infinite amount, and no draw is worse"
+
+
+def test_simulations_that_are_left_are_told(study, tmp_path):
+    """A budget that no whole number of generations spends, and one that they do."""
+    loose = study.override({"requirement.0.max": 50.0})
+    found = dj.falsify(loose, budget=250)
+    told = re.fullmatch(r"the (\d+) simulations left are fewer than a generation of (\d+)", found.stopped)
+    assert int(told[1]) == 250 - found.simulations
+    assert int(told[1]) < int(told[2])
+    found.save(tmp_path / "found")
+    assert dj.load(tmp_path / "found").answer.stopped == found.stopped
+    other = dj.falsify(loose, budget=found.simulations)
+    assert (other.stopped == "") == (other.simulations == found.simulations)
+
+
+def test_a_flat_search_ends(study):
+    """No number matters where the reference is all that the formula judges."""
+    flat = study.override({"requirement": [{"name": "flat", "formula": "always t < 100"}]})
+    assert dj.falsify(flat, budget=250).stopped.endswith("draws of the last generation are equally bad")
 
 
 @pytest.mark.parametrize(

@@ -118,9 +118,25 @@ def test_a_study_with_a_rare_failure(capsys):
     assert content["reasons"][FAILURE] == found.reasons[FAILURE]
     assert content["reasons"]["error_max"] == "does not vary"
     show_sensitivity(found, [])
-    assert f"failure: no answer; it {found.reasons[FAILURE]}" in " ".join(capsys.readouterr().out.split())
+    assert f"no answer: failure ({found.reasons[FAILURE]})" in " ".join(capsys.readouterr().out.split())
     (text,) = dj.plot.sensitivity(found).axes[0].texts
     assert " ".join(text.get_text().split()) == f"no answer; it {found.reasons[FAILURE]}"
+
+
+def test_every_required_metric_is_told(capsys):
+    """Of a headline metric without indices the first required one that has some takes the place."""
+    required = [{"metric": name, "max": 50.0} for name in ("error_max", "error_rms", "command_rms")]
+    study = dj.Study.from_table({**TABLE, "requirement": required, "draws": 256})
+    found = dj.sensitivity(study)
+    assert found.answer.headline == [FAILURE, "error_rms"]
+    assert found.headline.startswith("error_rms depends most on")
+    show_sensitivity(found, [])
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "no answer: failure (does not vary); error_max (does not vary)" in lines
+    (brief,) = (line for line in lines if line.startswith("command_rms "))
+    table = found.outputs["command_rms"]["total"]
+    leading = int(np.argmax(table[:, 0]))
+    assert f"command_rms {found.factors[leading]} {table[leading, 0]:.3g} [" in brief
 
 
 def test_an_inert_factor_is_consistent_with_nothing():

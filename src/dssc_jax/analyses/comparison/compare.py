@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Annotated, NamedTuple, Self
 
 import numpy as np
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.comparison.rivals import ControllerTable, controller_table, with_own_controllers
-from dssc_jax.analyses.comparison.tuning import Tuning, ranges, tuned, with_gains
+from dssc_jax.analyses.comparison.tuning import Tuning, ranges, tuned, untuned_reason, with_gains
 from dssc_jax.analyses.defaults import TUNING_DRAWS
 from dssc_jax.closed_loop.requirements import violated
 from dssc_jax.core.errors import ConfigError, errors_under
@@ -90,7 +91,7 @@ class ComparisonAnswer:
     headline: Annotated[str, Quantity("", "the metric that is shown")]
     corresponding: ContestAnswer = field(metadata={MERGED: True})
     tuned: TunedContestAnswer | None
-    untuned: Annotated[tuple[str, ...], Quantity("", "controllers none of whose gains could be tuned")]
+    untuned: Annotated[dict[str, str], Quantity("", "why none of a controller's gains could be tuned, by controller")]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
 
@@ -198,7 +199,7 @@ class Comparison(Analysis):
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
         budget: That budget.
         seconds: Computing time.
-        untuned: Controllers that should have been tuned, but none of whose gains could be.
+        untuned: For each controller that should have been tuned, but none of whose gains could be, why.
     """
 
     kind = "compare"
@@ -209,7 +210,7 @@ class Comparison(Analysis):
     tuned_part: ContestPart | None = None
     budget: Tuning | None = None
     seconds: float = 0.0
-    untuned: tuple[str, ...] = ()
+    untuned: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -219,18 +220,18 @@ class Comparison(Analysis):
         tuned: Contest | None = None,
         budget: Tuning | None = None,
         seconds: float = 0.0,
-        untuned: tuple[str, ...] = (),
+        untuned: Mapping[str, str] = MappingProxyType({}),
     ) -> Self:
         """Combine one or both contests."""
         part = ContestPart.of(corresponding)
         if tuned is None:
-            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=untuned)
+            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=dict(untuned))
         names = named_axis([f"{name}_tuned" for name in tuned.tables])
         dataset = xr.concat(
             [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
             dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
         )  # fmt: skip
-        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, untuned)
+        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, dict(untuned))
 
     @cached_property
     def corresponding(self) -> Contest:
@@ -345,7 +346,7 @@ def compare(
     if budget and len(study.loop.channels) > 1:
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
     extents = tuning_ranges(studies) if budget else {}
-    untuned = tuple(name for name, found in extents.items() if not found)
+    untuned = {name: untuned_reason(studies[name], name) for name, found in extents.items() if not found}
     corresponding = Contest.of(study, tables, step)
     if budget is None or len(untuned) == len(names):
         return Comparison.of(study, corresponding, seconds=time.perf_counter() - began, untuned=untuned)

@@ -17,6 +17,7 @@ from dssc_jax.core.toml import TomlTable
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.models.controllers.dssc_forms import DsscGains, switching_gain
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
 from dssc_jax.study.components import field_specs, lookup
 from dssc_jax.study.laws import Uncertain
 from dssc_jax.study.tables import merged
@@ -60,13 +61,18 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
     So a stored comparison tells, like any study, which code it refers to.
     """
-    controller = study.config.controller
-    known = {controller["kind"], *study.config.compare}
+    known = {kind_of_all(study), *study.config.compare}
     missing = [name for name in names if ":" in name and name not in known]
     if not missing:
         return study
     tables = {name: {"kind": name, **common_gains(study, name)} for name in missing}
     return study.override({"compare": {**study.config.compare, **tables}})
+
+
+def kind_of_all(study: Study) -> str:
+    """The kind of the study's controller; of channels with different kinds, all of them."""
+    kinds = dict.fromkeys(kind_in(study.config, "controller", channel) for channel in study.loop.channels)
+    return ", ".join(kinds)
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
@@ -97,11 +103,12 @@ def controller_table(study: Study, name: str) -> ControllerTable:
         ConfigError: there is no such controller, or its gains do not follow from the study's own.
     """
     controller = study.config.controller
+    common_kind = kind_of_all(study)
     chosen = study.config.compare.get(name)
     if chosen is not None:
         table = {key: value for key, value in chosen.items() if key != "tune"}
-        return merged(controller, table) if table.get("kind", controller["kind"]) == controller["kind"] else table
-    if name == controller["kind"]:
+        return merged(controller, table) if table.get("kind", common_kind) == common_kind else table
+    if name == common_kind:
         return dict(controller)
     names = rival_names()
     if name not in names:
@@ -109,7 +116,7 @@ def controller_table(study: Study, name: str) -> ControllerTable:
             f"compare.{name}", f"there is no such controller; {nearest(name, [*names, *study.config.compare])}"
         )
     rival = names[name]
-    table = dict(controller) if rival.kind == controller["kind"] else derived(study, name, rival.kind)
+    table = dict(controller) if rival.kind == common_kind else derived(study, name, rival.kind)
     if rival.limited:
         return with_limit(study, name, table)
     return {**table, "discretisation": rival.form} if rival.form else table
@@ -124,7 +131,7 @@ def derived(study: Study, name: str, kind: str) -> ControllerTable:
     controller = study.config.controller
     from_dssc = CONTROLLERS[kind].default_member.from_dssc
     if from_dssc is None or not all(isinstance(gains, DsscGains) for gains in study.template.controller):
-        raise ConfigError(f"compare.{name}", f"cannot be derived from '{controller['kind']}'; give [compare.{name}]")
+        raise ConfigError(f"compare.{name}", f"cannot be derived from '{kind_of_all(study)}'; give [compare.{name}]")
     channels = study.loop.channels
     common = {key: value for key, value in controller.items() if key not in channels}
     tables = {}

@@ -18,6 +18,7 @@ from dssc_jax.engine.batching import BLOCK
 from dssc_jax.engine.evaluation import Evaluator
 from dssc_jax.study import Study
 from dssc_jax.study.laws import is_number
+from dssc_jax.study.numbers import Number
 from dssc_jax.study.tables import set_dotted
 
 FACTOR = 10.0  # ranges reach from a tenth to ten times the study's own gain
@@ -89,6 +90,40 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
         for name, value in values.items()
         if isinstance(value, float) and value > 0
     }
+
+
+def untuned_reason(study: Study, controller: str) -> str:
+    """Why :func:`ranges` finds no gain of the study's controller, in words, with the numbers that may be named.
+
+    Args:
+        study: The study with this controller.
+        controller: Its name in the comparison.
+    """
+    names = study.loop.controller[0].tunable_gains(study.template.controller[0])
+    numbers = {}
+    for number in study.numbers.values():
+        section, _, name = number.name.partition(".")
+        if section == "controller" and number.quantity.law:
+            numbers[name] = number
+    causes = [f"{name} {untuned_cause(numbers.get(name))}" for name in names]
+    reason = f"of its usual gains {', '.join(causes)}" if causes else "it declares no usual gains"
+    others = []
+    for name, number in numbers.items():
+        is_given = name.partition(".")[0] in study.config.controller
+        if name not in names and is_given and untuned_cause(number) == "":
+            others.append(name)
+    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(others)}" if others else reason
+
+
+def untuned_cause(number: Number | None) -> str:
+    """Why a number has no range from a tenth to ten times its value, in words; empty if it has one."""
+    if number is None:
+        return "is not given"
+    if number.expression is not None:
+        return "follows from parameters"
+    if not isinstance(number.value, float):
+        return "has a law"
+    return "" if number.value > 0.0 else f"= {number.value:g} is not positive"
 
 
 def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float]]) -> dict[str, float]:

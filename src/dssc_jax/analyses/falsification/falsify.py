@@ -66,6 +66,7 @@ class FalsifiedAnswer:
     units: Annotated[dict[str, str], Quantity("", "unit of each uncertain number")]
     nearest_failure: PointAnswer | None
     simulations: Annotated[int, Quantity("1", "simulations spent")]
+    stopped: Annotated[str, Quantity("", "why the search stopped before its budget was spent; empty if it spent it")]
     first_failure: Annotated[int | None, Quantity("1", "simulations until the first failure; None if there was none")]
     seconds: Annotated[float, Quantity("s", "computing time")]
 
@@ -91,6 +92,7 @@ class Falsified(Analysis):
     Args:
         within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
         seconds: Computing time.
+        stopped: Why the search stopped before its budget was spent, in words; empty if it spent it.
     """
 
     kind = "falsify"
@@ -99,9 +101,10 @@ class Falsified(Analysis):
 
     within: float | None
     seconds: float
+    stopped: str = ""
 
     @classmethod
-    def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float) -> Self:
+    def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "") -> Self:
         """Collect the simulated points in the order of the search."""
         points, slacks, binding, signed, spent, ended, failed_at, first, violated_at = (
             np.concatenate(parts) for parts in zip(*seen, strict=True)
@@ -127,7 +130,7 @@ class Falsified(Analysis):
             for name, (column, unit, meaning) in columns.items()
         }
         within = region.radius if isinstance(region, ScoreBall) else None
-        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds)
+        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds, stopped)
 
     @property
     def worst(self) -> int:
@@ -171,7 +174,7 @@ class Falsified(Analysis):
         """The worst requirement of a point; None if its draw ends early, which violates all."""
         if self.dataset["ended"].values[point]:
             return None
-        return self.study.requirements[int(self.dataset["binding"][point])].text
+        return self.study.requirements[int(self.dataset["binding"][point])].short
 
     def value_at(self, point: int) -> str | None:
         """The metric of the worst requirement of a point, with its unit; None if its draw ends early."""
@@ -204,7 +207,7 @@ class Falsified(Analysis):
     def first_at(self, point: int) -> str | None:
         """The requirement that a point violates first, before its draw ends; None if there is none."""
         first = int(self.dataset["first"].values[point])
-        return self.study.requirements[first].text if first >= 0 else None
+        return self.study.requirements[first].short if first >= 0 else None
 
     @property
     def simulations(self) -> int:
@@ -249,6 +252,7 @@ class Falsified(Analysis):
             units={name: self.study.quantities[name].unit for name in self.study.laws},
             nearest_failure=None if nearest is None else self.point_answer(nearest),
             simulations=self.simulations,
+            stopped=self.stopped,
             first_failure=self.first_failure,
             seconds=self.seconds,
         )
@@ -345,4 +349,4 @@ def hunt(
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:
             stage()
-    return Falsified.of(region, search.seen, time.perf_counter() - began)
+    return Falsified.of(region, search.seen, time.perf_counter() - began, search.stopped)

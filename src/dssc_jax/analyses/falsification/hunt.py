@@ -96,6 +96,7 @@ class Hunt:
         rng: Random generator of the search.
         progress: Called with the simulations spent.
         requirements: The study's, with the scales that the first points show.
+        unspent: Why evolution leaves simulations, in words; empty if it does not, or has not begun.
     """
 
     programs: Programs
@@ -107,6 +108,21 @@ class Hunt:
     worst: float = np.inf
     seen: list[Seen] = field(default_factory=list)
     requirements: tuple[Requirement, ...] = ()
+    unspent: str = ""
+
+    @property
+    def stopped(self) -> str:
+        """Why the search stopped before its budget was spent, in words; empty if it spent it."""
+        if self.spent >= self.budget:
+            return ""
+        if self.worst > -np.inf:
+            return self.unspent
+        points = self.seen[-1]
+        place = int(np.argmin(points.slacks))
+        if points.ended[place]:
+            return "a draw ended early, and no draw is worse"
+        label = self.requirements[int(points.binding[place])].label
+        return f"a draw misses {label} by an infinite amount, and no draw is worse"
 
     @property
     def size(self) -> int:
@@ -187,16 +203,21 @@ class Hunt:
         """Run differential evolution, starting from the worst points so far."""
         count = members(self.budget, self.size)
         first: Any = self.ranked()[0][:count]
-        generations = (self.budget - self.spent) // count - 1
+        left = self.budget - self.spent
+        generations = left // count - 1
+        self.unspent = f"the {left % count} simulations left are fewer than a generation of {count}"
         if generations < 1:
+            self.unspent = f"the {left} simulations left are fewer than two generations of {count}"
             return
 
         def cost(columns: np.ndarray) -> np.ndarray:
             slacks, _ = self.simulate(self.region.projected(np.atleast_2d(columns.T)), self.programs.plain)
             return np.clip(slacks, -1e100, 1e100)
 
-        differential_evolution(
+        found = differential_evolution(
             cost, [self.region.limits] * self.size, init=first, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip
+        if found.nit < generations:
+            self.unspent = f"all {count} draws of the last generation are equally bad"

@@ -195,7 +195,7 @@ class Margins(Analysis):
         """How many draws violate each requirement first along the walk, most first; early ends count apart."""
         if "violated_first" not in self.dataset:
             return {}
-        names = [*(requirement.text for requirement in self.study.requirements), "ended early"]
+        names = [*(requirement.short for requirement in self.study.requirements), "ended early"]
         violated = self.dataset["violated_first"].values
         counts = {name: int(np.count_nonzero(violated == index)) for index, name in enumerate(names)}
         return dict(sorted(((name, n) for name, n in counts.items() if n), key=lambda pair: -pair[1]))

@@ -1,6 +1,6 @@
 """The result of a sensitivity analysis: for every output and factor, a few quantities with their intervals."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple, TypeAlias
 
@@ -152,7 +152,7 @@ class Sensitivity(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        shown = [name for name in shown_outputs(self.study) if name not in self.reasons]
+        shown = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
         if not shown:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
         ranking = self.description.ranking
@@ -180,7 +180,7 @@ class Sensitivity(Analysis):
             interval_method=self.description.interval,
             factors=self.factors,
             quantities=self.description.quantities,
-            headline=shown_outputs(self.study),
+            headline=shown_outputs(self.study, self.reasons),
             reasons=self.reasons,
             missing=dict(zip(outputs, self.dataset["missing"].values.tolist(), strict=True)),
             outputs=outputs,
@@ -252,6 +252,9 @@ def sensitivity_dataset(
     return xr.Dataset(columns, coords=coords, attrs={"title": study.name})
 
 
-def shown_outputs(study: Study) -> list[str]:
-    """The main outputs: failure, and the study's headline metric."""
-    return list(dict.fromkeys((FAILURE, headline_measure(study).name)))
+def shown_outputs(study: Study, refused: Collection[str]) -> list[str]:
+    """The main outputs: failure, and the study's headline metric, or the first required one where that is refused."""
+    headline = headline_measure(study).name
+    metrics = [headline, *(requirement.measure.name for requirement in study.requirements)]
+    answered = [name for name in metrics if name not in refused]
+    return list(dict.fromkeys((FAILURE, *(answered or metrics)[:1])))

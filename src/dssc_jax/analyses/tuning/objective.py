@@ -204,7 +204,7 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
             beyond = requirement.bound + (excess if requirement.maximum is not None else -excess)
             excess = abs(requirement.shown(beyond)[0] - requirement.shown(requirement.bound)[0])
             unit = requirement.shown(beyond)[1]
-            missed.append(MissedBound(requirement.text, int(np.count_nonzero(broken)), excess, unit))
+            missed.append(MissedBound(requirement.short, int(np.count_nonzero(broken)), excess, unit))
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan
         if excess > 0.0:
@@ -304,7 +304,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
     by_requirement = {}
     for requirement in goal.requirements:
         counts = (int(np.count_nonzero(violated(part[requirement.name]))) for part in (start_results, results))
-        by_requirement[requirement.text] = tuple(counts)
+        by_requirement[requirement.short] = tuple(counts)
     start_count = int(np.count_nonzero(start_failed))
     count = int(np.count_nonzero(failed))
     return Verdict(

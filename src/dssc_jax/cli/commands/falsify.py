@@ -11,11 +11,6 @@ from dssc_jax.core import files
 from dssc_jax.runs import run as runs
 from dssc_jax.study.tables import to_toml
 
-EARLY = (
-    "a draw ended early or misses a requirement by an infinite amount, and no draw is worse; "
-    "or too few simulations are left for another generation"
-)
-
 
 def run(options: Falsify) -> int:
     """Hunt the worst draw, save it as an analysis, a study and a result, and print it."""
@@ -30,7 +25,7 @@ def run(options: Falsify) -> int:
         options.within_sigma,
         options.within_mass,
     )
-    with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:
+    with progress_bar(study, quiet=options.as_json, of="simulations", early=lambda: falsified.stopped) as advance:
         falsified = falsify(
             study,
             budget=options.budget,

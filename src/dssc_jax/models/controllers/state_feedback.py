@@ -97,11 +97,6 @@ def prepare(gains: FeedbackGains) -> FeedbackGains:
     return gains
 
 
-def tunable(gains: FeedbackGains) -> tuple[str, ...]:
-    """The gains that feed something back."""
-    return tuple(name for name in ("k_1", "k_2") if not is_zero(getattr(gains, name)))
-
-
 STATE_FEEDBACK: Entry = single(
     Controller(
         FeedbackGains,
@@ -111,7 +106,7 @@ STATE_FEEDBACK: Entry = single(
         transfer,
         smooth_within_limits(init, step),
         takes=lambda gains: len(gains.signals),
-        tunable=tunable,
+        tunable=("k_1", "k_2"),
         info=FeedbackInfo,
     ),
     "feedback of output and derivative, with integral action",
