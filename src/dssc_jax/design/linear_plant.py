@@ -133,17 +133,17 @@ class ClosedLoop(NamedTuple):
         if self.radius >= 1.0:
             return math.inf
         order = len(self.a)
-        rest = np.linalg.solve(np.eye(order) - self.a, self.b)
+        steady = np.linalg.solve(np.eye(order) - self.a, self.b)
         decay = -math.log(max(self.radius, np.finfo(float).tiny))
         stride = max(1, math.ceil(FADED / (decay * INSTANTS)))
         over = np.linalg.matrix_power(self.a, stride)
         distance = np.empty(INSTANTS)
-        state = -rest
+        state = -steady
         for k in range(INSTANTS):
             distance[k] = abs(row @ state)
             state = over @ state
-        far = np.flatnonzero(distance > SETTLED * np.max(distance))
-        return float(stride * (far[-1] + 1)) if far.size else 0.0
+        outside = np.flatnonzero(distance > SETTLED * np.max(distance))
+        return float(stride * (outside[-1] + 1)) if outside.size else 0.0
 
 
 class Subject(NamedTuple):

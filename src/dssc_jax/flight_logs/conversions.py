@@ -117,11 +117,11 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
-        for later, earlier, found in (
+        for shifted, original, found in (
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
         ):
-            if rms(earlier - np.mean(earlier)) > 0.5 * size and rms(later - earlier) <= SAME_REFERENCE * size:
+            if rms(original - np.mean(original)) > 0.5 * size and rms(shifted - original) <= SAME_REFERENCE * size:
                 return found
     return 0
 

@@ -267,9 +267,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             if text:
                 conversions[name] = text
             elif shift:
-                later = "later" if shift > 0 else "earlier"
+                side = "later" if shift > 0 else "earlier"
                 start = log.start + shift * loop.sample_time
-                shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {later}: set start to {start:g} s"
+                shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])

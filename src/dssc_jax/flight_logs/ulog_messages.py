@@ -46,8 +46,8 @@ PADDING = "_padding"
 class BodySizes(NamedTuple):
     """The sizes that the messages of a topic may have [bytes], with the topic's number."""
 
-    least: int  # without the padding at the end
-    most: int
+    smallest: int  # without the padding at the end
+    largest: int
 
 
 ANY_SIZE = BodySizes(STAMPED.size, 0xFFFF)
@@ -56,26 +56,26 @@ ANY_SIZE = BodySizes(STAMPED.size, 0xFFFF)
 def message_sizes(name: str, formats: Mapping[str, str]) -> BodySizes:
     """The sizes of a topic's messages by the log's formats; any size where the log lacks one of these."""
     try:
-        least, most = field_sizes(name, formats)
+        smallest, largest = field_sizes(name, formats)
     except (KeyError, RecursionError):
         return ANY_SIZE
-    return BodySizes(max(2 + least, STAMPED.size), 2 + most)
+    return BodySizes(max(2 + smallest, STAMPED.size), 2 + largest)
 
 
 def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
     """The bytes of a format's fields without and with the padding at its end; raises KeyError for an unknown type."""
-    most = 0
-    least = 0
+    padded = 0
+    unpadded = 0
     for text in formats[name].split(";"):
         found = FIELD.fullmatch(text.strip())
         if found is None:
             continue
         kind, count, label = found.groups()
         single = TYPE_SIZES[kind] if kind in TYPE_SIZES else field_sizes(kind, formats)[1]
-        most += single * int(count or 1)
+        padded += single * int(count or 1)
         if not label.startswith(PADDING):
-            least = most
-    return least, most
+            unpadded = padded
+    return unpadded, padded
 
 
 def is_sound_text(kind: int, body: bytes) -> bool:

@@ -115,7 +115,7 @@ class Scan:
             return False
         number, stamp = STAMPED.unpack_from(body)
         sizes = self._sizes.get(number)
-        if sizes is None or not sizes.least <= size <= sizes.most:
+        if sizes is None or not sizes.smallest <= size <= sizes.largest:
             return False
         self._counts[number] = self._counts.get(number, 0) + 1
         if stamp:
@@ -150,7 +150,7 @@ class Scan:
         if kind != DATA:
             return kind in KINDS
         sizes = self._sizes.get(STAMPED.unpack_from(head, MESSAGE.size)[0])
-        return sizes is not None and sizes.least <= size <= sizes.most
+        return sizes is not None and sizes.smallest <= size <= sizes.largest
 
     def _next_message(self, file: BinaryIO, place: int) -> int:
         """The first place from a place on at which the log goes on; its end if there is none."""
@@ -189,7 +189,7 @@ class Scan:
                 if size < STAMPED.size:
                     return False
                 sizes = self._sizes.get(STAMPED.unpack_from(body)[0])
-                known = sizes is not None and sizes.least <= size <= sizes.most
+                known = sizes is not None and sizes.smallest <= size <= sizes.largest
                 if (sizes is not None or count == 0) and not known:
                     return False
                 sound += known

@@ -203,9 +203,9 @@ def margins_missing(point: SummaryRow) -> list[str]:
         if any(counts):
             named.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, without), names in named.items():
+    for (unstable, unsettled), names in named.items():
         reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
-        reasons += [f"in {without:,} it has no operating point"] if without else []
+        reasons += [f"in {unsettled:,} it has no operating point"] if unsettled else []
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
     return sentences
 

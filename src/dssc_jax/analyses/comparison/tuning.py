@@ -107,12 +107,12 @@ def untuned_reason(study: Study, controller: str) -> str:
             numbers[name] = number
     causes = [f"{name} {untuned_cause(numbers.get(name))}" for name in names]
     reason = f"of its usual gains {', '.join(causes)}" if causes else "it declares no usual gains"
-    others = []
+    candidates = []
     for name, number in numbers.items():
         is_given = name.partition(".")[0] in study.config.controller
         if name not in names and is_given and untuned_cause(number) == "":
-            others.append(name)
-    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(others)}" if others else reason
+            candidates.append(name)
+    return f"{reason}; [compare.{controller}.tune] may name others: {', '.join(candidates)}" if candidates else reason
 
 
 def untuned_cause(number: Number | None) -> str:

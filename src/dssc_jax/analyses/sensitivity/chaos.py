@@ -54,12 +54,12 @@ def nested_terms(dimension: int) -> tuple[list[Term], list[int]]:
     """The terms in d numbers, and how many of the first terms each nested set has."""
     terms: dict[Term, None] = {}
     counts = []
-    for alone, together in DEGREES:
+    for alone, joint in DEGREES:
         for first in range(dimension):
             terms.update(dict.fromkeys(Term(first, degree, first, 0) for degree in range(1, alone + 1)))
             for second in range(first + 1, dimension):
-                for p in range(1, together):
-                    terms.update(dict.fromkeys(Term(first, p, second, q) for q in range(1, together - p + 1)))
+                for p in range(1, joint):
+                    terms.update(dict.fromkeys(Term(first, p, second, q) for q in range(1, joint - p + 1)))
         counts.append(len(terms))
     return list(terms), counts
 
@@ -77,8 +77,8 @@ class Chaos:
         self.replicates = [slice(r, None, replicates) for r in range(replicates)]
         terms, counts = nested_terms(samples.shape[-1])
         self.fitted = samples[:, :FIT_ROWS]
-        most = min(MOST_TERMS, self.fitted.shape[0] * self.fitted.shape[1] // SIMULATIONS_OF_TERM)
-        self.counts = [count for count in counts if count <= most]
+        largest = min(MOST_TERMS, self.fitted.shape[0] * self.fitted.shape[1] // SIMULATIONS_OF_TERM)
+        self.counts = [count for count in counts if count <= largest]
         self.terms = np.array(terms[: max(self.counts, default=0)], int).reshape(-1, 4)
         width = len(self.terms) + 1
         self.bases = [self.basis(points) for points in self.fitted]
@@ -120,15 +120,15 @@ class Chaos:
         for basis, column in zip(self.bases, known, strict=True):
             products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
         best = None
-        least = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
+        smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
         for count in self.counts:
             found = self.coefficients(products, count)
             error = 0.0
             for basis, column in zip(self.bases, known, strict=True):
                 for rows, coefficients in zip(self.replicates, found, strict=True):
                     error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
-            if error < least:
-                best, least = found, error
+            if error < smallest:
+                best, smallest = found, error
         return None if best is None else self.predicted(best[:, 1:])
 
     def predicted(self, coefficients: np.ndarray) -> Predicted:

@@ -201,9 +201,9 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
         broken = violated(slacks) & ~early
         if broken.any():
             excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[broken]))
-            beyond = requirement.bound + (excess if requirement.maximum is not None else -excess)
-            excess = abs(requirement.shown(beyond)[0] - requirement.shown(requirement.bound)[0])
-            unit = requirement.shown(beyond)[1]
+            value = requirement.bound + (excess if requirement.maximum is not None else -excess)
+            excess = abs(requirement.shown(value)[0] - requirement.shown(requirement.bound)[0])
+            unit = requirement.shown(value)[1]
             missed.append(MissedBound(requirement.short, int(np.count_nonzero(broken)), excess, unit))
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan

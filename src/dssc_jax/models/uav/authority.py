@@ -88,9 +88,9 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
         listed = ", ".join(f"{needed[i]:.3g} N of {field}.{i}" for i in pulling)
         raise ConfigError(field, f"hover needs {listed}, and a rotor only pushes: {pulling_remedy(vehicle, pulling)}")
     limit = vehicle.nominal_thrust_limit
-    beyond = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
-    if beyond.size:
-        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in beyond)
+    excessive = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
+    if excessive.size:
+        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in excessive)
         rule = f"hover needs {listed}, and a rotor's largest thrust is {limit:.3g} N"
         raise ConfigError("max_thrust", f"{rule}: give a larger one, or move the centre of mass between the rotors")
 
