@@ -228,3 +228,26 @@ def test_units_are_warned_of():
     assert first.startswith("mean distance of the rotors from the centre is ")
     with pytest.raises(ConfigError, match="SIH_MASS: must be > 0, got -1 kg"):
         read_airframe(QUAD, mass=-1.0)
+
+
+def test_tilted_rotors_push_more_than_they_lift():
+    """By 20 degrees across their arms: hover takes 1/cos of it, and the largest thrust follows from the throttle."""
+    side = math.sin(math.radians(20.0))
+    lines = [QUAD, "param set MPC_THR_HOVER 0.4"]
+    for i, (x, y) in enumerate([(1, 1), (-1, -1), (1, -1), (-1, 1)]):
+        sign = 1.0 if x * y > 0 else -1.0
+        lines.append(f"param set CA_ROTOR{i}_AX {-sign * y * side / math.sqrt(2.0)}")
+        lines.append(f"param set CA_ROTOR{i}_AY {sign * x * side / math.sqrt(2.0)}")
+        lines.append(f"param set CA_ROTOR{i}_AZ {-math.cos(math.radians(20.0))}")
+    vehicle = read_airframe("\n".join(lines), mass=2.0).vehicle
+    hover = 2.0 * 9.81 / 4.0 / math.cos(math.radians(20.0))
+    assert vehicle["max_thrust"] == pytest.approx(hover / 0.4, rel=1e-12)
+    assert vehicle["thrust_coefficient"] == pytest.approx(hover / 500.0**2, rel=1e-12)
+
+
+def test_what_is_stated_beside_the_file_is_told_and_what_is_absurd_refused():
+    assert any("in place of SIH_MASS" in note for note in read_airframe(with_properties(), mass=2.5).notes)
+    with pytest.raises(ConfigError, match=r"MPC_THR_HOVER: must be > 0 and <= 1, got 0"):
+        read_airframe(QUAD + "\nparam set MPC_THR_HOVER 0", mass=2.0)
+    with pytest.raises(ConfigError, match="CA_ROTOR4_PX, _PY: must be set, to 0 for a rotor at the centre"):
+        read_airframe(QUAD + "\nparam set CA_ROTOR_COUNT 5", mass=2.0)

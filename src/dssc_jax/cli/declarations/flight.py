@@ -22,11 +22,11 @@ class Airframe:
         typer.Argument(metavar="FILE", help="A PX4 airframe script, a ground station's file, or a .ulg."),
     ]
     mass: Annotated[
-        float | None, typer.Option("--mass", metavar="KG", min=1e-3, help="Mass, if the file has no SIH_MASS [kg].")
+        float | None, typer.Option("--mass", metavar="KG", min=1e-3, help="Mass, in place of SIH_MASS [kg].")
     ] = None
     arm: Annotated[
         float | None,
-        typer.Option("--arm", metavar="M", min=1e-3, help="Length that multiplies relative positions [m]."),
+        typer.Option("--arm", metavar="M", min=1e-3, help="Length that multiplies all positions [m]."),
     ] = None
     cascade: Annotated[
         bool, typer.Option("--cascade", help="PX4's cascade as inner loop, with the file's gains, for the article's.")

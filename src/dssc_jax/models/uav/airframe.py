@@ -8,6 +8,7 @@ Sources: PX4's parameter reference (control allocation; simulation in hardware; 
 control), its module simulator_sih and its class ActuatorEffectivenessRotors.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -164,8 +165,10 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
     thrust is linear in speed, the speed has the same. SIH_KDV v is the propellers' drag at their speed in hover.
     """
     mass = known["SIH_MASS"]
-    count = len(geometry.get("rotor") or geometry["spins"])
-    lift = mass * GRAVITY / count
+    listed = geometry.get("rotor", [])
+    count = len(listed or geometry["spins"])
+    upward = sum(entry["axis"][2] / math.hypot(*entry["axis"]) for entry in listed if "axis" in entry)
+    lift = mass * GRAVITY / (upward if upward > 0.0 else count)  # tilted rotors push more than they lift
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
     if all(name in known for name in INERTIA):
         properties["body_inertia"] = [known[name] for name in INERTIA]
@@ -187,7 +190,9 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
         properties["max_thrust"] = known["SIH_T_MAX"]
         if "SIH_Q_MAX" in known:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
             properties["torque_coefficient"] = known["SIH_Q_MAX"] / known["SIH_T_MAX"]
-    elif known.get("MPC_THR_HOVER"):
+    elif "MPC_THR_HOVER" in known:
+        if not 0.0 < known["MPC_THR_HOVER"] <= 1.0:
+            raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {known['MPC_THR_HOVER']:g}")
         properties["max_thrust"] = lift / known["MPC_THR_HOVER"]
         notes.append(
             "max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX"
@@ -266,6 +271,8 @@ def read_airframe(
         parameters = SIMULATED | parameters
         if absent:
             notes.append(f"{', '.join(absent)} are PX4's defaults of the simulation in hardware")
+    if mass is not None and parameters.get("SIH_MASS", mass) != mass:
+        notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
     chosen = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
     parameters |= {name: value for name, value in chosen.items() if value is not None}
     rotors = placed_rotors(parameters)

@@ -72,9 +72,10 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
             raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
     rotors = []
     unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
-    if 1 < len(unplaced) < count:
+    if 0 < len(unplaced) < count:
         names = ", ".join(f"CA_ROTOR{i}_PX, _PY" for i in unplaced)
-        raise ConfigError(names, f"must be set: CA_ROTOR_COUNT is {count:g}, and these rotors have no place")
+        rule = f"must be set, to 0 for a rotor at the centre: CA_ROTOR_COUNT is {count:g}, and the file gives no place"
+        raise ConfigError(names, rule)
     for i in range(int(count)):
         ax, ay, az = (parameters.get(f"CA_ROTOR{i}_A{c}", default) for c, default in zip("XYZ", AXIS, strict=True))
         px, py, pz = (parameters.get(f"CA_ROTOR{i}_P{c}", 0.0) for c in "XYZ")
