@@ -98,8 +98,11 @@ def require_reentrant(controller: NativeController) -> None:
     """
     alone = [flown_commands(controller, [flight]) for flight in (0, 1)]
     if flown_commands(controller, [0, 1]) != alone[0] + alone[1] or flown_commands(controller, [0]) != alone[0]:
-        rule = "keeps numbers outside of its structure (static or global variables), which would mix thousands of "
-        raise ConfigError("", f"has a controller {controller.name} that {rule}flights; move them into its state")
+        rule = (
+            "keeps numbers outside of its structure (static or global variables, a random generator, a clock), which "
+            "would mix thousands of flights; move them into its state"
+        )
+        raise ConfigError("", f"has a controller {controller.name} that {rule}")
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
