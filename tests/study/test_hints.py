@@ -1,11 +1,14 @@
 """Mistakes of section and of separator get a hint of their own, which is right."""
 
+from typing import NamedTuple
+
 import pytest
 
 from dssc_jax.cli.main import guarded
 from dssc_jax.cli.parsing import parse_over, parse_walk
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.study import Study
+from dssc_jax.types import Measurement, Plant
 from tests.conftest import UNCERTAIN
 from tests.mutations import document
 
@@ -162,3 +165,19 @@ def test_gains_as_books_write_them(written, meant):
 def test_words_of_other_programs_lead_to_their_command(word, command, capsys):
     assert guarded([word, "motor"]) == 2
     assert capsys.readouterr().err.startswith(f"error: '{word}' is no command; dssc-jax {command} answers that")
+
+
+class Bare(NamedTuple):
+    """Parameters without a quantity."""
+
+    gain: float = 1.0
+
+
+BARE = Plant(Bare, lambda p: 0.0, lambda p, s, drive, t: -s, lambda p, s, drive: Measurement(s, -s), lambda p: 1.0)
+
+
+def test_a_number_without_a_quantity_gets_the_type_to_write():
+    table = {"name": "bare", "loop": {"duration": 1.0, "sample_time": 0.1}, "controller": {"kind": "pid", "k_p": 1.0}}
+    plant = {"kind": "tests.study.test_hints:BARE", "gain": 2.0}
+    with pytest.raises(ConfigError, match=r"plant.gain: is not set by a study.*Annotated\[float, Quantity"):
+        Study.from_table({**table, "plant": plant})

@@ -392,7 +392,7 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     try:
         checked = model.model_validate(values | table)
     except ValidationError as error:
-        raise explain(error, [*specs, *choices]) from None
+        raise explain(error, [*specs, *choices], [name for name in specs if specs[name].derived]) from None
     checked_values = {name: getattr(checked, name) for name in model.model_fields}
     for name, value in checked_values.items():
         enum = Text if specs[name].text else specs[name].enum
