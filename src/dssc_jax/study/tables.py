@@ -10,7 +10,7 @@ from typing import Any
 import tomli_w
 
 from dssc_jax.core import files
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, close_names
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.study.laws import is_law
 from dssc_jax.study.parsed_values import AXES
@@ -172,8 +172,10 @@ def quotes_hint(section: str, key: str, value: object) -> str:
     if section not in KEYED_BY_NAMES or section == "correlation":  # whose keys are pairs of names
         return ""
     parts = [key]
-    while isinstance(value, Mapping) and len(value) == 1 and not value.keys() <= set(AXES):
+    while isinstance(value, Mapping) and len(value) == 1:
         (inner,) = value
+        if close_names(str(inner), AXES):  # a spacing, perhaps misspelt
+            break
         parts.append(str(inner))
         value = value[inner]
     if len(parts) == 1 or (isinstance(value, Mapping) and not value.keys() <= set(AXES)):
