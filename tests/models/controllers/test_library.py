@@ -14,6 +14,7 @@ from dssc_jax.cli.native_build import build_library
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.allowed import LOADED
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.design.exact_rates import rate_warning
 from dssc_jax.engine.evaluation import GradientEvaluator
 from dssc_jax.engine.sampling import draw
 from dssc_jax.flight_code.controller import study_values
@@ -306,6 +307,14 @@ def test_searches_do_without_derivatives(study):
     content["controller"] = {**content["controller"], "k_p": 2.0}
     tuned = dj.tune(dj.Study.from_table(content))
     assert tuned.facts.method == "differential_evolution"
+
+
+def test_a_library_is_asked_whether_it_takes_the_rate(template):
+    """It is called in the loop's precision, outside of any loop; y' of a lag contains the disturbance."""
+    lag = {"kind": "state_space", "a": [[-1.0]], "b": [1.0], "c": [1.0]}
+    file = table(template, sha256=dj.allow_native(template).sha256)
+    content = {**file, "plant": lag, "disturbance": {"kind": "step", "value": 0.1, "at": 0.5}}
+    assert "an exact y' shows it at once" in str(rate_warning(dj.Study.from_table(content)))
 
 
 # The command
