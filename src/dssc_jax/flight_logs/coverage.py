@@ -8,7 +8,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.study import Study
 
-LEAST_SAMPLES = 5
+LEAST_COMPARED = 5
 """Samples of a study at which a log needs a value to be compared."""
 UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
 USUAL_GAP = (0.1, 10.0)
@@ -60,7 +60,7 @@ def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
     hint = time_unit_text(log, loop.sample_time)
     if not count:
         raise ConfigError(log.name, f"has no output and no command in the study's {span}{hint}")
-    needed = min(LEAST_SAMPLES, loop.steps)
+    needed = min(LEAST_COMPARED, loop.steps)
     if count < needed:
         text = f"has values at {count} of the study's {loop.steps} samples ({span}), and a comparison needs {needed}"
         raise ConfigError(log.name, f"{text}{hint}")

@@ -80,7 +80,7 @@ class Fitted:
     rivals: tuple[RivalMinimum, ...]
     simulations: int
     cut: str  # why the search ended before it was complete; empty: it is complete
-    doubts: tuple[Doubt, ...]  # residuals that are many times what noise explains
+    doubts: tuple[Doubt, ...]  # reasons to doubt it
 
     @property
     def deviations(self) -> np.ndarray:

@@ -304,19 +304,23 @@ def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     return minimum
 
 
+def random_rays(seed: int, shape: tuple[int, int], nearest: float, farthest: float) -> np.ndarray:
+    """Random directions, one in each row, with lengths between two."""
+    random = np.random.default_rng(seed)
+    rays = random.normal(size=shape)
+    return rays * random.uniform(nearest, farthest, (shape[0], 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
 def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     """The best minimum to which points around one lead; the same one if none is better.
 
     Where limits of a sampled loop act, the residual has kinks and small jumps, and the search stops at one of them
     while better points are some standard deviations away.
     """
-    random = np.random.default_rng(0)
-    size = len(problem.names)
-    for _ in range(NEIGHBOUR_ROUNDS):
+    for turn in range(NEIGHBOUR_ROUNDS):
         values, directions = np.linalg.eigh(minimum.equations.information)
         lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LARGEST_STEP / FARTHEST)
-        rays = random.normal(size=(NEIGHBOURS, size))
-        rays *= random.uniform(0.0, FARTHEST, (NEIGHBOURS, 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
+        rays = random_rays(2 * turn, (NEIGHBOURS, len(problem.names)), 0.0, FARTHEST)
         found = []
         for x in minimum.x + (rays * lengths) @ directions.T:
             if problem.count.reason:

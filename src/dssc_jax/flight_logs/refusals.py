@@ -80,7 +80,7 @@ class Explained(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """A residual that is many times what noise explains, in a fit that is accepted all the same."""
+    """A reason to doubt a fit that is accepted, and the signal that it concerns; empty: the fit as such."""
 
     signal: str
     text: str

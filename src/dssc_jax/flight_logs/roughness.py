@@ -9,9 +9,10 @@ import math
 
 import numpy as np
 
-from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum, random_rays
 from dssc_jax.flight_logs.refusals import Doubt
 
+SEED = 1  # those of the search are even
 POINTS = 32
 NEAREST, FARTHEST = 0.5, 3.0  # of the points, in standard deviations of the estimate
 SMOOTH = 1.0  # of a weighted sum of squares: the unit of its noise
@@ -19,13 +20,9 @@ SMOOTH = 1.0  # of a weighted sum of squares: the unit of its noise
 
 def roughness(problem: FitProblem, minimum: Minimum) -> float:
     """Root mean square of the deviations from the parabola around a minimum, in units of the sum of squares."""
-    size = len(problem.names)
-    random = np.random.default_rng(1)
     values, directions = np.linalg.eigh(minimum.equations.information)
-    rays = random.normal(size=(POINTS, size))
-    rays *= random.uniform(NEAREST, FARTHEST, (POINTS, 1)) / np.linalg.norm(rays, axis=1, keepdims=True)
     deviations = []
-    for ray in rays:
+    for ray in random_rays(SEED, (POINTS, len(problem.names)), NEAREST, FARTHEST):
         x = minimum.x + directions @ (ray / np.sqrt(np.maximum(values, TINY)))
         if problem.is_admissible(problem.values(x)):
             cost = problem.normal_equations(x).cost

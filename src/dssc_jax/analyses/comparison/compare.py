@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Annotated, NamedTuple, Self
 
 import numpy as np
@@ -220,18 +219,18 @@ class Comparison(Analysis):
         tuned: Contest | None = None,
         budget: Tuning | None = None,
         seconds: float = 0.0,
-        untuned: Mapping[str, str] = MappingProxyType({}),
+        untuned: Mapping[str, str] | None = None,
     ) -> Self:
         """Combine one or both contests."""
         part = ContestPart.of(corresponding)
         if tuned is None:
-            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=dict(untuned))
+            return cls(study, corresponding.dataset, part, seconds=seconds, untuned=dict(untuned or {}))
         names = named_axis([f"{name}_tuned" for name in tuned.tables])
         dataset = xr.concat(
             [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
             dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
         )  # fmt: skip
-        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, dict(untuned))
+        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, dict(untuned or {}))
 
     @cached_property
     def corresponding(self) -> Contest:

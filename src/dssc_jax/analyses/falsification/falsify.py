@@ -258,15 +258,17 @@ class Falsified(Analysis):
         )
 
     def point_answer(self, point: int) -> PointAnswer:
-        """Slack, numbers and likelihood of a point."""
+        """Slack, course, numbers and likelihood of a point."""
+        ending = self.ending_at(point)
+        first = self.first_at(point)
         return PointAnswer(
             slack=float(self.dataset["slack"][point]),
             worst_requirement=self.binding_at(point),
             worst_value=self.value_at(point),
-            ending=self.ending_at(point),
-            ended_at=None if self.ending_at(point) is None else float(self.dataset["failed_at"].values[point]),
-            first_violated=self.first_at(point),
-            violated_at=None if self.first_at(point) is None else float(self.dataset["violated_at"].values[point]),
+            ending=ending,
+            ended_at=None if ending is None else float(self.dataset["failed_at"].values[point]),
+            first_violated=first,
+            violated_at=None if first is None else float(self.dataset["violated_at"].values[point]),
             witness=self.numbers_at(point),
             likelihood=likelihood_answer(self.likelihood_at(point)),
         )

@@ -10,8 +10,7 @@ from dssc_jax.design.linear_plant import ClosedLoop
 from dssc_jax.engine.linearisation.response import (
     classical_margins,
     crossing_frequencies,
-    grid_with_poles,
-    loop_grids,
+    margin_angles,
     response_of,
 )
 
@@ -38,10 +37,9 @@ def designed_margins(loop: ClosedLoop, sample_time: float) -> DesignedMargins:
         loop: The loop.
         sample_time: T_s [s].
     """
-    respond = response_of(loop.a[None], loop.b[None], loop.c[None])
-    poles = np.linalg.eigvals(loop.a)[None]
-    opened = np.linalg.eigvals(loop.a - np.outer(loop.b, loop.c))[None]
-    angles = grid_with_poles(loop_grids(poles), np.concatenate([poles, opened], axis=1))
+    matrices = loop.a[None], loop.b[None], loop.c[None]
+    respond = response_of(*matrices)
+    angles = margin_angles(*matrices, np.linalg.eigvals(loop.a)[None])
     margins = classical_margins(respond, angles, sample_time)
     gains, phases = crossing_frequencies(respond, angles, sample_time)
     return DesignedMargins(

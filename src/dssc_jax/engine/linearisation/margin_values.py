@@ -17,7 +17,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
-from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids, named_margins, response_of
+from dssc_jax.engine.linearisation.response import margin_angles, named_margins, response_of
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
@@ -183,8 +183,7 @@ class MarginValues:
             if not stable.any():
                 continue
             a, b, c = (part[stable] for part in loops)
-            opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-            angles = grid_with_poles(loop_grids(poles[stable]), np.concatenate([poles[stable], opened], axis=1))
+            angles = margin_angles(a, b, c, poles[stable])
             margins = named_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time, columns)
             for name, column in columns.items():
                 column[lanes[stable]] = margins[name]

@@ -137,6 +137,19 @@ def loop_grids(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
     return np.geomspace(first, np.pi * (1.0 - 1e-9), count, axis=1)
 
 
+def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray) -> np.ndarray:
+    """The angles at which margins of stable loops are looked for, shape (n, angles): those of the poles, too.
+
+    Args:
+        a: Of the closed loops, shape (n, states, states).
+        b: From the point at which they are broken, shape (n, states).
+        c: To it, shape (n, states).
+        poles: Eigenvalues of a, shape (n, states).
+    """
+    opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    return grid_with_poles(loop_grids(poles), np.concatenate([poles, opened], axis=1))
+
+
 def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """The angles of n loops with 0, pi and those of each loop's own poles, ascending; shape (n, m).
 
