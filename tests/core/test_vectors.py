@@ -1,5 +1,7 @@
 """Vectors, matrices and quaternions of scalars against NumPy and SciPy's Rotation, and Euler angles read off them."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -58,6 +60,22 @@ def test_vectors_and_matrices_equal_numpy():
             worst = max(worst, float(gap))
     print(f"\nvectors and matrices: {worst:.1e}")
     assert worst < 1e-14
+
+
+def test_products_with_known_zeros_equal_numpy():
+    """Of two vectors with any of their components 0: plain numbers, and traced ones beside plain zeros."""
+    a, b = np.array([1.3, -0.7, 2.1]), np.array([-0.4, 1.9, 0.8])
+    for mask in itertools.product((0.0, 1.0), repeat=6):
+        left, right = a * mask[:3], b * mask[3:]
+        expected = np.cross(left, right), left * right
+        u = Vec3(*(jnp.asarray(value) if value else 0.0 for value in left))
+        v = Vec3(*(float(value) for value in right))
+        for found in ((u.cross(v), u.scale(v)), (Vec3(*left).cross(v), Vec3(*left).scale(v))):
+            np.testing.assert_allclose(np.array(found, float), expected, rtol=1e-15, atol=1e-16)
+
+
+def test_a_product_with_a_known_zero_is_zero_for_every_number():
+    assert [float(value) for value in Vec3(np.nan, np.inf, 1.0) * 0.0] == [0.0, 0.0, 0.0]
 
 
 def test_norm_has_a_gradient_at_zero():

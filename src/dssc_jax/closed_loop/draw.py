@@ -72,10 +72,16 @@ def initial_progress(
 ) -> Progress:
     """The state of the time loop before the first sample; ``margins`` are those among the measures, by name."""
     zero = jnp.zeros((), dtype=jnp.int32)
+    none = jnp.zeros((), dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
     watched = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
-    return Progress(zero, state, as_arrays(starts(measures, margins)), zero, zero, in_band, watched)
+    return Progress(zero, state, as_arrays(starts(measures, margins)), none, none, in_band, watched)
+
+
+def integer_type() -> type[np.integer]:
+    """The integers as long as the loop's numbers: a vector holds as many of one as of the other."""
+    return np.int64 if jnp.result_type(float) == jnp.float64 else np.int32
 
 
 def count_in_band(loop: Loop, in_band: State, instant: Instant, k: Scalar) -> State:
@@ -119,12 +125,13 @@ def sampler(
     def sample(at: Progress) -> tuple[Progress, Recorded]:
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
-        code = jnp.where(recorded.broken, np.int32(Outcome.SINGULAR_ATTITUDE), np.int32(Outcome.OK))
+        integer = integer_type()
+        code = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
         ended = recorded.broken
         if recorded.grounded is not False:
-            code = jnp.where(recorded.grounded, np.int32(Outcome.INTO_GROUND), code)
+            code = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), code)
             ended = jnp.logical_or(ended, recorded.grounded)
-        code = jnp.where(recorded.finite, code, np.int32(Outcome.NON_FINITE))
+        code = jnp.where(recorded.finite, code, integer(Outcome.NON_FINITE))
         running = is_running(loop, at)
         outcome = jnp.where(running, code, at.outcome)
         completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(ended))

@@ -125,6 +125,11 @@ def is_known(value: Scalar) -> bool:
     return isinstance(value, int | float | np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
 
 
+def times(left: Scalar, right: Scalar) -> Scalar:
+    """The product; 0 if one of the factors is known to be 0 before tracing."""
+    return 0.0 if is_zero(left) or is_zero(right) else left * right
+
+
 def at_least(x: Scalar, low: float) -> Scalar:
     """The larger of x and low; a plain number if x is one, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)

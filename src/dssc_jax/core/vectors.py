@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from dssc_jax.core.numerics import is_zero, root_abs, times
 from dssc_jax.core.signals import Scalar
 
 
@@ -25,7 +26,7 @@ class Vec3(NamedTuple):
         return Vec3(self.x - vector.x, self.y - vector.y, self.z - vector.z)
 
     def __mul__(self, factor: Scalar) -> "Vec3":  # type: ignore[override]
-        return Vec3(self.x * factor, self.y * factor, self.z * factor)
+        return Vec3(times(self.x, factor), times(self.y, factor), times(self.z, factor))
 
     __rmul__ = __mul__  # type: ignore[assignment]
 
@@ -40,16 +41,16 @@ class Vec3(NamedTuple):
         return self.x * vector.x + self.y * vector.y + self.z * vector.z
 
     def cross(self, vector: "Vec3") -> "Vec3":
-        """Vector product."""
+        """Vector product; products with a component that is known to be 0 before tracing are left out."""
         return Vec3(
-            self.y * vector.z - self.z * vector.y,
-            self.z * vector.x - self.x * vector.z,
-            self.x * vector.y - self.y * vector.x,
+            minor(self.y, vector.z, self.z, vector.y),
+            minor(self.z, vector.x, self.x, vector.z),
+            minor(self.x, vector.y, self.y, vector.x),
         )
 
     def scale(self, by: "Vec3") -> "Vec3":
         """Componentwise product: a diagonal matrix applied."""
-        return Vec3(self.x * by.x, self.y * by.y, self.z * by.z)
+        return Vec3(times(self.x, by.x), times(self.y, by.y), times(self.z, by.z))
 
     def over(self, by: "Vec3") -> "Vec3":
         """Componentwise quotient: the inverse of a diagonal matrix applied."""
@@ -57,9 +58,15 @@ class Vec3(NamedTuple):
 
     def norm(self) -> Scalar:
         """Length, with gradient 0 at the zero vector."""
-        square = self.dot(self)
-        positive = square > 0.0
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
+        return root_abs(self.dot(self))
+
+
+def minor(a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
+    """The determinant a b - c d of two rows and columns, without products that are known to be 0."""
+    first, second = times(a, b), times(c, d)
+    if is_zero(second):
+        return first
+    return -second if is_zero(first) else first - second
 
 
 class Mat3(NamedTuple):

@@ -37,7 +37,7 @@ class Packing(NamedTuple):
 
 PACKINGS = {
     512: (Packing(450, 4, 25), Packing(math.inf, 2, 60)),
-    256: (Packing(750, 4, 0), Packing(2000, 2, 60), Packing(math.inf, 1, 20)),
+    256: (Packing(750, 4, 0), Packing(2000, 2, 60), Packing(math.inf, 1, 0)),
 }
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 

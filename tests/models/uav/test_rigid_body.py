@@ -9,7 +9,7 @@ import pytest
 
 from dssc_jax.core.integrators import rk4
 from dssc_jax.core.vectors import Vec3, quaternion_from_euler
-from dssc_jax.models.uav.rigid_body import BodyState, body_derivative
+from dssc_jax.models.uav.rigid_body import BodyState, body_derivative, turning_moment
 from dssc_jax.models.uav.rotors import gyroscopic_torque
 
 ZERO = Vec3(0.0, 0.0, 0.0)
@@ -30,6 +30,13 @@ def unequal(t):
 def varying(t):
     """The same, modulated rotor by rotor: the sum varies by some 60 rad/s, as when the rotors' speeds are commanded."""
     return 47.0 + 40.0 * jnp.sin(0.9 * t) - 25.0 * jnp.sin(2.3 * t + 0.4)
+
+
+def test_turning_moment_is_the_rate_across_the_angular_momentum():
+    for inertia in ((0.44, 0.61, 0.74), (0.44, 0.44, 0.74)):
+        for rate in np.random.default_rng(3).normal(size=(10, 3)):
+            expected = np.cross(rate, np.array(inertia) * rate)
+            np.testing.assert_allclose(turning_moment(Vec3(*inertia), Vec3(*rate)), expected, rtol=1e-13, atol=1e-15)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -64,12 +64,22 @@ def add_symbol(symbol: str, address: int) -> None:
     llvm.add_symbol(symbol, address)
 
 
+@cache
+def has_near_constants() -> bool:
+    """Whether instructions read constants at a distance from themselves, and not at an address in a register.
+
+    On x86-64 without AVX-512, 16 vector registers are too few to keep constants; each is read where it is used.
+    """
+    return llvm.get_process_triple().startswith("x86_64") and vector_bits() < 512
+
+
 def target_machine() -> Any:
     """A description of this processor for LLVM; an engine takes it over."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
+    relocation, model = ("pic", "small") if has_near_constants() else ("default", "jitdefault")
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=scheduling_model(), features=features().flatten(), opt=CODE_LEVEL, reloc="default", codemodel="jitdefault"
+        cpu=scheduling_model(), features=features().flatten(), opt=CODE_LEVEL, reloc=relocation, codemodel=model
     )
 
 
@@ -89,9 +99,9 @@ def code_name(text: str) -> str:
 
 @cache
 def translator() -> tuple[str, ...]:
-    """What decides the machine code of a module's text: LLVM, and the processor with its features."""
-    model, instructions = scheduling_model(), features().flatten()
-    return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL)
+    """What decides the machine code of a module's text: LLVM, the processor with its features, the addresses."""
+    model, instructions, near = scheduling_model(), features().flatten(), str(has_near_constants())
+    return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), near
 
 
 def object_code(text: str) -> bytes:
@@ -123,7 +133,8 @@ class LoadedCode:
 
     def __post_init__(self) -> None:
         machine = target_machine()
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        together = has_near_constants() or None  # llvmlite's memory manager keeps code and constants in one place
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=together)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(self.code))
         self._engine.finalize_object()
         pointer, count = ctypes.c_void_p, ctypes.c_int64

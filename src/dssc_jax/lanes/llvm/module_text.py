@@ -24,6 +24,8 @@ ATTRIBUTES = (
     f'attributes #1 = {{ nounwind noinline cold {WIDE} "stackrealign" }}',
     'attributes #2 = { nounwind noinline "stackrealign" }',  # of calls of C
     '!0 = !{!"branch_weights", i32 1, i32 1000000}',  # of what happens rarely
+    "!llvm.module.flags = !{!1}",
+    '!1 = !{i32 7, !"RtLibUseGOT", i32 1}',  # calls of C need no code beside, for which there would be no memory
 )
 
 
@@ -222,7 +224,8 @@ class Emitter(Instructions):
     def foreign(self, function: ForeignFunction, value: Value) -> str:
         """A call of a function of C for each lane; the register of its first result."""
         self.called[function.symbol] = function
-        self.declared |= {f"declare void @{function.symbol}(ptr)", "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)"}
+        self.declared.add(f"declare void @{function.symbol}(ptr) nonlazybind")
+        self.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
         packed = self.buffer(function.operands)
         found = self.buffer(function.results)
         operands = foreign_calls.columns(function.operands, self.width)

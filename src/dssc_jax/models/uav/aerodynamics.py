@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from dssc_jax.core.numerics import dot
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Mat3, Vec3
+from dssc_jax.core.vectors import Mat3, Vec3, minor
 from dssc_jax.models.uav.vehicle import Vehicle
 
 
@@ -30,22 +30,24 @@ def drag(vehicle: Vehicle, rotation: Mat3, rate: Vec3, air_velocity: Vec3, speed
         speeds: |thetadot_i| of each rotor [rad/s].
     """
     in_body = rotation.transpose @ air_velocity
-    structure = in_body.scale(Vec3(*vehicle.structure_drag)) * (-air_velocity.norm())
+    structure = Vec3(*vehicle.structure_drag) * (-air_velocity.norm())
     if vehicle.rotor:
         propellers, torque = drag_of_rotors(vehicle, rate, in_body, speeds)
-        return Drag(rotation @ (structure + propellers), torque)
+        return Drag(rotation @ (in_body.scale(structure) + propellers), torque)
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
-    first = Vec3(dot(x, speeds), dot(y, speeds), 0.0) * vehicle.arm
-    square = vehicle.arm * vehicle.arm
+    k = -vehicle.propeller_drag
+    pull = k * dot(ones, speeds)  # K_Fdi sum w_i, and so for the first and second moments
+    lever = k * vehicle.arm
+    first = Vec3(lever * dot(x, speeds), lever * dot(y, speeds), 0.0)
     sxx, sxy, syy = (
-        square * dot([a * b for a, b in zip(*pair, strict=True)], speeds) for pair in ((x, x), (x, y), (y, y))
+        lever * vehicle.arm * dot([a * b for a, b in zip(*pair, strict=True)], speeds)
+        for pair in ((x, x), (x, y), (y, y))
     )
-    k = vehicle.propeller_drag
-    propellers = (in_body * dot(ones, speeds) + rate.cross(first)) * (-k)
+    force = in_body.scale(structure + Vec3(pull, pull, pull)) + rate.cross(first)
     # sum w_i p_i x (Omega x p_i) = sum w_i (|p_i|^2 Omega - (p_i . Omega) p_i)
-    spin = Vec3(syy * rate.x - sxy * rate.y, sxx * rate.y - sxy * rate.x, (sxx + syy) * rate.z)
-    return Drag(rotation @ (structure + propellers), (first.cross(in_body) + spin) * (-k))
+    spin = Vec3(minor(syy, rate.x, sxy, rate.y), minor(sxx, rate.y, sxy, rate.x), (sxx + syy) * rate.z)
+    return Drag(rotation @ force, first.cross(in_body) + spin)
 
 
 def drag_of_rotors(vehicle: Vehicle, rate: Vec3, in_body: Vec3, speeds: tuple[Scalar, ...]) -> tuple[Vec3, Vec3]:

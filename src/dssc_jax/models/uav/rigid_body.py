@@ -33,8 +33,14 @@ def body_derivative(
     """
     force = Vec3(rotation.a.z, rotation.b.z, rotation.c.z) * thrust + drag
     acceleration = force / mass - Vec3(0.0, 0.0, GRAVITY)
-    rate_dot = (torque - state.rate.cross(state.rate.scale(inertia))).over(inertia)
+    rate_dot = (torque - turning_moment(inertia, state.rate)).over(inertia)
     return BodyState(state.velocity, acceleration, state.attitude.rate(state.rate), rate_dot)
+
+
+def turning_moment(inertia: Vec3, rate: Vec3) -> Vec3:
+    """Omega x J Omega of a diagonal J [N m]: the moment that keeps the body rate Omega [rad/s] constant."""
+    differences = Vec3(inertia.z - inertia.y, inertia.x - inertia.z, inertia.y - inertia.x)
+    return Vec3(rate.y * rate.z, rate.z * rate.x, rate.x * rate.y).scale(differences)
 
 
 def loaded_derivative(

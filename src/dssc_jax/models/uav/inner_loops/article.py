@@ -22,6 +22,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.rigid_body import turning_moment
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
@@ -167,24 +168,18 @@ def tilt_error(acceleration: Vec3, at: Trig) -> tuple[Scalar, Scalar]:
 
 
 def moment_for(inertia: Vec3, at: Trig, rate: Vec3, turning: Euler, desired: Euler) -> Vec3:
-    """M_net = J W euler'' + J W' euler' + Omega x J Omega."""
+    """M_net = J W euler'' + J W' euler' + Omega x J Omega.
+
+    W euler' = (phi' - psi' sin theta, R_phi^T (theta', psi' cos theta)), where R_phi turns by phi. Its derivative is
+    (phi'' - (psi' sin theta)', R_phi^T (theta'' + phi' psi' cos theta, (psi' cos theta)' - phi' theta')).
+    """
     dphi, dtheta, dpsi = turning
-    # rows of W: [1, 0, -s_theta], [0, c_phi, s_phi c_theta], [0, -s_phi, c_phi c_theta]
-    ct_dot = -at.stheta * dtheta
-    sp_ct = at.sphi * at.ctheta
-    cp_ct = at.cphi * at.ctheta
-    angular = Vec3(
-        desired.phi - at.stheta * desired.psi - at.ctheta * dtheta * dpsi,
-        at.cphi * desired.theta
-        + sp_ct * desired.psi
-        - at.sphi * dphi * dtheta
-        + (at.cphi * dphi * at.ctheta + at.sphi * ct_dot) * dpsi,
-        -at.sphi * desired.theta
-        + cp_ct * desired.psi
-        - at.cphi * dphi * dtheta
-        + (-at.sphi * dphi * at.ctheta + at.cphi * ct_dot) * dpsi,
-    )
-    return angular.scale(inertia) + rate.cross(rate.scale(inertia))
+    level = at.ctheta * dpsi
+    rolling = desired.phi - at.stheta * desired.psi - dtheta * level
+    pitching = desired.theta + dphi * level
+    yawing = at.ctheta * desired.psi - dtheta * (dphi + at.stheta * dpsi)
+    angular = Vec3(rolling, at.cphi * pitching + at.sphi * yawing, at.cphi * yawing - at.sphi * pitching)
+    return angular.scale(inertia) + turning_moment(inertia, rate)
 
 
 def demand(
@@ -219,7 +214,7 @@ def demand(
     bounded = lift < LEAST_LIFT
     desired = desired._replace(z=jnp.where(bounded, LEAST_LIFT, lift))
     by_norm = gains.thrust is ThrustRule.NORM
-    thrust = mass * (desired.norm() if by_norm else desired.z / (at.cphi * at.ctheta))
+    thrust = mass * (desired.norm() if by_norm else desired.z / rotation.c.z)  # cos phi cos theta
     if gains.attitude is AttitudeReference.RATE_FEED_FORWARD:
         body_z = Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
         acceleration = body_z * (thrust / mass) - Vec3(0.0, 0.0, GRAVITY)
