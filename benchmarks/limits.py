@@ -89,7 +89,7 @@ class Limit(NamedTuple):
 
 
 def innermost(code: bytes) -> Body:
-    """The innermost large loop of an object file: one sample of a vector of lanes."""
+    """The last large loop of an object file, that over samples: one sample of a vector of lanes."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "lanes.o"
         file.write_bytes(code)
@@ -99,10 +99,10 @@ def innermost(code: bytes) -> Body:
     lines = [(int(address, 16), text.split("#")[0].strip()) for address, text in found]
     loops = []
     for address, text in lines:
-        jump = re.match(r"j\w+\s+([0-9a-f]+) <lanes", text)
+        jump = re.match(r"j(?!mp)\w+\s+([0-9a-f]+) <lanes", text)
         if jump and address - int(jump[1], 16) > LARGE:
             loops.append((int(jump[1], 16), address))
-    start, end = min(loops, key=lambda loop: loop[1] - loop[0])
+    start, end = loops[-1]
     inside = [text for address, text in lines if start <= address <= end and not re.match(r"j|call|nop|ret", text)]
     memory = [text for text in inside if "(" in text and not text.startswith("lea")]
     stores = sum(bool(re.search(r"\([^)]*\)$", text)) for text in memory if text.startswith(("vmov", "mov")))

@@ -11,6 +11,7 @@ import pytest
 
 from dssc_jax.lanes.interface import AXIS
 from dssc_jax.lanes.lanes import CompiledLanes
+from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.llvm.module_text import module_text
 from dssc_jax.lanes.passes.liveness import operation_counts
 from dssc_jax.lanes.passes.negated_states import loops_of
@@ -229,6 +230,17 @@ def test_vectors_on_the_stack_are_aligned(cpu):
     moves = [line.split()[0] for line in text.splitlines() if "(%rsp)" in line and "vmov" in line and "mm" in line]
     assert moves.count("vmovapd") + moves.count("vmovaps") > 20
     assert not any(move.startswith(("vmovup", "vmovdqu")) for move in moves)
+
+
+def test_constants_in_memory_give_the_same_bits(monkeypatch):
+    """Code for few registers reads them where it uses them, other code keeps them in registers."""
+    found = []
+    for near in (False, True):
+        monkeypatch.setattr(machine, "has_near_constants", lambda near=near: near)
+        compiled = CompiledLanes(sine_and_state, jax.ShapeDtypeStruct((), np.float64), strict=True)
+        assert ("@number." in compiled.traced.text) == near
+        found.append(compiled.start((X,), LANES, 1)())
+    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.parametrize("strict", [False, True])

@@ -37,7 +37,7 @@ class Packing(NamedTuple):
 
 PACKINGS = {
     512: (Packing(450, 4, 25), Packing(math.inf, 2, 60)),
-    256: (Packing(750, 4, 0), Packing(2000, 2, 60), Packing(math.inf, 1, 0)),
+    256: (Packing(750, 4, 0), Packing(2000, 2, 20), Packing(math.inf, 1, 20)),
 }
 """Packings by the bits of a hardware vector, as measured. Processors with 512 bits have twice as many registers."""
 
@@ -58,7 +58,7 @@ class TracedLanes:
         self.program, results = lane_program(lane, arguments, strict)
         packing = best_packing(self.program)
         width = width or packing.vectors * machine.vector_bits() // number_bits(self.program)
-        self.text = module_text(self.program, width, strict, packing.window)
+        self.text = module_text(self.program, width, strict, packing.window, machine.has_near_constants())
         self.signature = signature_of(self.program, results, width, machine.code_name(self.text))
 
 

@@ -44,10 +44,12 @@ class Instructions:
     Args:
         width: Lanes of a vector.
         flags: :data:`FAST` or :data:`STRICT`.
+        near: Whether operations read their constants from memory, as whole vectors, because registers are few.
     """
 
     width: int
     flags: str = FAST
+    near: bool = False
     lines: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
@@ -83,6 +85,16 @@ class Instructions:
             number = literal(value.detail, value.dtype)
             return f"splat ({scalar_type(value.dtype)} {number})" if vector else number
         return self.names[id(value), vector]
+
+    def operand(self, value: Value, vector: bool) -> str:
+        """A value as an operand of an operation that can read it from memory."""
+        is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
+        if not (self.near and vector and self.width > 1 and is_number):
+            return self.read(value, vector)
+        kind, bits = self.kind(value.dtype, True), literal(value.detail, value.dtype)
+        name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"
+        self.declared.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
+        return self.emit(f"load {kind}, ptr {name}, align 64", "c")
 
     def is_vector(self, value: Value) -> bool:
         """Whether a value is computed as a vector."""
@@ -154,11 +166,11 @@ class Instructions:
         if operation == "select":
             condition, *cases = value.operands
             chosen = self.is_vector(condition)
-            first, second = (self.read(case, wide) for case in cases)
+            first, second = (self.operand(case, wide) for case in cases)
             return self.emit(
                 f"select {self.kind(BOOL, chosen)} {self.read(condition, chosen)}, {kind} {first}, {kind} {second}"
             )
-        names = [self.read(operand, wide) for operand in value.operands]
+        names = [self.operand(operand, wide) for operand in value.operands]
         source = value.operands[0].dtype
         if operation in COMPARISONS:
             return self.compare(operation, source, wide, names)

@@ -37,10 +37,11 @@ class Emitter(Instructions):
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+        near: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
     """
 
-    def __init__(self, program: Program, width: int, strict: bool, window: int) -> None:
-        super().__init__(width, STRICT if strict else FAST)
+    def __init__(self, program: Program, width: int, strict: bool, window: int, near: bool = False) -> None:
+        super().__init__(width, STRICT if strict else FAST, near)
         self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
         self.parts: dict[int, list[str]] = {}
@@ -322,6 +323,6 @@ class SubroutineEmitter(Emitter):
         return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 
-def module_text(program: Program, width: int, strict: bool = False, window: int = 0) -> str:
+def module_text(program: Program, width: int, strict: bool = False, window: int = 0, near: bool = False) -> str:
     """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
-    return Emitter(program, width, strict, window).text()
+    return Emitter(program, width, strict, window, near).text()

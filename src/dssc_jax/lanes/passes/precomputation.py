@@ -79,7 +79,15 @@ class Ahead(Instructions):
     """
 
     def __init__(self, lanes: Instructions, chosen: AheadPlan, window: int) -> None:
-        super().__init__(TURNS, lanes.flags, lanes.lines, lanes.tables, {}, lanes.declared, lanes.subroutines)
+        super().__init__(
+            TURNS,
+            lanes.flags,
+            lanes.near,
+            lines=lanes.lines,
+            tables=lanes.tables,
+            declared=lanes.declared,
+            subroutines=lanes.subroutines,
+        )
         self.lanes, self.chosen, self.window, self.buffers = lanes, chosen, window, dict[int, str]()
 
     def fresh(self, prefix: str = "v") -> str:
