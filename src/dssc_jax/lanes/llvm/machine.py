@@ -68,9 +68,11 @@ def add_symbol(symbol: str, address: int) -> None:
 def has_near_constants() -> bool:
     """Whether instructions read constants at a distance from themselves, and not at an address in a register.
 
-    On x86-64 without AVX-512, 16 vector registers are too few to keep constants; each is read where it is used.
+    On x86-64 without AVX-512, 16 vector registers are too few to keep constants; each is read where it is used. The
+    memory manager on which this depends is tried with Linux's object files alone.
     """
-    return llvm.get_process_triple().startswith("x86_64") and vector_bits() < 512
+    triple = llvm.get_process_triple()
+    return triple.startswith("x86_64") and "linux" in triple and vector_bits() < 512
 
 
 def target_machine() -> Any:
