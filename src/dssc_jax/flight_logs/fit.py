@@ -18,6 +18,7 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
+from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
@@ -55,6 +56,7 @@ from dssc_jax.flight_logs.replay import (
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
+from dssc_jax.flight_logs.starts import fixed_integrals
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
@@ -90,6 +92,7 @@ def fit_log(
             another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
+        StartsElsewhere: the integrals of an inner loop were others at the first sample.
 
     Example:
         >>> import dssc_jax as dj
@@ -118,7 +121,7 @@ def fit_log(
     whole: Mapping[str, Mapping[str, float]] | None = None
     while True:
         if chosen not in predictions:
-            predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1])
+            predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1], fixed_integrals(study))
         problem = FitProblem(study, chosen, predictions[chosen], sampled, count)
         search = find_minima(problem, known)
         if search is None:
@@ -266,6 +269,7 @@ def fitted_minimum(
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
     results = require_description(problem, x)
     require_identifiable(problem.names, search.best.equations.information)
+    require_first_integrals(free_integrals(problem, search.best))
     require_unique_minimum(problem, search)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)

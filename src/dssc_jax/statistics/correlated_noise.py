@@ -132,7 +132,7 @@ class Drift(NamedTuple):
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
 
-    def covariance(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
         """Covariance of the correlated part at two times from the beginning [s], of their broadcast shape."""
         early = np.minimum(first, second) / self.time
         decay = np.exp(-early)
