@@ -110,5 +110,5 @@ def require_first_integrals(found: FreeIntegrals | None) -> None:
     number, move = max(found.moves.items(), key=lambda pair: abs(pair[1]))
     raise StartsElsewhere(
         f"the flight did not begin with the study's integrals: its outputs show {shown} (p = {found.p_value:.1g}), and "
-        f" {number} would be {abs(move):.3g} of its standard deviations off. {start_remedy(found.names[-1])}"
+        f"{number} would be {abs(move):.3g} of its standard deviations off. {start_remedy(found.names[-1])}"
     )

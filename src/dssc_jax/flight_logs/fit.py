@@ -19,6 +19,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
+from dssc_jax.flight_logs.gaps import gap_text, log_gaps
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
@@ -117,6 +118,10 @@ def fit_log(
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
+    if sampled.gaps and not allow_damaged:
+        raise ConfigError(
+            log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
+        )
     kept: dict[str, float] = {}
     whole: Mapping[str, Mapping[str, float]] | None = None
     while True:
@@ -180,6 +185,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
     replayed = []
+    needed = []  # signals whose gaps falsify a command
     held: dict[str, int] = {}
     jumps: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
@@ -191,6 +197,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
+            needed.append(signal_name(channel, "u_total"))
             held |= held_samples({signal_name(channel, "u_total"): command})
             jump = largest_jump(command)
             if jump > LARGE_JUMP * np.ptp(commands[row]):
@@ -201,11 +208,13 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             raise ConfigError(log.name, f"has no command {signal_name(channel, 'u_total')}, and {replay}")
         commands[row] = replay
         replayed.append(channel)
+        needed += [signal_name(channel, name) for name in signals if name.startswith("y")]
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
-    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps)
+    end = log.start + (samples - 1) * loop.sample_time
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps, log_gaps(log, needed, end))
 
 
 def largest_jump(command: np.ndarray) -> float:
@@ -224,6 +233,11 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
             "lags and delays may be wrong by more than their intervals. Log every command, with a time stamp of its own"
         )
         found.append(Doubt(name, text))
+    if log.gaps:
+        names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
+        longest = max(gap.end - gap.begin for gap in log.gaps)
+        text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
+        found.append(Doubt("", text))
     return tuple(found)
 
 

@@ -127,7 +127,9 @@ def prediction(study: Study, names: Sequence[str], samples: int, more: Mapping[s
     return predict
 
 
-def prediction_by_lanes(study: Study, names: Sequence[str], samples: int, more: Mapping[str, float]) -> Prediction:
+def prediction_by_lanes(
+    study: Study, names: Sequence[str], samples: int, more: Mapping[str, float] = NO_NUMBERS
+) -> Prediction:
     """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
 
     A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants

@@ -31,11 +31,12 @@ def start_remedy(name: str) -> str:
     """What to do about integrals that start elsewhere.
 
     Args:
-        name: Of one of them.
+        name: Of one of them, such as ``plant.inner_loop.velocity_integral.2``.
     """
+    section, field, _ = name.rsplit(".", 2)
     return (
-        "Begin at the take-off, set plant.inner_loop.start = 'settled' for a vehicle that hovers in still air, or give "
-        f"the integrals laws, such as {name} = {{ normal = [0.0, 1.0] }}, which a fit estimates"
+        f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air, or give the "
+        f"integrals laws, such as {field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}], which a fit estimates"
     )
 
 
