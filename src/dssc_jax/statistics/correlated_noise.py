@@ -200,13 +200,13 @@ def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
         state.
     """
     gaps = np.diff(times)
-    begin = np.median(gaps)
+    begin = gaps if len(gaps) == 1 or not isinstance(noise, Drift) else np.array([np.median(gaps)])
     if np.ptp(gaps) <= EQUAL_GAPS * gaps[0]:
         gaps = gaps[:1]
     moved, added = noise.transition(gaps)
     size = moved.shape[-1]
     inverse = np.linalg.inv(added)
-    first = noise.transition(np.array([begin]))[1][0] if isinstance(noise, Drift) else np.eye(size)
+    first = noise.transition(begin)[1][0] if isinstance(noise, Drift) else np.eye(size)
     blocks = np.tile(np.linalg.inv(first), (len(times), 1, 1))
     blocks[1:] = inverse
     coupling = -inverse @ moved
