@@ -16,6 +16,18 @@ def no_sentences(params: Params) -> tuple[str, ...]:
     return ()
 
 
+def no_integrals(params: Params) -> tuple[str, ...]:
+    """The software has no integrals whose start a study gives."""
+    del params
+    return ()
+
+
+def not_settled(params: Params) -> bool:
+    """The integrals start at their numbers."""
+    del params
+    return False
+
+
 class Onboard(NamedTuple):
     """Sampled software that is part of a plant, such as the inner loops of an autopilot.
 
@@ -32,6 +44,9 @@ class Onboard(NamedTuple):
         frequency: Name of the plant's number that gives the period, dotted, for messages.
         outputs: ``(params) -> sentences`` of the generated documentation on what its results drive.
         directions: Fields of the state that are vectors of length 1, such as a unit quaternion.
+        integrals: ``(params) -> names`` of the plant's numbers at which integrals start that a flight in the air has
+            filled, dotted.
+        settled: ``(params) -> whether they start in the equilibrium of the draw``; the numbers then add to it.
     """
 
     period: Callable[[Params], float | None]
@@ -43,6 +58,8 @@ class Onboard(NamedTuple):
     frequency: str = ""
     outputs: Callable[[Params], tuple[str, ...]] = no_sentences
     directions: tuple[str, ...] = ()
+    integrals: Callable[[Params], tuple[str, ...]] = no_integrals
+    settled: Callable[[Params], bool] = not_settled
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
         """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""

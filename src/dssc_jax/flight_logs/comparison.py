@@ -87,7 +87,8 @@ class LogAnswer:
         dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
     ]
     hints: Annotated[
-        dict[str, str], Quantity("", "signals that are the study's in another unit, sign, column or at another time")
+        dict[str, str],
+        Quantity("", "signals that are the study's otherwise, and numbers at which the flight did not start"),
     ]
 
 
@@ -108,7 +109,8 @@ class LogComparison(Analysis):
         held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
-        hints: Signals that are the study's in another unit, sign or column or at another time, with the words for it.
+        hints: Signals that are the study's in another unit, sign or column or at another time, and numbers at which the
+            study starts while the flight cannot have, with the words for it.
     """
 
     kind = "compare-log"
@@ -297,7 +299,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     replayed = np.array([replays.get(signal.name, missing) for signal in signals])[:, ::stride]
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
-    hints = {**replay.hints.conversions, **replay.hints.shifts}
+    hints = replay.hints.texts
     held = replay.held
     not_replayed = replay.not_replayed
     return LogComparison(

@@ -132,7 +132,14 @@ class LogHints(NamedTuple):
     Args:
         conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
         shifts: References that are the study's at another time, each with the words for it.
+        starts: Numbers at which the study starts while the flight cannot have, each with the words for it.
     """
 
     conversions: Mapping[str, str]
     shifts: Mapping[str, str]
+    starts: Mapping[str, str]
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """All of them, by signal or number."""
+        return {**self.conversions, **self.shifts, **self.starts}

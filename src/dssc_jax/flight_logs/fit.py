@@ -18,6 +18,8 @@ from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
+from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
+from dssc_jax.flight_logs.gaps import gap_text, log_gaps
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
@@ -55,6 +57,7 @@ from dssc_jax.flight_logs.replay import (
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
+from dssc_jax.flight_logs.starts import fixed_integrals
 from dssc_jax.study import Study
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
@@ -90,6 +93,7 @@ def fit_log(
             another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
+        StartsElsewhere: the integrals of an inner loop were others at the first sample.
 
     Example:
         >>> import dssc_jax as dj
@@ -114,11 +118,15 @@ def fit_log(
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
+    if sampled.gaps and not allow_damaged:
+        raise ConfigError(
+            log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
+        )
     kept: dict[str, float] = {}
     whole: Mapping[str, Mapping[str, float]] | None = None
     while True:
         if chosen not in predictions:
-            predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1])
+            predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1], fixed_integrals(study))
         problem = FitProblem(study, chosen, predictions[chosen], sampled, count)
         search = find_minima(problem, known)
         if search is None:
@@ -177,6 +185,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
     replayed = []
+    needed = []  # signals whose gaps falsify a command
     held: dict[str, int] = {}
     jumps: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
@@ -188,6 +197,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             commands[row] = forward_filled(command)
+            needed.append(signal_name(channel, "u_total"))
             held |= held_samples({signal_name(channel, "u_total"): command})
             jump = largest_jump(command)
             if jump > LARGE_JUMP * np.ptp(commands[row]):
@@ -198,11 +208,13 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             raise ConfigError(log.name, f"has no command {signal_name(channel, 'u_total')}, and {replay}")
         commands[row] = replay
         replayed.append(channel)
+        needed += [signal_name(channel, name) for name in signals if name.startswith("y")]
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
-    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps)
+    end = log.start + (samples - 1) * loop.sample_time
+    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps, log_gaps(log, needed, end))
 
 
 def largest_jump(command: np.ndarray) -> float:
@@ -221,6 +233,11 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
             "lags and delays may be wrong by more than their intervals. Log every command, with a time stamp of its own"
         )
         found.append(Doubt(name, text))
+    if log.gaps:
+        names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
+        longest = max(gap.end - gap.begin for gap in log.gaps)
+        text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
+        found.append(Doubt("", text))
     return tuple(found)
 
 
@@ -266,6 +283,7 @@ def fitted_minimum(
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
     results = require_description(problem, x)
     require_identifiable(problem.names, search.best.equations.information)
+    require_first_integrals(free_integrals(problem, search.best))
     require_unique_minimum(problem, search)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special, stats
 
+from dssc_jax.flight_logs.gaps import Gap
 from dssc_jax.flight_logs.prediction import Prediction
 from dssc_jax.flight_logs.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
@@ -70,6 +71,7 @@ class SampledLog(NamedTuple):
     held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
+    gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
 
 
 class Readings(NamedTuple):

@@ -1,7 +1,9 @@
 """The measured output that a study predicts for the commands of a logged flight, and its derivatives."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TypeAlias
 
 import jax
@@ -24,6 +26,7 @@ from dssc_jax.study import Study
 
 RANDOM = ("std", "turbulence")
 """Fields of disturbances and winds that scale what is random."""
+NO_NUMBERS: Mapping[str, float] = MappingProxyType({})
 
 Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tuple[Scalar, ...]]
 """(Values of the numbers; commands, shape (channels, samples); index of the draw) -> outputs of each channel, shape
@@ -31,7 +34,8 @@ Outputs: TypeAlias = Callable[[Sequence[Scalar], jax.Array, jax.Array | int], tu
 
 Prediction: TypeAlias = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(Values of the numbers, shape (n,); commands, shape (channels, samples)) -> output of each channel, shape
-(channels, samples), and its derivative by each number, shape (n, channels, samples)."""
+(channels, samples), and its derivative by each number, shape (n, channels, samples). Further numbers, as far as there
+are any, have the study's values where they are left out."""
 
 
 def playback(controller: Controller, commands: jax.Array) -> Controller:
@@ -91,8 +95,18 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     return outputs
 
 
-def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
-    """Compile the prediction: the output without noise and random disturbances, and its derivatives in forward mode."""
+def prediction(study: Study, names: Sequence[str], samples: int, more: Mapping[str, float] = NO_NUMBERS) -> Prediction:
+    """Compile the prediction: the output without noise and random disturbances, and its derivatives in forward mode.
+
+    Args:
+        study: The study, without a sweep.
+        names: The numbers.
+        samples: Of the simulation.
+        more: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
+            channels.
+    """
+    if len(study.loop.channels) > 1:
+        return prediction_by_lanes(study, names, samples, more)
     outputs = simulated_outputs(study, names, samples, quiet=True)
 
     def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -102,8 +116,6 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
         predicted, slopes = jax.vmap(slope)(jnp.eye(len(names)))
         return predicted[0], slopes
 
-    if len(study.loop.channels) > 1:
-        return prediction_by_lanes(study, names, samples)
     compiled = jax.jit(with_slopes, compiler_options=plain_options())
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,12 +127,16 @@ def prediction(study: Study, names: Sequence[str], samples: int) -> Prediction:
     return predict
 
 
-def prediction_by_lanes(study: Study, names: Sequence[str], samples: int) -> Prediction:
+def prediction_by_lanes(
+    study: Study, names: Sequence[str], samples: int, more: Mapping[str, float] = NO_NUMBERS
+) -> Prediction:
     """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
 
     A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants
     of the program, which is compiled again for others.
     """
+    preset = [math.nan] * len(names) + list(more.values())
+    names = (*names, *more)
     outputs = simulated_outputs(study, names, samples, quiet=True)
     programs: dict[bytes, Start] = {}
 
@@ -138,9 +154,11 @@ def prediction_by_lanes(study: Study, names: Sequence[str], samples: int) -> Pre
             key = commands.tobytes()
             if key not in programs:
                 programs[key] = program(commands)
-            columns = {name: np.full(len(names), value) for name, value in zip(names, values, strict=True)}
-            columns[DIRECTION] = np.arange(len(names), dtype=float)
-            results, _ = programs[key](columns, np.zeros(len(names), np.uint32))()
+            count = len(values)
+            whole = [*values, *preset[count:]]
+            columns = {name: np.full(count, value) for name, value in zip(names, whole, strict=True)}
+            columns[DIRECTION] = np.arange(count, dtype=float)
+            results, _ = programs[key](columns, np.zeros(count, np.uint32))()
         channels = len(study.loop.channels)
         predicted = np.array([results[i][0] for i in range(channels)], float)
         slopes = np.array([results[channels + i] for i in range(channels)], float)

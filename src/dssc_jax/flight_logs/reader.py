@@ -69,12 +69,14 @@ class FlightLog(NamedTuple):
             ``x_y``, ``x_u_total`` and so on.
         start: Time of the log at which the study begins [s].
         damaged: Whether the file has lost messages.
+        airborne: When the vehicle was in the air, as far as the file tells.
     """
 
     name: str
     columns: dict[str, Column]
     start: float
     damaged: bool = False
+    airborne: tuple[Segment, ...] = ()
 
     @property
     def end(self) -> float:
@@ -165,8 +167,9 @@ def read_log(
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
         begin = None
         damaged = False
+        airborne: tuple[Segment, ...] = ()
         if logged:
-            raw, begin, damaged = ulog_columns(file, columns, channels)
+            raw, begin, damaged, airborne = ulog_columns(file, columns, channels)
         else:
             raw = table_columns(file, columns, channels)
         if not any(name.endswith(("y", "u_total")) for name in raw):
@@ -176,7 +179,7 @@ def read_log(
         for name, column in raw.items():
             converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
     first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
-    return FlightLog(file.name, converted, first if columns.start is None else columns.start, damaged)
+    return FlightLog(file.name, converted, first if columns.start is None else columns.start, damaged, airborne)
 
 
 def converted_column(name: str, column: Column, source: SignalSource) -> Column:
@@ -217,11 +220,12 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
 
 
 class UlogColumns(NamedTuple):
-    """Columns of a ULog by the signals' names, the beginning of the segment [s], and whether messages are lost."""
+    """Columns of a ULog by the signals' names, the segment's beginning [s], lost messages, and times in the air."""
 
     columns: dict[str, Column]
     begin: float | None
     damaged: bool
+    airborne: tuple[Segment, ...]
 
 
 def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> UlogColumns:
@@ -233,17 +237,19 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> U
     if not sources:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
     names = {column_place(column).topic for choices in sources.values() for column in choices}
-    topics, begin, damaged = read_topics(path, {*names, *(SEGMENT_TOPICS if columns.segment else ())})
+    topics, begin, damaged = read_topics(path, {*names, *SEGMENT_TOPICS})
+    segments = segments_of(topics, begin)
+    airborne = tuple(segment for segment in segments if segment.name == "airborne")
     raw = {}
     for name, choices in sources.items():
         found = [column for column in choices if has_column(topics, column)]
         if columns.signals or found:
             raw[name] = ulog_column(topics, begin, name, found[0] if found else choices[0])
     if columns.segment is None:
-        return UlogColumns(raw, None, damaged)
-    segment = chosen_segment(columns.segment, segments_of(topics, begin))
+        return UlogColumns(raw, None, damaged, airborne)
+    segment = chosen_segment(columns.segment, segments)
     within = {name: within_segment(name, column, segment) for name, column in raw.items()}
-    return UlogColumns(within, segment.begin, damaged)
+    return UlogColumns(within, segment.begin, damaged, airborne)
 
 
 class ColumnPlace(NamedTuple):

@@ -28,6 +28,7 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
@@ -234,7 +235,7 @@ class LogReplay(NamedTuple):
             "held_samples": self.held,
             "not_replayed": self.not_replayed,
             "reference_differences": self.references,
-            "hints": {**self.hints.conversions, **self.hints.shifts},
+            "hints": self.hints.texts,
         }
 
 
@@ -284,7 +285,8 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-    return LogReplay(samples, logged, replays, held, not_replayed, differences, LogHints(conversions, shifts))
+    hints = LogHints(conversions, shifts, start_hints(study, log))
+    return LogReplay(samples, logged, replays, held, not_replayed, differences, hints)
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:

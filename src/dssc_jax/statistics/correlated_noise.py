@@ -1,12 +1,13 @@
 """Noise that is correlated in time, observed at any times: its likelihood, and least squares with it.
 
 Noise of unit variance is white but for a share c of its variance, whose correlation over a lag tau is that of a
-first-order or of a second-order system driven by white noise:
+first-order or of a second-order system driven by white noise, or which is the integral of a first-order one:
 
     exp(-tau/T)                                                                        first order
     exp(-zeta w) (cos(nu w) + zeta sin(nu w)/nu), w = tau/T, nu^2 = 1 - zeta^2         second order
+    p' = v/T, T v' = -v + white noise, p = v = 0 before the first reading              drift
 
-Both are Markov in their states, whose joint precision matrix over n times is banded. Likelihood and normal equations
+All are Markov in their states, whose joint precision matrix over n times is banded. Likelihood and normal equations
 therefore take O(n) operations. At equal gaps the first order without a white part is an autoregression of order 1.
 
 References:
@@ -93,14 +94,75 @@ class SecondOrder(NamedTuple):
         return cosine + self.damping * sine
 
 
+class Drift(NamedTuple):
+    """The integral of first-order noise, which starts at 0: what noise within a velocity loop makes of the position.
+
+    Its variance grows with time; the mean over the span is 1. For a short T it is a random walk.
+
+    Args:
+        share: Share c of the variance that drifts, 0 to below 1.
+        time: T, at most the span [s].
+        span: From the beginning to the last reading [s].
+    """
+
+    share: float
+    time: float
+    span: float
+
+    def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Transition of (p, v) over gaps [s], and the covariance that the gap adds; shape (n, 2, 2) each."""
+        w = gaps / self.time
+        decay = np.exp(-w)
+        moved = np.zeros((len(w), 2, 2))
+        moved[:, 0, 0] = 1.0
+        moved[:, 0, 1] = -np.expm1(-w)
+        moved[:, 1, 1] = decay
+        # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
+        position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
+        mixed = np.expm1(-w) ** 2
+        added = np.stack([np.stack([position, mixed], -1), np.stack([mixed, -np.expm1(-2.0 * w)], -1)], -1)
+        scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
+        moved[:, 0, 1] *= scale[0]
+        return moved, added * np.outer(scale, scale)
+
+    @property
+    def mean_square(self) -> float:
+        """The mean over the span of the variance of the integral of v/T, for v of unit variance."""
+        w = self.span / self.time
+        decay = math.exp(-w)
+        return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w
+
+    def covariance(self, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
+        """Covariance of the correlated part at two times from the beginning [s], of their broadcast shape."""
+        early = np.minimum(first, second) / self.time
+        decay = np.exp(-early)
+        at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
+        later = -np.expm1(-np.abs(first - second) / self.time)
+        return (at + np.expm1(-early) ** 2 * later) / self.mean_square
+
+
+def small_drift(w: np.ndarray) -> np.ndarray:
+    """2 w - 3 + 4 exp(-w) - exp(-2 w) by its series, for small w."""
+    coefficients = [2.0 / 3.0, -1.0 / 2.0, 7.0 / 30.0, -1.0 / 12.0, 31.0 / 1260.0, -1.0 / 160.0]
+    return w**3 * np.polynomial.polynomial.polyval(w, coefficients)
+
+
 WHITE = FirstOrder(0.0, 1.0)
-Noise = FirstOrder | SecondOrder
+Noise = FirstOrder | SecondOrder | Drift
 
 
 def correlation_time(noise: Noise) -> float:
-    """The smallest lag at which the correlated part's correlation is 1/e [s]; 0 for white noise."""
+    """The smallest lag at which the correlated part's correlation is 1/e [s]; 0 for white noise.
+
+    Of a drift it is that with its last value.
+    """
     if noise.share == 0.0:
         return 0.0
+    if isinstance(noise, Drift):
+        ago = np.linspace(0.0, noise.span, 2001)[:-1]
+        past = noise.span - ago
+        sizes = np.sqrt(noise.covariance(past, past) * noise.covariance(noise.span, noise.span))
+        return float(ago[np.argmax(noise.covariance(past, noise.span) <= math.exp(-1.0) * sizes)])
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
     decayed = noise.correlation(lags) <= math.exp(-1.0)
     return float(lags[np.argmax(decayed)])
@@ -117,25 +179,35 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     if noise.share == 0.0 or len(times) < 2:
         return float(len(times))
     stride = -(-len(times) // limit)
-    lags = times[:, None] - times[None, ::stride]
-    squares = np.square(noise.share * noise.correlation(lags)).sum() + (1.0 - noise.share**2) * lags.shape[1]
-    return float(len(times) * lags.shape[1] / squares)
+    white = 1.0 - noise.share
+    if isinstance(noise, Drift):
+        from_start = times - times[0] + np.median(np.diff(times))
+        correlated = noise.share * noise.covariance(from_start[:, None], from_start[None, ::stride])
+        variance = noise.share * noise.covariance(from_start, from_start)
+    else:
+        correlated = noise.share * noise.correlation(times[:, None] - times[None, ::stride])
+        variance = np.full(len(times), noise.share)
+    chosen = variance[::stride]
+    squares = np.square(correlated).sum() + (2.0 * white * chosen + white**2).sum()
+    return float((variance + white).sum() * (chosen + white).sum() / squares)
 
 
 def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Joint precision matrix of the states at times, of unit variance.
+    """Joint precision matrix of the states at times, of unit variance; a drift starts one median gap before.
 
     Returns:
         Its lower bands as SciPy stores them, shape (2 p, n p); the logarithm of its determinant; p, the length of a
         state.
     """
     gaps = np.diff(times)
+    begin = gaps if len(gaps) == 1 or not isinstance(noise, Drift) else np.array([np.median(gaps)])
     if np.ptp(gaps) <= EQUAL_GAPS * gaps[0]:
         gaps = gaps[:1]
     moved, added = noise.transition(gaps)
     size = moved.shape[-1]
     inverse = np.linalg.inv(added)
-    blocks = np.tile(np.eye(size), (len(times), 1, 1))
+    first = noise.transition(begin)[1][0] if isinstance(noise, Drift) else np.eye(size)
+    blocks = np.tile(np.linalg.inv(first), (len(times), 1, 1))
     blocks[1:] = inverse
     coupling = -inverse @ moved
     blocks[:-1] += moved.transpose(0, 2, 1) @ -coupling
@@ -145,7 +217,7 @@ def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
             if row >= column:
                 bands[row - column, :, column] = blocks[:, row, column]
             bands[size + row - column, :-1, column] = coupling[:, row, column]
-    determinant = -(len(times) - 1) * float(np.linalg.slogdet(added)[1].mean())
+    determinant = -(len(times) - 1) * float(np.linalg.slogdet(added)[1].mean()) - float(np.linalg.slogdet(first)[1])
     return bands.reshape(2 * size, -1), determinant, size
 
 

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special, stats
 
-from dssc_jax.statistics.correlated_noise import WHITE, FirstOrder, Misfit, Noise, SecondOrder, misfit
+from dssc_jax.statistics.correlated_noise import WHITE, Drift, FirstOrder, Misfit, Noise, SecondOrder, misfit
 
-WHITE_PRIOR = 0.2  # probability of white noise; the two kinds of correlated noise share the rest
+WHITE_PRIOR = 0.2  # probability of white noise; the kinds of correlated noise share the rest
 SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
 DAMPING_MIDDLE = 1.0  # of logit zeta
 DAMPING_WIDTH = 1.5  # standard deviation of logit zeta: 14 to 92 %
@@ -124,9 +124,16 @@ def second_order_noise(point: np.ndarray, scale: TimeScale) -> Noise:
     return SecondOrder(sigmoid(SHARE_WIDTH * point[1]), time, damping)
 
 
+def drift_noise(point: np.ndarray, scale: TimeScale) -> Noise:
+    """The noise at coordinates."""
+    span = scale.span + scale.gap
+    return Drift(sigmoid(SHARE_WIDTH * point[1]), min(scale.time_constant_at(point[0]), span), span)
+
+
 NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = (
     (first_order_noise, 2),
     (second_order_noise, 3),
+    (drift_noise, 2),
 )
 """Kinds of correlated noise: the noise at coordinates, and their number."""
 
@@ -211,7 +218,7 @@ class NoiseSearch:
 
     def likely(self) -> tuple[Noise, Misfit]:
         """The noise at the mode of the likeliest kind, by Laplace's method."""
-        share = 0.5 * (1.0 - WHITE_PRIOR)
+        share = (1.0 - WHITE_PRIOR) / len(NOISE_KINDS)
         if not self.modes:
             return WHITE, self.white
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
@@ -231,7 +238,7 @@ class NoiseSearch:
             for point, log_proposed in zip(points, proposed, strict=True):
                 log_density, fit = self.density(kind, point)
                 noises.append(kind(point, self.scale))
-                logs.append(math.log(0.5 * (1.0 - WHITE_PRIOR) / len(points)) + log_density - log_proposed)
+                logs.append(math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / len(points)) + log_density - log_proposed)
                 misfits.append(fit)
         weights = np.exp(np.array(logs) - max(logs))
         weights /= weights.sum()

@@ -94,6 +94,8 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
             show_replay(replayed)
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
+    replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
+    replayed = replay.summary(study)
     summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None} | replayed
     if out is not None:
         attempt(out, lambda: files.write_text(out, fitted.toml()))

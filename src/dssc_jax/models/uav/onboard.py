@@ -14,8 +14,8 @@ from dssc_jax.models.uav.estimators.sensors import Motion, Random
 from dssc_jax.models.uav.inner_loops import SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.sampled import Readings, allocated_moment, conjugate, product
+from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.parameters import UavParams
-from dssc_jax.models.uav.vehicle import GRAVITY
 
 
 class HeldLoop(NamedTuple):
@@ -85,8 +85,21 @@ def required_loop(params: UavParams) -> SampledInnerLoop:
 
 def software_start(params: UavParams, state: UavState) -> HeldLoop:
     """A sampled inner loop in hover."""
-    software = required_loop(params).init(params.craft, readings_of(state))
-    return HeldLoop(software, params.inner_model.mass * GRAVITY, params.hover_thrusts, 0.0)
+    software = required_loop(params).init(params.craft, readings_of(state), params.first_carrying)
+    return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
+
+
+def first_integrals(params: UavParams) -> tuple[str, ...]:
+    """Names of the numbers at which the integrals of velocity start; none without integral action."""
+    gains = params.inner_loop
+    if isinstance(gains, InnerGains) and nominal(gains.kp_velocity) == 0.0:
+        return ()
+    return tuple(f"inner_loop.velocity_integral.{axis}" for axis in range(3))
+
+
+def starts_settled(params: UavParams) -> bool:
+    """Whether the integrals start in the equilibrium of the draw."""
+    return params.inner_loop.start is Start.SETTLED
 
 
 def velocity_commands(drive: PlantInput) -> tuple[Vec3, Scalar]:

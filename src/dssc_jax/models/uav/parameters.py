@@ -3,7 +3,7 @@
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.quantities import Quantity, nominal
+from dssc_jax.core.quantities import Quantity, extent, nominal
 from dssc_jax.core.registry import Slot
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
@@ -11,11 +11,13 @@ from dssc_jax.models.uav.allocation import flying_allocation, geometry
 from dssc_jax.models.uav.battery import Battery, require_voltages
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.estimators import ESTIMATORS, Estimator, NoEstimator
-from dssc_jax.models.uav.ground import Ground, prepared_ground
+from dssc_jax.models.uav.ground import Ground, lift_factor, prepared_ground
 from dssc_jax.models.uav.inner_loops import INNER_LOOPS, SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.sampled import Craft
+from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.presets import VEHICLES
+from dssc_jax.models.uav.rotors import wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
 EQUAL_SHARE = 1e-9
@@ -86,6 +88,35 @@ class UavParams(NamedTuple):
         return tuple(share * weight for share in self.hover_shares)
 
     @property
+    def carrying_thrust(self) -> Scalar:
+        """The wanted net thrust at which the draw hovers at its place, complete after :func:`prepare` [N].
+
+        It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
+        """
+        wanted = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
+        given = wrench(self.vehicle, tuple(f * actual / believed for f, actual, believed in wanted)).thrust
+        if self.ground is not None and self.ground.rotor_radius is not None:
+            given = given * lift_factor(self.ground, self.position[2])
+        return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / given)
+
+    @property
+    def first_thrust(self) -> Scalar:
+        """The wanted net thrust at the start, complete after :func:`prepare` [N]."""
+        return self.inner_loop.first_thrust(self.craft, self.first_carrying)
+
+    @property
+    def first_carrying(self) -> Scalar:
+        """The thrust that carries the weight: of the draw if the integrals start settled, else the believed one [N]."""
+        settled = self.inner_loop.start is Start.SETTLED
+        return self.carrying_thrust if settled else self.inner_model.mass * GRAVITY
+
+    @property
+    def first_thrusts(self) -> tuple[Scalar, ...]:
+        """Commanded thrusts of the rotors at the start, complete after :func:`prepare` [N]."""
+        share = self.first_thrust / (self.inner_model.mass * GRAVITY)
+        return tuple(share * f for f in self.hover_thrusts)
+
+    @property
     def craft(self) -> Craft:
         """The vehicle as a sampled inner loop knows it, complete after :func:`prepare`."""
         model = self.inner_model
@@ -112,6 +143,8 @@ def prepare(params: UavParams) -> UavParams:
     believed = vehicle_values._replace(**chosen)
     if len(chosen.get("inertia", (0, 0, 0))) != 3:
         raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
+    if params.inner_loop.start is Start.SETTLED:
+        require_known_equilibrium(params)
     return params._replace(
         ground=None if params.ground is None else prepared_ground(params.ground, vehicle.mass),
         battery=None if params.battery is None else require_voltages(params.battery),
@@ -122,6 +155,20 @@ def prepare(params: UavParams) -> UavParams:
         believed_rotors=believed_rotors(params),
         rotor_limit=vehicle.nominal_thrust_limit,
     )
+
+
+def require_known_equilibrium(params: UavParams) -> None:
+    """Require that the weight alone settles the integrals, without a moment or a voltage; raises ConfigError."""
+    rule = "'settled' is the equilibrium of the weight, and"
+    remedy = "set 'zero', and give velocity_integral and rate_integral numbers or laws"
+    if params.battery is not None:
+        raise ConfigError("inner_loop.start", f"{rule} the thrust depends on a battery: {remedy}")
+    uneven = params.vehicle.rotor and (params.believed.thrust_coefficient is not None)
+    for rotor in params.vehicle.rotor:
+        numbers = (*rotor.position, *rotor.axis, rotor.thrust_coefficient, rotor.torque_coefficient)
+        uneven = uneven or any(low != high for low, high in map(extent, (x for x in numbers if x is not None)))
+    if uneven:
+        raise ConfigError("inner_loop.start", f"{rule} rotors that differ from what is believed add a moment: {remedy}")
 
 
 def hover_shares(vehicle: Vehicle, allocation: tuple[tuple[float, ...], ...]) -> tuple[float, ...]:

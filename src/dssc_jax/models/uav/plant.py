@@ -29,6 +29,7 @@ from dssc_jax.models.uav.onboard import (
     EstimationError,
     UavState,
     estimator_of,
+    first_integrals,
     readings_of,
     renew_estimate,
     rotor_sentences,
@@ -39,6 +40,7 @@ from dssc_jax.models.uav.onboard import (
     software_start,
     software_tick,
     start_estimate,
+    starts_settled,
     velocity_commands,
 )
 from dssc_jax.models.uav.parameters import UavParams, prepare
@@ -50,15 +52,18 @@ LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is 
 
 
 def init(params: UavParams) -> UavState:
-    """Attitude at rest; rotors with a lag are at hover speed."""
+    """Attitude at rest; rotors with a lag turn at the speed that the inner loop commands at first."""
     vehicle = params.vehicle
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
     if vehicle.motor_lag is not None:
-        hover = zip(params.hover_thrusts, params.believed_coefficients, strict=True)
-        speeds = tuple(root_abs(f / coefficient) for f, coefficient in hover)
+        first = zip(params.first_thrusts, params.believed_coefficients, strict=True)
+        speeds = tuple(root_abs(f / coefficient) for f, coefficient in first)
     attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
-    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, Integrals(zero, 0.0), speeds)
+    integrals: State = ()
+    if isinstance(params.inner_loop, InnerGains):
+        integrals = Integrals(params.inner_loop.first_velocity_integral(params.craft, params.first_carrying), 0.0)
+    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, integrals, speeds)
     if estimator_of(params) is not None:
         state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
     if params.battery is not None:
@@ -257,6 +262,8 @@ UAV = Plant(
         frequency="inner_loop.frequency",
         outputs=rotor_sentences,
         directions=("attitude",),
+        integrals=first_integrals,
+        settled=starts_settled,
     ),
     estimation=Estimation(
         chosen=lambda params: estimator_of(params) is not None,

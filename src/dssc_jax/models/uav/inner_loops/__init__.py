@@ -12,6 +12,7 @@ from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.crazyflie import CrazyflieGains
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
 from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench
+from dssc_jax.models.uav.inner_loops.start import Start
 
 S = TypeVar("S")
 
@@ -32,8 +33,17 @@ class SampledInnerLoop(Protocol[S]):
         """k_p of x, y, z and psi [1/s]."""
         ...
 
-    def init(self, craft: Craft, readings: Readings) -> S:
-        """The state in hover."""
+    @property
+    def start(self) -> Start:
+        """Where its integrals start."""
+        ...
+
+    def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> S:
+        """The state in hover, where the wanted thrust ``carrying`` carries the weight of the draw [N]."""
+        ...
+
+    def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
+        """The wanted thrust at the start without an error of velocity [N]."""
         ...
 
     def sample(self, craft: Craft, state: S, readings: Readings, command: Vec3, yaw_command: Scalar, dt: float) -> S:

@@ -22,6 +22,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
+from dssc_jax.models.uav.inner_loops.sampled import Craft, require_integral
+from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.rigid_body import turning_moment
 from dssc_jax.models.uav.vehicle import GRAVITY
 
@@ -59,6 +61,29 @@ class InnerGains(NamedTuple):
     kd_yaw: Annotated[Scalar, Quantity("1/s", "proportional gain of psi'", above=0.0)] = 1.0
     thrust: ThrustRule = ThrustRule.PROJECTION
     attitude: AttitudeReference = AttitudeReference.PLAIN
+    start: Start = Start.ZERO
+    velocity_integral: Annotated[tuple[Scalar, ...], Quantity("m", "first integrals of velocity, x, y, z up")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+
+    def prepare(self) -> "InnerGains":
+        """Check the start; raises ConfigError."""
+        require_integral(self, "kp_velocity")
+        return self
+
+    def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
+        """int (u - v) at the start [m]; settled, it lifts the thrust of hover to the one that carries the draw [N]."""
+        integral = Vec3(*self.velocity_integral)
+        if self.start is Start.ZERO:
+            return integral
+        return integral._replace(z=integral.z + (carrying / craft.mass - GRAVITY) / self.kp_velocity)
+
+    def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
+        """The wanted thrust at the start without an error of velocity [N]."""
+        lift = GRAVITY + self.kp_velocity * self.first_velocity_integral(craft, carrying).z
+        return craft.mass * lift
 
     @property
     def has_proof(self) -> bool:

@@ -25,7 +25,8 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench, limited
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench, limited, require_integral
+from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 MOTOR_RANGE = 65535.0
@@ -104,6 +105,12 @@ class CrazyflieGains(NamedTuple):
         math.radians(33.3),
         math.radians(166.7),
     )
+    start: Start = Start.ZERO
+    velocity_integral: Annotated[
+        tuple[Scalar, ...], Quantity("m", "first integrals of velocity, along the heading, left and up")
+    ] = (0.0, 0.0, 0.0)
+    attitude_integral: Annotated[tuple[Scalar, ...], Quantity("rad s", "first integrals of angles")] = (0.0, 0.0, 0.0)
+    rate_integral: Annotated[tuple[Scalar, ...], Quantity("rad", "first integrals of rates")] = (0.0, 0.0, 0.0)
 
     @property
     def period(self) -> float:
@@ -111,11 +118,12 @@ class CrazyflieGains(NamedTuple):
         return 1.0 / self.frequency
 
     def prepare(self) -> "CrazyflieGains":
-        """Require triples; raises ConfigError."""
+        """Require triples, and integral action of a settled start; raises ConfigError."""
         names = "attitude_p attitude_i attitude_d attitude_integral_max rate_p rate_i rate_d rate_integral_max"
-        for name in names.split():
+        for name in (*names.split(), "attitude_integral", "rate_integral"):
             if len(getattr(self, name)) != 3:
                 raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        require_integral(self, "climb_i")
         return self
 
     def input_gain(self, craft: Craft) -> tuple[Scalar, ...]:
@@ -124,23 +132,39 @@ class CrazyflieGains(NamedTuple):
         yaw = self.attitude_p[2] * self.rate_p[2] * torque_units(craft).z / craft.inertia.z
         return level, level, self.climb_p * craft.full_thrust / craft.mass, yaw
 
-    def init(self, craft: Craft, readings: Readings) -> "CrazyflieState":
-        """Integrals at zero, hover."""
+    def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "CrazyflieState":
+        """Integrals at their first values, hover."""
         zero = Vec3(0.0, 0.0, 0.0)
         angles = angles_of(readings.attitude.matrix())
         setpoint = Vec3(0.0, 0.0, angles.z)
         level = heading_velocity(readings.velocity, readings.attitude.matrix())
-        at_rest = Pid(zero, zero)
         return CrazyflieState(
-            Pid(zero, level),
-            at_rest._replace(measured=angles),
-            at_rest._replace(measured=readings.rate),
-            self.hover(craft),
+            Pid(self.first_velocity_integral(craft, carrying), level),
+            Pid(Vec3(*self.attitude_integral), angles),
+            Pid(Vec3(*self.rate_integral), readings.rate),
+            self.first_thrust(craft, carrying) / craft.full_thrust,
             setpoint,
             0.0,
             zero,
             0.0,
         )
+
+    def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
+        """Integrals of velocity at the start [m]; settled, they lift the thrust of hover to the carrying one."""
+        integral = Vec3(*self.velocity_integral)
+        if self.start is Start.ZERO:
+            return integral
+        lacking = (carrying - self.hover_thrust(craft)) / craft.full_thrust
+        return integral._replace(z=integral.z + lacking / self.climb_i)
+
+    def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
+        """The wanted thrust at the start without an error of velocity [N]."""
+        climb = self.climb_i * self.first_velocity_integral(craft, carrying).z
+        return self.hover_thrust(craft) + climb * craft.full_thrust
+
+    def hover_thrust(self, craft: Craft) -> Scalar:
+        """The thrust that is taken to carry the weight [N]."""
+        return craft.mass * GRAVITY if self.thrust_hover is None else self.thrust_hover * craft.full_thrust
 
     def hover(self, craft: Craft) -> Scalar:
         """Share of the full thrust that is taken to carry the weight."""

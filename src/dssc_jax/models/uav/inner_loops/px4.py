@@ -44,9 +44,11 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     limited,
     low_pass,
     product,
+    require_integral,
     settled_low_pass,
     smoothing,
 )
+from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 RATE_OF_LESS_INTEGRAL = math.radians(400.0)
@@ -96,6 +98,17 @@ class Px4Gains(NamedTuple):
     rate_integral_max: Annotated[tuple[Scalar, ...], Quantity("1", "MC_RR_INT_LIM, ..", at_least=0.0)] = (0.3, 0.3, 0.3)
     gyro_cutoff: Annotated[float | None, Quantity("Hz", "IMU_GYRO_CUTOFF", above=0.0, law=False)] = 40.0
     derivative_cutoff: Annotated[float | None, Quantity("Hz", "IMU_DGYRO_CUTOFF", above=0.0, law=False)] = 30.0
+    start: Start = Start.ZERO
+    velocity_integral: Annotated[tuple[Scalar, ...], Quantity("m/s^2", "first integrals of velocity, x, y, z up")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+    rate_integral: Annotated[tuple[Scalar, ...], Quantity("1", "first integrals of rates, of the largest torque")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
 
     @property
     def period(self) -> float:
@@ -104,9 +117,11 @@ class Px4Gains(NamedTuple):
 
     def prepare(self) -> "Px4Gains":
         """Check rules that span several fields; raises ConfigError."""
-        for name in ("attitude_p", "rate_max", "rate_p", "rate_i", "rate_d", "rate_ff", "rate_integral_max"):
+        names = "attitude_p rate_max rate_p rate_i rate_d rate_ff rate_integral_max rate_integral"
+        for name in names.split():
             if len(getattr(self, name)) != 3:
                 raise ConfigError(name, f"needs three values, roll, pitch and yaw; got {len(getattr(self, name))}")
+        require_integral(self, "velocity_i_z")
         cutoff = self.gyro_cutoff
         if cutoff is not None and not 2.0 * cutoff < self.frequency:
             rule = f"must be below frequency/2 = {0.5 * self.frequency:g} Hz"
@@ -118,13 +133,30 @@ class Px4Gains(NamedTuple):
         yaw = (self.rate_p[2] + self.rate_ff[2]) * torque_units(craft).z / craft.inertia.z
         return self.velocity_p_xy, self.velocity_p_xy, self.velocity_p_z, yaw
 
-    def init(self, craft: Craft, readings: Readings) -> "Px4State":
-        """Integrals at zero, filters settled, hover."""
+    def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> "Px4State":
+        """Integrals at their first values, filters settled, hover."""
         zero = Vec3(0.0, 0.0, 0.0)
         gyro = () if self.gyro_cutoff is None else settled_low_pass(readings.rate, self.gyro_cutoff, self.period)
-        hover = Vec3(0.0, 0.0, self.hover(craft))
-        held = hover, readings.attitude, 0.0
-        return Px4State(zero, readings.velocity, zero, *held, zero, zero, gyro, readings.rate, zero, 0.0)
+        thrust = Vec3(0.0, 0.0, self.first_thrust(craft, carrying) / craft.full_thrust)
+        held = thrust, readings.attitude, 0.0
+        integral = self.first_velocity_integral(craft, carrying)
+        rates = Vec3(*self.rate_integral)
+        return Px4State(integral, readings.velocity, zero, *held, rates, zero, gyro, readings.rate, zero, 0.0)
+
+    def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
+        """I of the velocity loops at the start [m/s^2]; settled, it lifts the thrust of hover to the carrying one."""
+        integral = Vec3(*self.velocity_integral)
+        if self.start is Start.ZERO:
+            return integral
+        return integral._replace(z=integral.z + GRAVITY * (carrying / self.hover_thrust(craft) - 1.0))
+
+    def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
+        """The wanted thrust at the start without an error of velocity [N]."""
+        return self.hover_thrust(craft) * (1.0 + self.first_velocity_integral(craft, carrying).z / GRAVITY)
+
+    def hover_thrust(self, craft: Craft) -> Scalar:
+        """The thrust that is taken to carry the weight [N]."""
+        return craft.mass * GRAVITY if self.thrust_hover is None else self.thrust_hover * craft.full_thrust
 
     def hover(self, craft: Craft) -> Scalar:
         """Share of the full thrust that is taken to carry the weight."""

@@ -1,13 +1,16 @@
 """What sampled inner loops share: what they know and give, their limits, and the filters of autopilots."""
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, dot
+from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.models.uav.inner_loops.start import Start
 
 
 class Readings(NamedTuple):
@@ -46,6 +49,38 @@ class Wrench(NamedTuple):
 
     thrust: Scalar
     moment: Vec3
+
+
+class StartsSettled(Protocol):
+    """An inner loop that may start settled."""
+
+    @property
+    def start(self) -> Start:
+        """Where its integrals start."""
+        ...
+
+    @property
+    def velocity_integral(self) -> tuple[Scalar, ...]:
+        """The first integrals of velocity of the study."""
+        ...
+
+
+def require_integral(gains: StartsSettled, gain: str) -> None:
+    """Require three first integrals of velocity, and of a settled start an integral gain of climb.
+
+    Args:
+        gains: Gains of an inner loop.
+        gain: Name of its integral gain of the vertical velocity.
+
+    Raises:
+        ConfigError: They are not three, or the gain is 0.
+    """
+    count = len(gains.velocity_integral)
+    if count != 3:
+        raise ConfigError("velocity_integral", f"needs three values, got {count}")
+    if gains.start is Start.SETTLED and nominal(getattr(gains, gain)) == 0.0:
+        rule = "'settled' is the equilibrium of the integrals"
+        raise ConfigError("start", f"{rule}, and with {gain} = 0 the vertical velocity has none: set 'zero'")
 
 
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:

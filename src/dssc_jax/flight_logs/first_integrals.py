@@ -1,0 +1,114 @@
+"""Whether a logged flight began with the integrals of the study, as its outputs show.
+
+Other integrals at the first sample change the output in a way that other numbers can hardly imitate. One step of Gauss
+and Newton over the fitted numbers and the integrals tells both how large the integrals were and how far the estimates
+would move.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.refusals import FitRefused
+from dssc_jax.flight_logs.starts import fixed_integrals, start_remedy
+from dssc_jax.statistics.correlated_noise import weighted_products
+
+SIGNIFICANCE = 1e-4  # of integrals that differ from those of the study
+LARGE_MOVE = 1.0  # of an estimate by free integrals, in its standard deviations
+ROUNDING = 1e-9  # of the information along each coordinate
+
+
+class StartsElsewhere(FitRefused):
+    """The flight's integrals at the first sample are not those of the study; the message has the numbers."""
+
+
+class FreeIntegrals(NamedTuple):
+    """What a fit gains by other integrals at the first sample.
+
+    Args:
+        names: Of the integrals.
+        values: Those that the flight shows, to first order.
+        deviations: Their standard deviations.
+        p_value: Probability of as large a gain if those of the study were right.
+        moves: How far the estimates would move, by number, in their standard deviations.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    deviations: np.ndarray
+    p_value: float
+    moves: dict[str, float]
+
+    @property
+    def matter(self) -> bool:
+        """Whether the flight's integrals are others, and the estimates depend on it."""
+        return self.p_value < SIGNIFICANCE and max(map(abs, self.moves.values())) > LARGE_MOVE
+
+
+def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | None:
+    """The first integrals that the residual at a minimum shows, by one step of Gauss and Newton.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+
+    Returns:
+        None if the study has no plain numbers for them.
+    """
+    fixed = fixed_integrals(problem.study)
+    if not fixed:
+        return None
+    known = np.array(list(fixed.values()))
+    p = len(problem.names)
+    _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), known]), problem.log.commands)
+    products = np.zeros((1 + p + len(fixed),) * 2)
+    rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
+    for readings, noise, variance, columns in rows:
+        whole = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
+        products += weighted_products(noise, readings.times, whole)[0] / variance
+    return stepped(tuple(fixed), problem.names, known, products)
+
+
+def stepped(names: tuple[str, ...], numbers: Sequence[str], known: np.ndarray, products: np.ndarray) -> FreeIntegrals:
+    """The step to the minimum over numbers and integrals, from the products of residual and slopes.
+
+    Args:
+        names: Of q integrals.
+        numbers: Names of the p numbers.
+        known: The integrals of the study, shape (q,).
+        products: Of residual, slopes by the numbers and slopes by the integrals, shape (1 + p + q, 1 + p + q).
+    """
+    p = len(numbers)
+    scale = np.sqrt(np.maximum(np.diag(products)[1:], TINY))
+    information = products[1:, 1:] / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
+    gradient = products[1:, 0] / scale
+    fitted = information[:p, :p]
+    inverse = np.linalg.inv(information)
+    step = inverse @ gradient
+    gain = float(gradient @ step - gradient[:p] @ np.linalg.solve(fitted, gradient[:p]))
+    moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(fitted)))).tolist()
+    values = known + (step / scale)[p:]
+    deviations = (np.sqrt(np.diag(inverse)) / scale)[p:]
+    return FreeIntegrals(
+        names, values, deviations, float(stats.chi2.sf(gain, len(names))), dict(zip(numbers, moves, strict=True))
+    )
+
+
+def require_first_integrals(found: FreeIntegrals | None) -> None:
+    """Require that a flight's first integrals are those of the study, or that the estimates do not depend on them.
+
+    Raises:
+        StartsElsewhere: They are others.
+    """
+    if found is None or not found.matter:
+        return
+    rows = zip(found.names, found.values, found.deviations, strict=True)
+    shown = ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
+    number, move = max(found.moves.items(), key=lambda pair: abs(pair[1]))
+    raise StartsElsewhere(
+        f"the flight did not begin with the study's integrals: its outputs show {shown} (p = {found.p_value:.1g}), and "
+        f"{number} would be {abs(move):.3g} of its standard deviations off. {start_remedy(found.names[-1])}"
+    )

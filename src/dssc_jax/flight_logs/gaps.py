@@ -1,0 +1,80 @@
+"""Spans of a log in which messages are missing, by the log's own rate.
+
+A command that is held over such a span is not the one that flew, and the simulated output is wrong from there on.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.reader import Column, FlightLog
+
+MISSING = 4  # messages in succession that are missing in a gap
+REGULAR = 2.5  # of the median gap: a signal has a rate if nine in ten gaps are shorter
+UNCHANGED = 1e-3  # of a signal's range: a signal with the same value before and after may not have been sent
+NAMED = 3  # gaps that a message names
+
+
+class Gap(NamedTuple):
+    """A span without messages.
+
+    Args:
+        begin: Time of the last message before it, or of the study's beginning [s].
+        end: Time of the first message after it, or of the study's end [s].
+        signals: The signals that lack them.
+    """
+
+    begin: float
+    end: float
+    signals: tuple[str, ...]
+
+
+def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float]]:
+    """Spans between two times in which a signal that has a rate lacks messages [s], and its value changes."""
+    inside = (column.time >= begin) & (column.time <= end)
+    time, value = column.time[inside], column.value[inside]
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]
+    if not steps.size:
+        return []
+    usual = float(np.median(steps))
+    if np.quantile(steps, 0.9, method="lower") > REGULAR * usual:
+        return []
+    bounds = np.concatenate([[begin], time, [end]])
+    places = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual)
+    held = np.concatenate([[np.nan], value, [np.nan]])  # beyond the messages the change is not known
+    change = np.abs(held[places + 1] - held[places])
+    lacking = ~(change <= UNCHANGED * np.ptp(value))
+    return [(float(bounds[place]), float(bounds[place + 1])) for place in places[lacking]]
+
+
+def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, ...]:
+    """The gaps of signals from the study's beginning to a time of the log [s]; those that overlap are one."""
+    found: list[Gap] = []
+    spans = ((span, name) for name in signals for span in gaps_of(log.columns[name], log.start, end))
+    for (begin, until), name in sorted(spans):
+        last = found[-1] if found else None
+        if last is not None and begin < last.end:
+            names = last.signals if name in last.signals else (*last.signals, name)
+            found[-1] = Gap(last.begin, max(last.end, until), names)
+        else:
+            found.append(Gap(begin, until, (name,)))
+    return tuple(found)
+
+
+def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
+    """The gaps in words, with the remedy for the longest."""
+    spans = []
+    for gap in gaps[:NAMED]:
+        spans.append(f"{gap.end - gap.begin:.3g} s from {gap.begin:.4g} s on ({', '.join(gap.signals)})")
+    more = f" and {len(gaps) - NAMED} more times" if len(gaps) > NAMED else ""
+    longest = max(gaps, key=lambda gap: gap.end - gap.begin)
+    before = sample_time * np.floor((longest.begin - log.start) / sample_time)
+    parts = [f"the part before with loop.duration = {before:g}"] if before > 0.0 else []
+    if longest.end < log.end - sample_time:
+        parts.append(f"the part after with a start of {longest.end:.4g} s")
+    return (
+        f"messages are missing for {', '.join(spans)}{more}, and commands are held where the flight had others. "
+        f"Fit {', or '.join(parts) or 'another log'}"
+    )
