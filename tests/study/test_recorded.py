@@ -9,6 +9,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.references import study_references
 from dssc_jax.study.recorded import recorded_columns
 from dssc_jax.study.tables import to_toml
 
@@ -69,9 +70,30 @@ def test_another_time_column(folder):
     assert float(run["y_ref"][150]) == VALUES[2]  # 1.5 s is 0.5 s after the first
 
 
+def test_a_rate_comes_from_a_file_of_its_own(folder):
+    """Or from the record's file, in another column."""
+    times = np.arange(0.1, 5.0, 0.5)
+    pd.DataFrame({"t": times, "speed": times**2}).to_csv(folder / "rate.csv", index=False)
+    study = dj.Study.load(folder / "study.toml")
+    for more, expected in (
+        ({"rate_file": "rate.csv", "rate_column": "speed"}, lambda t: np.interp(t, times, times**2)),
+        ({"rate_column": "time"}, lambda t: np.interp(t, TIMES, TIMES + 1.0)),
+    ):
+        rated = study.override({"reference": TABLE["reference"] | more})
+        value, slope, _ = study_references(rated, 400)[0]
+        t = 0.01 * np.arange(400)
+        np.testing.assert_allclose(slope, expected(t), atol=1e-12)
+        np.testing.assert_allclose(value, np.interp(t, TIMES, VALUES), atol=1e-12)
+        assert not any("file" in name or "column" in name for name in rated.table["reference"])
+
+
 @pytest.mark.parametrize(
     ("reference", "complaint"),
     [
+        ({"rate_column": "speed"}, r"reference.rate_column: 'log.csv' has no column 'speed'"),
+        ({"rate_column": "word"}, r"reference.rate_column: 'log.csv' must hold numbers there; line 2 has 'a'"),
+        ({"rate_file": "log.csv"}, r"reference.rate_column: is required and missing"),
+        ({"rate_column": "time", "rate": [1.0]}, r"reference.rate: is given by the file"),
         ({"file": "absent.csv"}, r"reference.file: '.*absent.csv' cannot be read"),
         ({"column": "setpoint"}, r"reference.column: 'log.csv' has no column 'setpoint'; did you mean 'set point'"),
         ({"column": "word"}, r"reference.column: 'log.csv' must hold numbers"),
@@ -84,6 +106,13 @@ def test_another_time_column(folder):
 def test_bad_records_are_refused(folder, reference, complaint):
     (folder / "study.toml").write_text(to_toml(TABLE | {"reference": TABLE["reference"] | reference}))
     with pytest.raises(ConfigError, match=complaint):
+        dj.Study.load(folder / "study.toml")
+
+
+def test_a_disturbance_has_no_rate(folder):
+    disturbance = {"kind": "record", "file": "log.csv", "column": "time", "rate_column": "set point"}
+    (folder / "study.toml").write_text(to_toml(TABLE | {"disturbance": disturbance}))
+    with pytest.raises(ConfigError, match=r"disturbance.rate_column: .*; a recorded disturbance has no rate"):
         dj.Study.load(folder / "study.toml")
 
 

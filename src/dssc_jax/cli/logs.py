@@ -20,7 +20,7 @@ def logged_flight(options: LogOptions, path: Path, study: Study) -> FlightLog:
     if options.segment is not None:
         table = {**table, "segment": options.segment}
     try:
-        return read_log(path, study.loop.channels, table)
+        return read_log(path, study.loop.channels, table, allow_damaged=options.allow_damaged)
     except ConfigError as error:
         if options.columns is not None and path.is_file():
             raise error.within(str(options.columns)) from None

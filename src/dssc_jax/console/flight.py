@@ -66,18 +66,23 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
 
 
 def samples_text(answer: LogAnswer) -> str:
-    """How many samples are compared, and at how many of them the log has a value."""
-    if answer.logged_samples == answer.samples:
-        return f"{answer.samples} samples"
-    return f"which has a value at {answer.logged_samples} of {answer.samples} samples"
+    """How many samples are compared, at how many of them the log has a value, and whether it ends before the study."""
+    text = f"{answer.samples} samples"
+    if answer.samples < answer.study_samples:
+        text = f"{answer.samples} of the study's {answer.study_samples} samples"
+    if answer.logged_samples < answer.samples:
+        text = f"which has a value at {answer.logged_samples} of {text}"
+    if answer.samples < answer.study_samples:
+        text += ": the log ends before the study"
+    return f"{text}; its file is cut off within a message" if answer.cut else text
 
 
 def show_replay(summary: Mapping[str, Any]) -> None:
     """Print how the analysed controller's commands and the study's references differ from the log's.
 
     Args:
-        summary: ``replay`` by signal, ``replayed_samples``, ``held_samples``, ``not_replayed`` and
-            ``reference_differences`` by channel, and ``hints`` by signal.
+        summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
+            ``reference_differences`` and ``reference_rate_differences`` by channel, and ``hints`` by signal.
     """
     say = partial(output().print, soft_wrap=True, markup=False)
     for name, replay in summary["replay"].items():
@@ -86,13 +91,17 @@ def show_replay(summary: Mapping[str, Any]) -> None:
             f"{replay['unit']} (at {replay['largest_difference_at']:.4g} s), "
             f"rms {replay['rms_difference']:.4g} of {replay['rms_logged']:.4g}"
         )
+    for name, count in summary["dropped_rows"].items():
+        say(f"{name}: {'1 row' if count == 1 else f'{count:,} rows'} left out, because the times of the log fall")
     if summary["held_samples"]:
         say(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
     for channel, reason in summary["not_replayed"].items():
         say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+    rates = summary["reference_rate_differences"]
     for channel, largest in summary["reference_differences"].items():
         place = f" of {channel}" if channel else ""
-        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}")
+        rate = f", its rate by at most {rates[channel]:.4g}" if channel in rates else ""
+        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}{rate}")
     for name, text in summary["hints"].items():
         say(f"warning: {name} {text}")
 

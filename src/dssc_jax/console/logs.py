@@ -3,12 +3,14 @@
 from functools import partial
 
 from dssc_jax.console.terminal import output, show_table
+from dssc_jax.flight_logs.clocks import ClockStep
 from dssc_jax.flight_logs.contents import FieldValues, LogContents
 from dssc_jax.flight_logs.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
 """What is shown of a log's system: name, hardware (PX4_SITL: PX4's simulation) and version of the software."""
 DERIVED_MARK = "*"
+FAR = 1e6  # s; no log is as long
 
 
 def show_log(log: LogContents) -> None:
@@ -27,6 +29,12 @@ def show_log(log: LogContents) -> None:
         say(f"damaged: byte {log.damaged} is no message; {log.lost:,} bytes at {places(log.damages)} are passed over")
     if log.cut:
         say("cut off: the file ends within a message, and what was to come is not in it")
+    for step in log.falls:
+        often = "once" if step.falls == 1 else f"{step.falls:,} times"
+        say(f"times fall {often}, first {span(step)}: {', '.join(step.topics)}")
+    for step in log.gaps:
+        usual = f"where {step.rate:.3g} a second are usual (messages are missing, or the clock jumps)"
+        say(f"no message {span(step)}, {usual}: {', '.join(step.topics)}")
     if log.topics and not log.fields:
         head = ("topic", "messages", "a second", "first [s]", "last [s]")
         show_table(head, [topic_row(topic) for topic in log.topics])
@@ -35,6 +43,12 @@ def show_log(log: LogContents) -> None:
         show_table(head, [field_row(field) for field in log.fields])
     if any(field.derived for field in log.fields):
         say(f"{DERIVED_MARK} in the model's axes: east, north, up; a body's forward, left, up; SI units and radians")
+
+
+def span(step: ClockStep) -> str:
+    """Both ends of a step, to the millisecond."""
+    texts = [f"{value:.3f}" if abs(value) < FAR else f"{value:.4g}" for value in step.stamps]
+    return f"from {texts[0]} s to {texts[1]} s"
 
 
 def places(count: int) -> str:

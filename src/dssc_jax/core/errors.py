@@ -48,6 +48,19 @@ def errors_under(path: str) -> Iterator[None]:
 
 
 @contextmanager
+def errors_in_file(name: str) -> Iterator[None]:
+    """Put the name of a file in front of every error raised inside: ``flight.ulg: signals.y: ...``.
+
+    Raises:
+        ConfigError: The error raised inside, with the file.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        raise error.within(name) from None
+
+
+@contextmanager
 def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[None]:
     """Report an exception of a user's own code in one line, with the line of the user's file; raises ConfigError."""
     try:

@@ -4,17 +4,23 @@ The test is one of exchangeable curves (:mod:`dssc_jax.statistics.exchangeable`)
 largest standardised departure over all logged signals and times, and its p-value is exact for any time series.
 """
 
-import warnings
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
-import xarray as xr
 from matplotlib.figure import Figure
 
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
+from dssc_jax.flight_logs.compared_curves import (
+    DIMENSIONS,
+    DRAWN_LEVELS,
+    Signal,
+    compared_dataset,
+    drawn_curves,
+    output_hints,
+)
 from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import log_comparison
 from dssc_jax.flight_logs.reader import FlightLog, signal_name
@@ -22,18 +28,16 @@ from dssc_jax.flight_logs.replay import (
     ChannelCurves,
     LogReplay,
     ReplayedCommand,
-    curves_of_draws,
     replay_log,
     replayed_command,
     signal_unit,
 )
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
-from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
+from dssc_jax.statistics.exchangeable import rank_p_value
 from dssc_jax.study import Study
 
 MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
-DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 NO_SPREAD = (
     "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
     "numbers, disturbances or sensors their laws"
@@ -61,9 +65,11 @@ class LogAnswer:
     """The place of a logged flight among the draws of a study."""
 
     log: Annotated[str, Quantity("", "name of the log")]
+    cut: Annotated[bool, Quantity("", "whether its file ends within a message, before the study does")]
     start: Annotated[float, Quantity("s", "time of the log at which the study begins")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     samples: Annotated[int, Quantity("1", "compared samples")]
+    study_samples: Annotated[int, Quantity("1", "those of the whole study; more, if the log ends before it")]
     logged_samples: Annotated[int, Quantity("1", "those of them at which the log has a value")]
     every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
@@ -78,6 +84,7 @@ class LogAnswer:
     decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure")]
     signals: dict[str, SignalAnswer]
     replayed_samples: Annotated[int, Quantity("1", "samples of the replay")]
+    dropped_rows: Annotated[dict[str, int], Quantity("1", "rows that are left out, because their times fall")]
     held_samples: Annotated[
         dict[str, int],
         Quantity("1", "samples of the replay at which the log lacks the signal, and its last value counts"),
@@ -86,9 +93,13 @@ class LogAnswer:
     reference_differences: Annotated[
         dict[str, float], Quantity("that of the output", "largest difference of the logged reference from the study's")
     ]
+    reference_rate_differences: Annotated[
+        dict[str, float],
+        Quantity("that of the output's derivative", "largest difference of the logged reference's rate from its"),
+    ]
     hints: Annotated[
         dict[str, str],
-        Quantity("", "signals that are the study's otherwise, and numbers at which the flight did not start"),
+        Quantity("", "signals that are the study's otherwise or rough, and numbers at which the flight did not start"),
     ]
 
 
@@ -109,13 +120,17 @@ class LogComparison(Analysis):
         held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
-        hints: Signals that are the study's in another unit, sign or column or at another time, and numbers at which the
-            study starts while the flight cannot have, with the words for it.
+        rates: Largest difference between their derivatives, by channel; empty if not logged.
+        hints: Signals that are the study's in another unit, sign or column or at another time, rates that are not the
+            slope of its reference, and numbers at which the study starts while the flight cannot have, with the words.
+        steps: Samples of the study.
+        cut: Whether the log ends before the study, because its file ends within a message.
+        dropped: Rows that are left out because their times fall, by signal.
     """
 
     kind = "compare-log"
     title = "A logged flight beside the draws"
-    table = ("signal", "t")
+    table = DIMENSIONS
 
     log: str
     start: float
@@ -124,7 +139,11 @@ class LogComparison(Analysis):
     held: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
+    rates: dict[str, float]
     hints: dict[str, str]
+    steps: int
+    cut: bool
+    dropped: dict[str, int]
 
     @property
     def logged_samples(self) -> int:
@@ -190,9 +209,11 @@ class LogComparison(Analysis):
             quantiles = {name: float(np.quantile(of_draws, level)) for name, level in DRAWN_LEVELS.items()}
         return LogAnswer(
             log=self.log,
+            cut=self.cut,
             start=self.start,
             draws=draws,
             samples=self.dataset.sizes["t"],
+            study_samples=-(-self.steps // self.every),
             logged_samples=self.logged_samples,
             every=self.every,
             p_value=self.p_value,
@@ -205,9 +226,11 @@ class LogComparison(Analysis):
             decisive_time=time,
             signals={str(name): self.signal_answer(str(name)) for name in self.dataset["signal"].values},
             replayed_samples=self.replayed,
+            dropped_rows=self.dropped,
             held_samples=self.held,
             not_replayed=self.not_replayed,
             reference_differences=self.references,
+            reference_rate_differences=self.rates,
             hints=self.hints,
         )
 
@@ -244,14 +267,6 @@ def start_of_last_excursion(time: np.ndarray, outside: np.ndarray) -> float | No
         return None
     inside = np.flatnonzero(~outside)
     return float(time[inside[-1] + 1 if inside.size else 0])
-
-
-class Signal(NamedTuple):
-    """A compared signal: the position of its channel, its field of :class:`ChannelCurves`, and its name in the log."""
-
-    channel: int
-    quantity: str
-    name: str
 
 
 def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | None = None) -> LogComparison:
@@ -299,11 +314,21 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     replayed = np.array([replays.get(signal.name, missing) for signal in signals])[:, ::stride]
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
-    hints = replay.hints.texts
-    held = replay.held
-    not_replayed = replay.not_replayed
     return LogComparison(
-        study, dataset, log.name, log.start, stride, samples, held, not_replayed, replay.references, hints
+        study,
+        dataset,
+        log.name,
+        log.start,
+        stride,
+        samples,
+        replay.held,
+        replay.not_replayed,
+        replay.references,
+        replay.rates,
+        output_hints(study, dataset) | replay.hints.all(),
+        loop.steps,
+        samples < loop.steps and log.is_cut(),
+        dict(log.dropped),
     )
 
 
@@ -316,54 +341,3 @@ def compared_samples(study: Study, replay: LogReplay) -> np.ndarray:
             if values is not None:
                 known |= np.isfinite(values[: replay.samples])
     return known
-
-
-def drawn_curves(
-    study: Study, signals: list[Signal], samples: int, stride: int, progress: ProgressCallback | None
-) -> np.ndarray:
-    """The signals of every draw, shape (draws, signals, times)."""
-    draws = study.config.draws
-    curves = np.empty((draws, len(signals), -(-samples // stride)))
-    for draw, channels in enumerate(curves_of_draws(study, samples, stride)):
-        for row, signal in enumerate(signals):
-            curves[draw, row] = getattr(channels[signal.channel], signal.quantity)
-        if progress is not None:
-            progress(draw + 1, draws)
-    return curves
-
-
-def compared_dataset(
-    study: Study, signals: list[Signal], stride: int, tested: np.ndarray, replayed: np.ndarray, curves: np.ndarray
-) -> xr.Dataset:
-    """The dataset of a comparison: the log and its replay, shape (signals, times), and the draws' curves."""
-    columns = {
-        "logged": (tested, "logged value"),
-        "commanded": (replayed, "command of the analysed controller"),
-    }
-    for name, values in pointwise_quantiles(curves).items():
-        columns[name] = (values, f"{name} value of the draws")
-    dimensions = LogComparison.table
-    data = {}
-    for name, (values, meaning) in columns.items():
-        data[name] = (dimensions, values, {"long_name": meaning, "units": "that of the signal"})
-    statistics, departure = largest_departures(curves, tested)
-    meaning = "departure of the log from the draws' median, by their spread"
-    data["departure"] = (dimensions, departure, {"long_name": meaning, "units": "1"})
-    meaning = "largest departure of each draw, and of the log as the last one"
-    data["statistic"] = (("curve",), statistics, {"long_name": meaning, "units": "1"})
-    times = study.loop.sample_time * (stride * np.arange(tested.shape[1]))
-    coords = {
-        "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
-        "t": ("t", times, {"long_name": "time", "units": "s"}),
-    }
-    return xr.Dataset(data, coords=coords, attrs={"title": study.name})
-
-
-def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
-    """Range and quantiles of the draws that have not ended, pointwise; curves of shape (draws, signals, times)."""
-    finite = np.where(np.isfinite(curves), curves, np.nan)
-    levels = {"lowest": 0.0, **DRAWN_LEVELS, "highest": 1.0}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "All-NaN slice")  # all draws have ended: nothing is shown
-        values = np.nanquantile(finite, list(levels.values()), axis=0)
-    return dict(zip(levels, values, strict=True))

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
+from dssc_jax.flight_logs.clocks import ClockStep, falls_of, gaps_of
 from dssc_jax.flight_logs.frames import derived_fields, field_values
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
@@ -73,12 +74,25 @@ class LogContents:
     cut: bool
     fields: tuple[FieldValues, ...]
 
+    @property
+    def falls(self) -> list[ClockStep]:
+        """Where time stamps fall."""
+        return falls_of(self.topics)
+
+    @property
+    def gaps(self) -> list[ClockStep]:
+        """Where messages are missing, or the clock jumps."""
+        return gaps_of(self.topics)
+
     def summary(self) -> dict[str, object]:
         """The same as plain data."""
         topics = [topic._asdict() | {"rate": topic.rate} for topic in self.topics]
         segments = [segment._asdict() for segment in self.segments]
         fields = [field._asdict() for field in self.fields]
-        return vars(self) | {"topics": topics, "segments": segments, "fields": fields}
+        falls = [step._asdict() for step in self.falls]
+        gaps = [step._asdict() for step in self.gaps]
+        lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
+        return {**vars(self), **lists}
 
 
 def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
@@ -91,7 +105,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
     Raises:
         ConfigError: the file cannot be read, or there is no such topic.
     """
-    with errors_under(str(path)):
+    with errors_in_file(str(path)):
         if not is_ulog(path):
             if topics:
                 raise ConfigError("topic", "is for a ULog of PX4; a table has columns, which are shown")
@@ -170,7 +184,7 @@ def topic_table(
     Raises:
         ConfigError: the file cannot be read, or it lacks the topic or the segment.
     """
-    with errors_under(str(path)):
+    with errors_in_file(str(path)):
         name, key = topic_place(topic)
         data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS])
         signals = data.get(key)
@@ -178,10 +192,20 @@ def topic_table(
             known = [topic.name for topic in list_topics(path).topics]
             raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
         time = stamps(signals, begin)
+        whole = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
         part = log_span if segment is None else chosen_segment(segment, segments_of(data, begin))
         origin = part.begin if start is None else start
         inside = (time >= max(part.begin, origin)) & (time <= part.end)
+        if not inside.any():
+            has = (
+                f"its messages are from {whole.min():.4g} s to {whole.max():.4g} s"
+                if whole.size
+                else "none has a stamp"
+            )
+            raise ConfigError(
+                topic, f"has no message from {max(part.begin, origin):.4g} s on in the part asked for; {has}"
+            )
         table = {TIME: time[inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)

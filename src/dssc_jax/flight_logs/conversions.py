@@ -1,12 +1,14 @@
 """What a logged signal would be with another sign, unit or start: hints for a log that contradicts its study."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
+PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
 
 
@@ -81,6 +83,29 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     return best
 
 
+def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:
+    """What a logged output looks like, if not like the one that is expected of its channel: in words, or empty.
+
+    Args:
+        index: Position of its channel.
+        logged: Values, NaN where missing, shape (samples,).
+        expected: The expected output of each channel at the same times.
+        names: Of the outputs.
+        unit: Of the output.
+    """
+    found = conversion_text(logged, expected[index], PREDICTED, unit)
+    if found:
+        return f"looks like the study's {found}"
+    least = FEWER * rms(logged - expected[index])
+    other = ""
+    for place, output in enumerate(expected):
+        distance = rms(logged - output)
+        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), least):
+            least = distance
+            other = f"looks like the study's {names[place]}"
+    return other
+
+
 def reference_conversion(
     index: int, logged: np.ndarray, references: np.ndarray, channels: Sequence[str], unit: str
 ) -> str:
@@ -126,20 +151,34 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     return 0
 
 
+def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
+    """Whether nothing in a logged reference contradicts that it is the study's so many samples later.
+
+    One that never moves, or is not logged, contradicts no shift.
+    """
+    size = rms(reference - np.mean(reference))
+    if size == 0.0 or not np.isfinite(logged).any():
+        return True
+    late, early = max(shift, 0), max(-shift, 0)
+    samples = len(reference) - abs(shift)
+    return rms(logged[late : late + samples] - reference[early : early + samples]) <= SAME_REFERENCE * size
+
+
 class LogHints(NamedTuple):
-    """Why a log may contradict its study.
+    """Why a log may contradict its study: signals, each with the words for it.
 
     Args:
-        conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
-        shifts: References that are the study's at another time, each with the words for it.
-        starts: Numbers at which the study starts while the flight cannot have, each with the words for it.
+        conversions: Signals that are the study's in another unit, sign or column.
+        shifts: References that are the study's at another time.
+        slopes: Rates that are not the slope of the study's reference.
+        starts: Numbers at which the study starts while the flight cannot have.
     """
 
     conversions: Mapping[str, str]
     shifts: Mapping[str, str]
-    starts: Mapping[str, str]
+    slopes: Mapping[str, str] = MappingProxyType({})
+    starts: Mapping[str, str] = MappingProxyType({})
 
-    @property
-    def texts(self) -> dict[str, str]:
+    def all(self) -> dict[str, str]:
         """All of them, by signal or number."""
-        return {**self.conversions, **self.shifts, **self.starts}
+        return {**self.conversions, **self.shifts, **self.slopes, **self.starts}

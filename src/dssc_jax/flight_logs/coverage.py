@@ -43,6 +43,25 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
     return f"{text}: its times must be in seconds"
 
 
+def few_samples_remedy(known: np.ndarray, sample_time: float) -> str:
+    """Why a log lacks a signal at many samples, and what helps: it is too rare, or it has gaps.
+
+    Args:
+        known: Whether it has the signal, at each sample, shape (samples,).
+        sample_time: Of the study [s].
+    """
+    places = np.flatnonzero(known)
+    steps = np.diff(places)
+    if not steps.size or np.median(steps) > 1:
+        return "log it as often as the controller runs, or set loop.sample_time to the log's"
+    longest = int(np.argmax(steps))
+    begin, end = sample_time * places[longest], sample_time * places[longest + 1]
+    return (
+        f"it is logged as often, but values are missing, at most {steps[longest] - 1} in a row (between {begin:.4g} s "
+        f"and {end:.4g} s of the study). Take a part without gaps (`start`, loop.duration), or another log"
+    )
+
+
 def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
     """Require that a log has values at some samples of the study.
 

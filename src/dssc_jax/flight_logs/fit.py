@@ -40,6 +40,7 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
     Doubt,
     NotIdentifiable,
@@ -53,7 +54,6 @@ from dssc_jax.flight_logs.replay import (
     replay_log,
     replayed_channel,
     require_same_signals,
-    study_references,
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits

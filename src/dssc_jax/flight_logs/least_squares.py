@@ -102,7 +102,8 @@ class Readings(NamedTuple):
 
     def interpolate(self, sampled: np.ndarray) -> np.ndarray:
         """Values at the times of the readings, shape (..., n), of a signal of shape (..., samples)."""
-        return np.sum(self.weights * sampled[..., self.nodes], axis=-1)
+        with np.errstate(invalid="ignore"):  # a simulation that diverges becomes NaN, and no minimum
+            return np.sum(self.weights * sampled[..., self.nodes], axis=-1)
 
 
 class NormalEquations(NamedTuple):

@@ -21,7 +21,8 @@ from dssc_jax.flight_logs.comparison import MOST_NUMBERS, Signal, drawn_curves
 from dssc_jax.flight_logs.coverage import require_samples
 from dssc_jax.flight_logs.figure import next_flight_figure
 from dssc_jax.flight_logs.reader import FlightLog, channel_signals, samples_within, signal_name
-from dssc_jax.flight_logs.replay import ChannelCurves, study_references
+from dssc_jax.flight_logs.references import study_references
+from dssc_jax.flight_logs.replay import ChannelCurves
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 from dssc_jax.statistics.conformal import (

@@ -20,7 +20,7 @@ from dssc_jax.engine.evaluation import DIRECTION, require_steps_in_any_order
 from dssc_jax.engine.kernels import Start
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_logs.replay import median_values
+from dssc_jax.flight_logs.references import median_values
 from dssc_jax.models.sensors import IDEAL
 from dssc_jax.study import Study
 

@@ -2,18 +2,22 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple, TypeGuard
+from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.errors import ConfigError, errors_under, nearest
+from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
 from dssc_jax.core.numerics import wrap_angle
+from dssc_jax.flight_logs.clocks import sound_rows
+from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, column_map
 from dssc_jax.flight_logs.frames import PX4_COLUMNS, derived_fields, field_values
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
     Segment,
     TopicData,
     chosen_segment,
+    is_cut,
     is_ulog,
     read_topics,
     segments_of,
@@ -21,13 +25,12 @@ from dssc_jax.flight_logs.ulog import (
     topic_place,
 )
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import TIME, recorded_frame
+from dssc_jax.study.recorded import recorded_frame
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 """Signals of a channel that a log may have, by their names in trajectories."""
 LARGEST_VALUE = 1e100
 """Times and values of a log; squares and sums of larger ones overflow."""
-ENTRIES = ("signals", "time", "start", "segment")
 TIME_ROUNDING = 1e-6  # samples
 
 
@@ -43,23 +46,6 @@ class Column(NamedTuple):
     value: np.ndarray
 
 
-class SignalSource(NamedTuple):
-    """The column of a signal, and the conversion to the study's unit: value = scale * column + offset."""
-
-    column: str
-    scale: float = 1.0
-    offset: float = 0.0
-
-
-class ColumnMap(NamedTuple):
-    """The places of a study's signals in a log."""
-
-    signals: dict[str, SignalSource]
-    time: str  # the column with the time [s], of a CSV or Parquet file
-    start: float | None  # time of the log at which the study begins [s]; None: that of the segment, or the first sample
-    segment: str | None = None  # part of a ULog to read: armed or airborne
-
-
 class FlightLog(NamedTuple):
     """A logged flight.
 
@@ -70,6 +56,8 @@ class FlightLog(NamedTuple):
         start: Time of the log at which the study begins [s].
         damaged: Whether the file has lost messages.
         airborne: When the vehicle was in the air, as far as the file tells.
+        file: The file.
+        dropped: Number of rows that are left out because their times fall, by signal.
     """
 
     name: str
@@ -77,6 +65,12 @@ class FlightLog(NamedTuple):
     start: float
     damaged: bool = False
     airborne: tuple[Segment, ...] = ()
+    file: Path | None = None
+    dropped: Mapping[str, int] = MappingProxyType({})
+
+    def is_cut(self) -> bool:
+        """Whether its file ends within a message; reads the file once more."""
+        return self.file is not None and is_ulog(self.file) and is_cut(self.file)
 
     @property
     def end(self) -> float:
@@ -94,74 +88,33 @@ def log_signals(channels: tuple[str, ...]) -> list[str]:
     return [signal_name(channel, name) for channel in channels for name in LOGGED]
 
 
-def column_map(table: Mapping[str, object], channels: tuple[str, ...]) -> ColumnMap:
-    """Check a table of columns, see :func:`read_log`."""
-    for name in table:
-        if name not in ENTRIES:
-            raise ConfigError(name, f"is no entry of a table of columns; {nearest(name, ENTRIES)}")
-    time = table.get("time", TIME)
-    if not isinstance(time, str):
-        raise ConfigError("time", f"must be the name of a column, got {time!r}")
-    start = table.get("start")
-    if start is not None and not is_finite_number(start):
-        raise ConfigError("start", f"must be a finite number of seconds, got {start!r}")
-    segment = table.get("segment")
-    if segment is not None and not isinstance(segment, str):
-        raise ConfigError("segment", f"must be a text, got {segment!r}")
-    entries = table.get("signals", {})
-    if not isinstance(entries, Mapping):
-        raise ConfigError("signals", f"must be a table, got {entries!r}")
-    known = log_signals(channels)
-    signals = {}
-    with errors_under("signals"):
-        for name, entry in entries.items():
-            if name not in known:
-                raise ConfigError(name, f"is no signal of the study; {nearest(name, known)}")
-            signals[name] = signal_source(name, entry)
-    return ColumnMap(signals, time, None if start is None else float(start), segment)
-
-
-def signal_source(name: str, entry: object) -> SignalSource:
-    """Check the entry of a signal."""
-    table = {"column": entry} if isinstance(entry, str) else entry
-    if not isinstance(table, Mapping) or not set(table) <= set(SignalSource._fields):
-        raise ConfigError(name, f"must be a column, or a table of column, scale and offset, got {entry!r}")
-    column = table.get("column")
-    if not isinstance(column, str):
-        raise ConfigError(f"{name}.column", f"must be the name of a column, got {column!r}")
-    scale = table.get("scale", 1.0)
-    offset = table.get("offset", 0.0)
-    if not is_finite_number(scale) or scale == 0 or not is_finite_number(offset):
-        raise ConfigError(name, f"scale and offset must be finite and scale not 0, got {scale!r} and {offset!r}")
-    return SignalSource(column, float(scale), float(offset))
-
-
-def is_finite_number(value: object) -> TypeGuard[float]:
-    """Whether a value of TOML is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
 def read_log(
-    path: str | Path, channels: tuple[str, ...] = ("",), table: Mapping[str, object] | None = None
+    path: str | Path,
+    channels: tuple[str, ...] = ("",),
+    table: Mapping[str, object] | None = None,
+    *,
+    allow_damaged: bool = False,
 ) -> FlightLog:
     """Read a logged flight.
 
     Args:
         path: A CSV or Parquet file, or a ULog of PX4 (``.ulg``), which needs pyulog.
         channels: The study's channels, ``study.loop.channels``.
-        table: The table of columns: ``time`` and ``start``, ``segment`` (``armed`` or ``airborne``) of a ULog, and
-            under ``signals`` for each signal the name of its column, or a table with ``column``, ``scale`` and
-            ``offset``. None: those columns that have the signals' own names, as ``dssc-jax simulate --csv`` writes
-            them; of a ULog, those of a vehicle in :data:`dssc_jax.flight_logs.frames.PX4_COLUMNS`. A column of a ULog
-            is ``topic.field``, or ``topic:1.field`` for the topic's second instance. A field may be one in the model's
-            axes, see :data:`dssc_jax.flight_logs.frames.DERIVED`.
+        table: The table of columns: ``time`` (a column, or a table with ``column`` and ``scale``, its unit in seconds)
+            and ``start``, ``segment`` (``armed`` or ``airborne``) of a ULog, and under ``signals`` for each signal the
+            name of its column, or a table with ``column``, ``scale`` and ``offset``. None: those columns that have the
+            signals' own names, as ``dssc-jax simulate --csv`` writes them; of a ULog, those of a vehicle in
+            :data:`dssc_jax.flight_logs.frames.PX4_COLUMNS`. A column of a ULog is ``topic.field``, or
+            ``topic:1.field`` for the topic's second instance. A field may be one in the model's axes, see
+            :data:`dssc_jax.flight_logs.frames.DERIVED`.
+        allow_damaged: Whether rows whose times fall are left out, the fewest possible; at most 5 %.
 
     Raises:
-        ConfigError: the file cannot be read, or a column is absent or holds no numbers.
+        ConfigError: the file cannot be read, a column is absent or holds no numbers, or its times fall.
     """
     file = Path(path)
-    columns = column_map(table or {}, channels)
-    with errors_under(str(file)):
+    columns = column_map(table or {}, log_signals(channels))
+    with errors_in_file(str(file)):
         logged = is_ulog(file)
         if columns.segment is not None and not logged:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
@@ -176,29 +129,34 @@ def read_log(
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
             raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
         converted = {}
+        dropped = {}
         for name, column in raw.items():
-            converted[name] = converted_column(name, column, columns.signals.get(name, SignalSource(name)))
+            source = columns.signals.get(name, SignalSource(name))
+            converted[name], count = converted_column(name, column, source, allow_damaged)
+            if count:
+                dropped[name] = count
     first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
-    return FlightLog(file.name, converted, first if columns.start is None else columns.start, damaged, airborne)
+    start = first if columns.start is None else columns.start
+    return FlightLog(file.name, converted, start, damaged, airborne, file, dropped)
 
 
-def converted_column(name: str, column: Column, source: SignalSource) -> Column:
-    """The finite values of a column in the study's unit."""
+def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:
+    """The finite values of a column in the study's unit, and the number of rows left out because their times fall."""
     finite = np.isfinite(column.time) & np.isfinite(column.value)
     if not finite.any():
         raise ConfigError(name, "has no finite value in the log")
-    time = column.time[finite]
-    if np.any(np.diff(time) < 0.0):
-        raise ConfigError(name, "the log's times must not fall from row to row")
+    rows = np.flatnonzero(finite)
+    kept = rows[sound_rows(name, column.time[rows], rows, allow_damaged)]
+    time = column.time[kept]
     with np.errstate(over="ignore"):
-        value = source.scale * column.value[finite] + source.offset
+        value = source.scale * column.value[kept] + source.offset
     for label, numbers in (("time", time), ("value", value)):
         largest = np.abs(numbers).max()
         if largest > LARGEST_VALUE:
             raise ConfigError(
                 name, f"its largest {label} in the log is {largest:g}; at most {LARGEST_VALUE:g} is taken"
             )
-    return Column(time, value)
+    return Column(time, value), len(rows) - len(kept)
 
 
 def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> dict[str, Column]:
@@ -208,12 +166,12 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
     names = {signal: source.column for signal, source in columns.signals.items()}
     if not names:
         names = {name: name for name in log_signals(channels) if name in present}
-    for field, name in {"time": columns.time, **names}.items():
+    for field, name in {"time": columns.time.column, **names}.items():
         if name not in present:
             rule = f"has no column '{name}'; {nearest(name, present)}; a table of columns gives the names"
             raise ConfigError(field, rule)
     try:
-        time = frame[columns.time].to_numpy(float)
+        time = columns.time.scale * frame[columns.time.column].to_numpy(float)
         return {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
     except (TypeError, ValueError) as error:
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.conversions import conversion_text
+from dssc_jax.flight_logs.conversions import likeness
 from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
 from dssc_jax.flight_logs.prediction import study_noise
 from dssc_jax.flight_logs.reader import signal_name
@@ -23,7 +23,6 @@ MOST_UNEXPLAINED = 0.1  # of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
 MANY_TIMES = 3.0  # what noise explains of a residual: above, the residual is doubted
 LEAST_DOUBTED = 1e-3  # of the output's variance left unexplained, in a residual that is doubted
-PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISE_REPLICATES = 16  # of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
@@ -126,7 +125,7 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
 
 
 def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
-    """In which other unit or sign a channel's readings are what the study predicts; empty if in none.
+    """In which other unit, sign or channel a channel's readings are what the study predicts; empty if in none.
 
     Predicted are the outputs at coordinates x and at the medians of the laws.
 
@@ -136,13 +135,15 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
         place: Position of the readings.
     """
     readings = problem.readings[place]
-    label = signal_name(problem.study.loop.channels[readings.channel], "y")
+    names = [signal_name(problem.study.loop.channels[other.channel], "y") for other in problem.readings]
+    unit = problem.study.units[readings.channel].output
     for coordinates in (np.zeros_like(x), x):
-        predicted = readings.values - problem.columns(coordinates)[place][:, 0]
-        unit = problem.study.units[readings.channel].output
-        found = conversion_text(readings.values, predicted, PREDICTED, unit)
+        predicted = []
+        for other, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
+            predicted.append(np.interp(readings.times, other.times, other.values - columns[:, 0]))
+        found = likeness(place, readings.values, predicted, names, unit)
         if found:
-            return f". {label} looks like the study's {found}"
+            return f". {names[place]} {found}"
     return ""
 
 

@@ -19,7 +19,8 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
-from dssc_jax.flight_logs.conversions import LogHints, conversion_text, reference_conversion, reference_shift, rms
+from dssc_jax.flight_logs.conversions import LogHints, conversion_text, rms
+from dssc_jax.flight_logs.coverage import few_samples_remedy
 from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
@@ -28,6 +29,7 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.references import compared_references, median_values, study_references
 from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
@@ -60,20 +62,6 @@ class ChannelCurves(NamedTuple):
 
 DrawCurves: TypeAlias = tuple[ChannelCurves, ...]
 """The curves of each channel."""
-
-
-def median_values(study: Study) -> dict[str, float]:
-    """The median of every law of the study."""
-    return {name: float(law.median) for name, law in study.laws.items()}
-
-
-def study_references(study: Study, samples: int) -> np.ndarray:
-    """The study's reference of each channel with its derivatives, shape (channels, 3, samples); medians of laws."""
-    with arithmetic(study.config.loop.precision):
-        params = study.params(median_values(study)).reference
-        times = study.loop.sample_time * jnp.arange(samples)
-        points = jax.vmap(lambda t: as_arrays(study.loop.mimo_reference.at(params, t)))(times)
-    return np.array([[np.asarray(part, float) for part in point] for point in points])
 
 
 def commanded(study: Study, index: int, readings: np.ndarray, references: np.ndarray) -> np.ndarray:
@@ -126,7 +114,7 @@ def replayed_channel(
     if share < REPLAY_SHARE:
         return (
             f"the log has y at {100 * share:.3g} % of the controller's samples; a replay needs {100 * REPLAY_SHARE:g} %"
-            ", and makes up none: log it as often as the controller runs, or set loop.sample_time to the log's"
+            f", and makes up none: {few_samples_remedy(np.isfinite(logged['y']), study.loop.sample_time)}"
         )
     signals = {name: forward_filled(values) for name, values in logged.items() if np.isfinite(values).any()}
     defaults = {"y_ref": reference[0]}
@@ -202,7 +190,9 @@ class LogReplay(NamedTuple):
         held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
+        rates: Largest difference between their derivatives, by channel; empty if not logged.
         hints: Why they may disagree.
+        dropped: Rows that are left out because their times fall, by signal.
     """
 
     samples: int
@@ -211,7 +201,9 @@ class LogReplay(NamedTuple):
     held: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
+    rates: dict[str, float]
     hints: LogHints
+    dropped: dict[str, int]
 
     def differences(self, sample_time: float) -> dict[str, ReplayedCommand]:
         """The differences of the replayed commands from the logged ones, by signal."""
@@ -232,10 +224,12 @@ class LogReplay(NamedTuple):
                 name: asdict(replayed) | {"unit": signal_unit(study, name)} for name, replayed in differences.items()
             },
             "replayed_samples": self.samples,
+            "dropped_rows": self.dropped,
             "held_samples": self.held,
             "not_replayed": self.not_replayed,
             "reference_differences": self.references,
-            "hints": self.hints.texts,
+            "reference_rate_differences": self.rates,
+            "hints": self.hints.all(),
         }
 
 
@@ -254,23 +248,11 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     replays: dict[str, np.ndarray] = {}
     held: dict[str, int] = {}
     not_replayed: dict[str, str] = {}
-    differences: dict[str, float] = {}
-    conversions: dict[str, str] = {}
-    shifts: dict[str, str] = {}
-    for index, (channel, units) in enumerate(zip(loop.channels, study.units, strict=True)):
-        signals = channel_signals(study, log, index, references[index, 0])
+    channels = [channel_signals(study, log, index, references[index, 0]) for index in range(len(loop.channels))]
+    compared = compared_references(study, log, channels, references)
+    conversions = compared.conversions
+    for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
-        if "y_ref" in signals:
-            differences[channel] = largest_distance(signals["y_ref"], references[index, 0])
-            name = signal_name(channel, "y_ref")
-            text = reference_conversion(index, signals["y_ref"], references[:, 0], loop.channels, units.output)
-            shift = 0 if text else reference_shift(signals["y_ref"], references[index, 0])
-            if text:
-                conversions[name] = text
-            elif shift:
-                side = "later" if shift > 0 else "earlier"
-                start = log.start + shift * loop.sample_time
-                shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])
@@ -285,13 +267,10 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-    hints = LogHints(conversions, shifts, start_hints(study, log))
-    return LogReplay(samples, logged, replays, held, not_replayed, differences, hints)
-
-
-def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
-    """The largest distance of a logged reference from the study's; 0 if it has no value."""
-    return float(np.nanmax(np.abs(logged - reference), initial=0.0))
+    hints = LogHints(conversions, compared.shifts, compared.slopes, start_hints(study, log))
+    differences = compared.differences
+    dropped = dict(log.dropped)
+    return LogReplay(samples, logged, replays, held, not_replayed, differences, compared.rates, hints, dropped)
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:

@@ -150,6 +150,8 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
     """
     chosen = sorted(set(names))
     with opened_log(path) as opened:
+        log_begin(opened.file)
+        opened.file.seek(0)
         log = opened.parse(opened.file, chosen)
     if not log.file_corruption:
         return log, False
@@ -197,6 +199,12 @@ def list_topics(path: Path) -> LogTopics:
     return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut)
 
 
+def is_cut(path: Path) -> bool:
+    """Whether a log ends within a message, as where the power failed while it was written."""
+    with opened_log(path) as opened:
+        return scanned(opened.file).cut
+
+
 def scanned(file: BinaryIO) -> Scan:
     """The pass over all messages of a log."""
     scan = Scan(log_begin(file))
@@ -205,10 +213,12 @@ def scanned(file: BinaryIO) -> Scan:
 
 
 def log_begin(file: BinaryIO) -> int:
-    """The time at which a log begins [us]."""
+    """The time at which a log begins [us]; raises ConfigError if it is no ULog."""
     head = file.read(HEADER.size)
+    if not head:
+        raise ConfigError("", "is no ULog: the file is empty")
     if len(head) < HEADER.size or head[: len(MAGIC)] != MAGIC:
-        raise ConfigError("file", "is no ULog: its first bytes are others")
+        raise ConfigError("", "is no ULog: its first bytes are others")
     return HEADER.unpack(head)[2]
 
 

@@ -30,7 +30,15 @@ from dssc_jax.flight_logs.ulog_messages import (
 
 CHAIN = 5  # sound messages that show where a log goes on
 CHAIN_READ = 40  # messages that are looked at for them: topics may have been lost with their numbers
+USUAL_DIGITS = 3  # binary ones, above those of the middle interval
 WINDOW = 1 << 16  # bytes that are searched at a time
+
+
+class Stamps(NamedTuple):
+    """Two successive stamps of a topic, from the beginning of the log [s]; NaN where there are none."""
+
+    before: float = np.nan
+    after: float = np.nan
 
 
 class LogTopic(NamedTuple):
@@ -41,18 +49,105 @@ class LogTopic(NamedTuple):
         messages: Number of its messages.
         first: Time of the first one with a stamp, from the beginning of the log [s]; NaN if none has.
         last: Time of the last one [s].
+        falls: Number of messages with an earlier stamp than the message before.
+        fall: Stamps before and after the first of them [s]; NaN if there is none.
+        usual: Messages a second where none are missing; NaN of a single one.
+        gap: Stamps before and after the longest time without a message [s]; NaN of a single message.
     """
 
     name: str
     messages: int
     first: float
     last: float
+    falls: int = 0
+    fall: Stamps = Stamps()
+    usual: float = np.nan
+    gap: Stamps = Stamps()
 
     @property
     def rate(self) -> float:
-        """Messages a second between the first and the last one; NaN of a single one."""
+        """Messages a second between the first and the last one, or where none are missing if stamps fall."""
         span = self.last - self.first
-        return (self.messages - 1) / span if span > 0.0 else float("nan")
+        return self.usual if self.falls or not span > 0.0 else (self.messages - 1) / span
+
+
+class TopicCount:
+    """The messages of a topic so far, and their stamps.
+
+    Args:
+        sizes: The sizes that its messages may have.
+    """
+
+    __slots__ = (
+        "fall",
+        "falls",
+        "first",
+        "gap",
+        "intervals",
+        "last",
+        "low",
+        "messages",
+        "shorter_gap",
+        "sizes",
+        "sums",
+    )
+
+    def __init__(self, sizes: BodySizes) -> None:
+        self.sizes = sizes
+        self.messages = 0
+        self.first: int | None = None  # us, as all stamps
+        self.last = 0
+        self.gap = self.shorter_gap = (0, 0)
+        self.low = 0  # after the last fall
+        self.falls = 0
+        self.fall: tuple[int, int] | None = None
+        self.intervals = [0] * 65  # by the binary digits of their length
+        self.sums = [0] * 65
+
+    def add(self, stamp: int) -> None:
+        """Count a message with a stamp; one of 0 is none."""
+        self.messages += 1
+        if not stamp:
+            return
+        if self.first is None:
+            self.first = stamp
+        else:
+            step = stamp - self.last
+            if step < 0:
+                self.falls += 1
+                self.low = stamp
+                self.fall = self.fall or (self.last, stamp)
+                if self.last == self.gap[1]:  # a stray stamp is no gap
+                    self.gap = self.shorter_gap
+            else:
+                digits = step.bit_length()
+                self.intervals[digits] += 1
+                self.sums[digits] += step
+                if step > self.gap[1] - self.gap[0] and self.last != self.low:
+                    self.shorter_gap = self.gap
+                    self.gap = (self.last, stamp)
+        self.last = stamp
+
+    def usual(self) -> float:
+        """Messages a second, without intervals of more than eight times the middle one."""
+        known = sum(self.intervals)
+        below = 0
+        for digits, count in enumerate(self.intervals):
+            below += count
+            if 2 * below > known:
+                number, total = (sum(values[: digits + USUAL_DIGITS + 1]) for values in (self.intervals, self.sums))
+                return number / (MICROSECOND * total) if total else np.nan
+        return np.nan
+
+    def topic(self, name: str, begin: int) -> LogTopic:
+        """The topic, with times from the beginning of the log [us]."""
+
+        def seconds(stamps: tuple[int, int] | None) -> Stamps:
+            return Stamps() if stamps is None else Stamps(*(MICROSECOND * (stamp - begin) for stamp in stamps))
+
+        first, last = seconds(None if self.first is None else (self.first, self.last))
+        gap = seconds(self.gap if self.gap[1] else None)
+        return LogTopic(name, self.messages, first, last, self.falls, seconds(self.fall), self.usual(), gap)
 
 
 class Damage(NamedTuple):
@@ -79,10 +174,7 @@ class Scan:
         self._begin = begin
         self._formats: dict[str, str] = {}
         self._names: dict[int, str] = {}
-        self._sizes: dict[int, BodySizes] = {}
-        self._counts: dict[int, int] = {}
-        self._first: dict[int, int] = {}
-        self._last: dict[int, int] = {}
+        self._counts: dict[int, TopicCount] = {}
         self.damages: list[Damage] = []
         self.flags: Damage | None = None
         self.dropouts = (0, 0.0)
@@ -114,14 +206,16 @@ class Scan:
         if size < STAMPED.size:
             return False
         number, stamp = STAMPED.unpack_from(body)
-        sizes = self._sizes.get(number)
-        if sizes is None or not sizes.smallest <= size <= sizes.largest:
+        count = self._counts.get(number)
+        if count is None or not count.sizes.smallest <= size <= count.sizes.largest:
             return False
-        self._counts[number] = self._counts.get(number, 0) + 1
-        if stamp:
-            self._first.setdefault(number, stamp)
-            self._last[number] = stamp
+        count.add(stamp)
         return True
+
+    def _sizes(self, number: int) -> BodySizes | None:
+        """The sizes that the messages of a topic may have; None: there is no such topic."""
+        count = self._counts.get(number)
+        return None if count is None else count.sizes
 
     def _note(self, kind: int, body: bytes, end: int) -> bool:
         """Note a format, a topic or a dropout of a message that has an end; False: it is none."""
@@ -134,7 +228,8 @@ class Scan:
             instance, number = ADDED.unpack_from(body)
             name = body[ADDED.size :].decode()
             self._names[number] = f"{name}:{instance}" if instance else name
-            self._sizes[number] = message_sizes(name, self._formats)
+            sizes = message_sizes(name, self._formats)
+            self._counts.setdefault(number, TopicCount(sizes)).sizes = sizes
         elif kind == DROPPED:
             count, lost = self.dropouts
             self.dropouts = (count + 1, lost + 1e-3 * DROPOUT.unpack_from(body)[0])
@@ -149,7 +244,7 @@ class Scan:
         size, kind = MESSAGE.unpack_from(head)
         if kind != DATA:
             return kind in KINDS
-        sizes = self._sizes.get(STAMPED.unpack_from(head, MESSAGE.size)[0])
+        sizes = self._sizes(STAMPED.unpack_from(head, MESSAGE.size)[0])
         return sizes is not None and sizes.smallest <= size <= sizes.largest
 
     def _next_message(self, file: BinaryIO, place: int) -> int:
@@ -188,7 +283,7 @@ class Scan:
             if kind == DATA:
                 if size < STAMPED.size:
                     return False
-                sizes = self._sizes.get(STAMPED.unpack_from(body)[0])
+                sizes = self._sizes(STAMPED.unpack_from(body)[0])
                 known = sizes is not None and sizes.smallest <= size <= sizes.largest
                 if (sizes is not None or count == 0) and not known:
                     return False
@@ -203,10 +298,9 @@ class Scan:
 
     def topics(self) -> Iterator[LogTopic]:
         """The topics that have messages."""
-        for number, messages in self._counts.items():
-            spans = (self._first.get(number), self._last.get(number))
-            first, last = (np.nan if stamp is None else MICROSECOND * (stamp - self._begin) for stamp in spans)
-            yield LogTopic(self._names[number], messages, first, last)
+        for number, count in self._counts.items():
+            if count.messages:
+                yield count.topic(self._names[number], self._begin)
 
 
 class UndamagedPart:

@@ -15,11 +15,13 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
 
-FIELDS = ("file", "column", "columns", "time_column")
+FIELDS = ("file", "column", "columns", "time_column", "rate_file", "rate_column")
 SLOTS = ("reference", "disturbance", "wind", "sensor")
 """The slots that may follow a record."""
 SEVERAL = {"wind": ("x", "y", "z"), "sensor": ("position", "velocity")}
 """The slots whose record has several columns, and what these become."""
+RATED = "reference"
+"""The slot whose record may have the rate of its values."""
 TIME = "t"
 PARQUET = (".parquet", ".pq")
 LARGEST_RECORD = 2**27  # bytes of a file
@@ -57,13 +59,13 @@ def recorded_slot(value: object, folder: Path, slot: str) -> Any:
 
 
 def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
-    """A table with the record's times and values in place of ``file``, ``column``, ``columns`` and ``time_column``."""
+    """A table with the record's times and values in place of the names of files and columns in :data:`FIELDS`."""
     components = SEVERAL.get(slot.partition(".")[0])
     targets = components or ("value",)
     for name in ("time", *targets):
         if name in part:
             raise ConfigError(name, "is given by the file; give a file, or the values themselves")
-    for name in ("file", "column", "time_column"):
+    for name in ("file", "column", "time_column", "rate_file", "rate_column"):
         if not isinstance(part.get(name, TIME), str):
             raise ConfigError(name, f"must be a text, got {part[name]!r}")
     if components:
@@ -76,15 +78,33 @@ def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
         raise ConfigError("column", "is required and missing: the column with the values")
     columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), *names])
     kept = {name: value for name, value in part.items() if name not in FIELDS}
-    return kept | dict(zip(("time", *targets), columns, strict=True))
+    return kept | dict(zip(("time", *targets), columns, strict=True)) | inlined_rate(part, folder, slot)
 
 
-def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
+def inlined_rate(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
+    """The times and values of a record's rate; nothing if the table names no column of it."""
+    if not {"rate_column", "rate_file"} & set(part):
+        return {}
+    if slot != RATED:
+        name = "rate_column" if "rate_column" in part else "rate_file"
+        raise ConfigError(name, f"is of a recorded reference; a recorded {slot.partition('.')[0]} has no rate")
+    for name in ("rate", "rate_time"):
+        if name in part:
+            raise ConfigError(name, "is given by the file; give rate_column, or the values themselves")
+    if "rate_column" not in part:
+        raise ConfigError("rate_column", "is required and missing: the column of rate_file with the rate")
+    path = folder / part.get("rate_file", part["file"])
+    columns = recorded_columns(path, [part.get("time_column", TIME), part["rate_column"]], "rate_column")
+    return dict(zip(("rate_time", "rate"), columns, strict=True))
+
+
+def recorded_columns(path: Path, names: list[str], label: str = "column") -> list[list[float]]:
     """Columns of a CSV or Parquet file, as numbers; rows in which a cell is empty are left out.
 
     Args:
         path: The file.
         names: Of the columns; the first one is the time's.
+        label: The field of the study that names the others.
 
     Raises:
         ConfigError: the file cannot be read, a column is absent, a cell is no finite number, the times do not rise, or
@@ -93,11 +113,11 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
     frame = recorded_frame(path)
     for name in names:
         if name not in frame:
-            field = "time_column" if name == names[0] else "column"
+            field = "time_column" if name == names[0] else label
             raise ConfigError(field, f"'{path.name}' has no column '{name}'; {nearest(name, map(str, frame.columns))}")
     columns: dict[str, list[float]] = {}
     for index, name in enumerate(names):
-        columns[name] = numbers_of(frame[name], path, "column" if index else "time_column")
+        columns[name] = numbers_of(frame[name], path, label if index else "time_column")
     table = np.array(list(columns.values()))
     missing = np.flatnonzero(np.any(np.isnan(table), axis=0))
     require_empty(path, [list(frame.columns).index(name) for name in names], missing, len(frame))
@@ -106,9 +126,7 @@ def recorded_columns(path: Path, names: list[str]) -> list[list[float]]:
         raise ConfigError("file", f"'{path.name}' has no row with numbers in {', '.join(map(repr, names))}")
     faulty = kept[np.any(np.isinf(table[:, kept]), axis=0)]
     if faulty.size:
-        raise ConfigError(
-            "column", f"'{path.name}' must hold finite numbers; {place_of(path, int(faulty[0]))} does not"
-        )
+        raise ConfigError(label, f"'{path.name}' must hold finite numbers; {place_of(path, int(faulty[0]))} does not")
     times = table[0, kept]
     falls = np.flatnonzero(np.diff(times) <= 0.0)
     if falls.size:

@@ -105,6 +105,19 @@ def test_a_record_passes_through_its_values():
         np.testing.assert_allclose(at({"kind": "record", "interpolation": rule, **RECORD})[0], values, atol=1e-12)
 
 
+def test_a_record_has_the_recorded_rate():
+    """Its derivative is the rate between times of its own, whatever the slope of the values; the values stay."""
+    rate = {"rate": [0.5, -1.0, 2.0], "rate_time": [0.25, 2.0, 5.0]}
+    for rule in ("linear", "cubic", "hold"):
+        table = {"kind": "record", "interpolation": rule, **RECORD}
+        value, slope, bend = at({**table, **rate})
+        np.testing.assert_array_equal(value, at(table)[0])
+        follows = {"kind": "record", "interpolation": rule, "time": rate["rate_time"], "value": rate["rate"]}
+        np.testing.assert_array_equal([slope, bend], at(follows)[:2])
+    same_times = {"kind": "record", **RECORD, "rate": [0.0, 1.0, 2.0, 3.0, 4.0]}
+    np.testing.assert_allclose(at(same_times)[1], np.interp(TIMES, RECORD["time"], same_times["rate"]), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("table", "complaint"),
     [
@@ -116,6 +129,9 @@ def test_a_record_passes_through_its_values():
         ({"kind": "record", "time": [0.0, 2.0], "value": [1.0]}, "value: must hold as many numbers as time, 2, got 1"),
         ({"kind": "record", "time": [0.0], "value": [1.0]}, "must hold 2 to"),
         ({"kind": "record", "time": [0.0, {"uniform": [1, 2]}], "value": [1.0, 2.0]}, "must be a plain number"),
+        ({"kind": "record", **RECORD, "rate": [1.0]}, "reference.rate: must hold as many numbers as time, 5, got 1"),
+        ({"kind": "record", **RECORD, "rate_time": [1.0, 2.0]}, "rate_time: is the time of a rate, and there is no"),
+        ({"kind": "record", **RECORD, "rate": [1, 2], "rate_time": [2, 1]}, r"rate.time.1: must be above"),
         ({"kind": "step", "size": 1.0, "ofset": 1.0}, "did you mean 'offset'"),
     ],
 )

@@ -31,7 +31,6 @@ def run(options: CompareLog) -> int:
             "a comparison without --fit",
             simulations=options.simulations,
             minutes=options.minutes,
-            allow_damaged=options.allow_damaged or None,
         )
     study = study_of(options).without_sweep()
     logs = [logged_flight(options, path, study) for path in options.log]
@@ -51,7 +50,7 @@ def run(options: CompareLog) -> int:
 
 def asked(options: CompareLog) -> tuple[object, ...]:
     """The options that change the question."""
-    reading = (options.columns, options.column, options.start, options.segment)
+    reading = (options.columns, options.column, options.start, options.segment, options.allow_damaged)
     return options.settings, options.draws, options.seed, *reading
 
 

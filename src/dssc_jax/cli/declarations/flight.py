@@ -165,9 +165,6 @@ class CompareLog(OutputOptions, LogOptions, DrawsOptions):
         float | None,
         typer.Option("--minutes", metavar="M", min=0.0, help="With --fit, likewise, by time [no limit]."),
     ] = None
-    allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="With --fit, take a log that has lost messages; it is refused else.")
-    ] = False
     number: Annotated[
         list[str] | None,
         typer.Option(

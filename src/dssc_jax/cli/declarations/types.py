@@ -96,6 +96,12 @@ class LogOptions:
         str | None,
         typer.Option("--segment", metavar="NAME", help="Part of a ULog: armed or airborne; armed:2 the second one."),
     ] = None
+    allow_damaged: Annotated[
+        bool,
+        typer.Option(
+            "--allow-damaged", help="Leave out rows whose times fall, and fit a log with lost messages; refused else."
+        ),
+    ] = False
 
 
 @dataclass(frozen=True, kw_only=True)

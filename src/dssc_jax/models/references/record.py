@@ -3,29 +3,69 @@
 from typing import Annotated, NamedTuple
 
 from dssc_jax.core.contracts import Reference
+from dssc_jax.core.errors import ConfigError, errors_under
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.records import TIMES, Interpolation, Values, cubic_pieces, piece_at
+from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, cubic_pieces, piece_at
 from dssc_jax.core.registry import Entry
+from dssc_jax.core.signals import ReferencePoint, Scalar
 
 
 class RecordParams(NamedTuple):
     """Times and values; before the first time and after the last, the first and the last value hold.
 
-    A study file gives ``file`` and ``column`` instead; the values become part of the study when it is read.
+    The derivatives are those of the interpolation. With a recorded rate, y_ref' is this rate by the same rule of
+    interpolation, and y_ref'' its slope.
+
+    A study file gives ``file`` and ``column`` instead, and ``rate_column``, with ``rate_file`` if that is another file;
+    the values become part of the study when it is read.
     """
 
     time: Annotated[Values, TIMES]
     value: Annotated[Values, Quantity("y", "values at these times", law=False, data=True)]
+    rate: Annotated[Values | None, Quantity("y/s", "recorded derivative y_ref'", law=False, data=True)] = None
+    rate_time: Annotated[
+        Values | None, Quantity("s", "times of the rate, rising; absent: those of the values", law=False, data=True)
+    ] = None
+
+
+class RatedPieces(NamedTuple):
+    """A recorded value, and its recorded rate."""
+
+    value: Pieces
+    rate: Pieces
+
+
+def record_pieces(params: RecordParams, rule: Interpolation) -> Pieces | RatedPieces:
+    """The piecewise cubics of a record; raises ConfigError."""
+    value = cubic_pieces(params.time, params.value, rule)
+    if params.rate is None:
+        if params.rate_time is not None:
+            raise ConfigError("rate_time", "is the time of a rate, and there is no rate")
+        return value
+    if params.rate_time is None:
+        if len(params.rate) != len(params.time):
+            raise ConfigError("rate", f"must hold as many numbers as time, {len(params.time)}, got {len(params.rate)}")
+        return RatedPieces(value, cubic_pieces(params.time, params.rate, rule))
+    with errors_under("rate"):
+        return RatedPieces(value, cubic_pieces(params.rate_time, params.rate, rule))
+
+
+def record_at(pieces: Pieces | RatedPieces, t: Scalar) -> ReferencePoint:
+    """The value at t with its derivatives."""
+    if isinstance(pieces, RatedPieces):
+        rate = piece_at(pieces.rate, t)
+        return ReferencePoint(piece_at(pieces.value, t).y, rate.y, rate.y_dot)
+    return piece_at(pieces, t)
 
 
 def record(rule: Interpolation) -> Reference:
     """The reference that follows a record by the given rule."""
-    return Reference(RecordParams, piece_at, lambda params: cubic_pieces(params.time, params.value, rule))
+    return Reference(RecordParams, record_at, lambda params: record_pieces(params, rule))
 
 
 RECORD = Entry(
     {rule: record(rule) for rule in Interpolation},
-    "a recorded signal: `file` (CSV or Parquet), `column` and `time_column`, or `time` and `value`",
+    "a recorded signal: `file` (CSV or Parquet), `column`, `time_column` and `rate_column`, or `time`, `value`, `rate`",
     "interpolation",
     Interpolation.LINEAR,
     example={"time": [0.0, 0.3, 0.6, 1.0], "value": [0.0, 0.2, 0.1, 0.3]},

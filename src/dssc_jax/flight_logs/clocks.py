@@ -1,0 +1,131 @@
+"""Where the times of a log fall or jump, and its rows in order if the fewest are left out."""
+
+import bisect
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.ulog_scan import LogTopic, Stamps
+
+MOST_DROPPED = 0.05
+"""Share of the rows that may be left out: more of them are no stray rows, but another clock."""
+LONG_GAP = 10.0
+"""Of a topic's usual interval: a longer time without a message is told."""
+LEAST_MESSAGES = 20  # of a topic whose interval is usual
+SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
+
+
+class ClockStep(NamedTuple):
+    """A fall of time stamps, or a time without a message, in some topics.
+
+    Args:
+        stamps: Before and after it, of the first topic [s].
+        topics: The topics.
+        falls: The largest number of falls in one of them.
+        rate: Messages a second that the first topic usually has.
+    """
+
+    stamps: Stamps
+    topics: tuple[str, ...]
+    falls: int
+    rate: float
+
+
+def falls_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
+    """The first fall of each topic whose stamps fall; topics that fall together are one step."""
+    return grouped([(topic, topic.fall) for topic in topics if topic.falls])
+
+
+def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
+    """The longest time without a message of each topic, if unusual; those of several topics together are one step."""
+    unusual = []
+    for topic in topics:
+        length = topic.gap.after - topic.gap.before
+        if topic.messages >= LEAST_MESSAGES and length * topic.usual > LONG_GAP:
+            unusual.append((topic, topic.gap))
+    return grouped(unusual)
+
+
+def grouped(found: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
+    """Steps of topics, one for all that have nearly the same stamps, in order of time."""
+    steps: list[ClockStep] = []
+    for topic, stamps in sorted(found, key=lambda pair: pair[1]):
+        slack = SAME_STEP * abs(stamps.after - stamps.before)
+        last = steps[-1] if steps else None
+        if last and max(abs(a - b) for a, b in zip(last.stamps, stamps, strict=True)) <= slack:
+            steps[-1] = last._replace(topics=(*last.topics, topic.name), falls=max(last.falls, topic.falls))
+        else:
+            steps.append(ClockStep(stamps, (topic.name,), topic.falls, topic.usual))
+    return steps
+
+
+def rising_rows(time: np.ndarray) -> np.ndarray:
+    """The most rows whose times do not fall, in order: a longest non-decreasing subsequence.
+
+    Args:
+        time: Finite times, shape (n,).
+
+    Returns:
+        Positions of the rows, shape (m,).
+
+    Source: M. L. Fredman, On computing the length of longest increasing subsequences, Discrete Mathematics 11, 1975.
+
+    Example:
+        >>> rising_rows(np.array([0.0, 1.0, 9.0, 2.0, 3.0])).tolist()
+        [0, 1, 3, 4]
+    """
+    lowest: list[float] = []  # last time of a subsequence of each length
+    rows: list[int] = []  # its row
+    before = np.full(len(time), -1)
+    for row, value in enumerate(time.tolist()):
+        place = bisect.bisect_right(lowest, value)
+        if place:
+            before[row] = rows[place - 1]
+        if place == len(lowest):
+            lowest.append(value)
+            rows.append(row)
+        else:
+            lowest[place] = value
+            rows[place] = row
+    kept = []
+    row = rows[-1] if rows else -1
+    while row >= 0:
+        kept.append(row)
+        row = int(before[row])
+    return np.array(kept[::-1], int)
+
+
+def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, allowed: bool) -> np.ndarray:
+    """The positions whose times do not fall; all of them if no time falls.
+
+    Args:
+        name: The signal, for messages.
+        time: Its finite times [s], shape (n,).
+        rows: The row of the log that each of them stands in, counted from 0.
+        allowed: Whether rows may be left out.
+
+    Raises:
+        ConfigError: Times fall, and rows may not be left out, or so many would be that the clock is another one.
+    """
+    falls = np.flatnonzero(np.diff(time) < 0.0)
+    if not falls.size:
+        return np.arange(len(time))
+    first = int(falls[0])
+    kept = rising_rows(time)
+    dropped = len(time) - len(kept)
+    place = (
+        f"the log's times must not fall from row to row: {time[first + 1]:.6g} s comes after {time[first]:.6g} s "
+        f"in row {rows[first + 1] + 1}"
+    )
+    share = f"{dropped:,} of {len(time):,} rows would have to go"
+    if dropped > MOST_DROPPED * len(time):
+        raise ConfigError(
+            name,
+            f"{place}, and {share}: the clock of the log was set back. `dssc-jax log` tells where; take another log, "
+            "or a table with the rows before or after that time",
+        )
+    if not allowed:
+        raise ConfigError(name, f"{place}; {share}, which --allow-damaged (`allow_damaged`) leaves out")
+    return kept

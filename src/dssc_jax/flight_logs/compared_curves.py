@@ -1,0 +1,89 @@
+"""The curves of a study's draws, and a logged flight laid over them."""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.conversions import likeness
+from dssc_jax.flight_logs.reader import signal_name
+from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
+from dssc_jax.statistics.exchangeable import largest_departures
+from dssc_jax.study import Study
+
+DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
+DIMENSIONS = ("signal", "t")
+
+
+class Signal(NamedTuple):
+    """A compared signal: the position of its channel, its field of :class:`ChannelCurves`, and its name in the log."""
+
+    channel: int
+    quantity: str
+    name: str
+
+
+def drawn_curves(
+    study: Study, signals: list[Signal], samples: int, stride: int, progress: ProgressCallback | None
+) -> np.ndarray:
+    """The signals of every draw, shape (draws, signals, times)."""
+    draws = study.config.draws
+    curves = np.empty((draws, len(signals), -(-samples // stride)))
+    for draw, channels in enumerate(curves_of_draws(study, samples, stride)):
+        for row, signal in enumerate(signals):
+            curves[draw, row] = getattr(channels[signal.channel], signal.quantity)
+        if progress is not None:
+            progress(draw + 1, draws)
+    return curves
+
+
+def compared_dataset(
+    study: Study, signals: list[Signal], stride: int, tested: np.ndarray, replayed: np.ndarray, curves: np.ndarray
+) -> xr.Dataset:
+    """The dataset of a comparison: the log and its replay, shape (signals, times), and the draws' curves."""
+    columns = {
+        "logged": (tested, "logged value"),
+        "commanded": (replayed, "command of the analysed controller"),
+    }
+    for name, values in pointwise_quantiles(curves).items():
+        columns[name] = (values, f"{name} value of the draws")
+    dimensions = DIMENSIONS
+    data = {}
+    for name, (values, meaning) in columns.items():
+        data[name] = (dimensions, values, {"long_name": meaning, "units": "that of the signal"})
+    statistics, departure = largest_departures(curves, tested)
+    meaning = "departure of the log from the draws' median, by their spread"
+    data["departure"] = (dimensions, departure, {"long_name": meaning, "units": "1"})
+    meaning = "largest departure of each draw, and of the log as the last one"
+    data["statistic"] = (("curve",), statistics, {"long_name": meaning, "units": "1"})
+    times = study.loop.sample_time * (stride * np.arange(tested.shape[1]))
+    coords = {
+        "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
+        "t": ("t", times, {"long_name": "time", "units": "s"}),
+    }
+    return xr.Dataset(data, coords=coords, attrs={"title": study.name})
+
+
+def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
+    """Range and quantiles of the draws that have not ended, pointwise; curves of shape (draws, signals, times)."""
+    finite = np.where(np.isfinite(curves), curves, np.nan)
+    levels = {"lowest": 0.0, **DRAWN_LEVELS, "highest": 1.0}
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "All-NaN slice")  # all draws have ended: nothing is shown
+        values = np.nanquantile(finite, list(levels.values()), axis=0)
+    return dict(zip(levels, values, strict=True))
+
+
+def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
+    """Logged outputs that look like the draws' median in another unit, sign or channel, with the words for it."""
+    logged = {str(name) for name in dataset["signal"].values}
+    names = [signal_name(channel, "y") for channel in study.loop.channels]
+    names = [name for name in names if name in logged]
+    expected = [dataset["median"].sel(signal=name).values for name in names]
+    found = {}
+    for index, name in enumerate(names):
+        values = dataset["logged"].sel(signal=name).values
+        found[name] = likeness(index, values, expected, names, signal_unit(study, name))
+    return {name: text for name, text in found.items() if text}

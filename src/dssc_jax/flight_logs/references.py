@@ -1,0 +1,132 @@
+"""A log's references beside those of its study: how far they differ, in which unit, and from which time."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.core.numerics import arithmetic, as_arrays
+from dssc_jax.flight_logs.conversions import SAME_REFERENCE, is_shifted, reference_conversion, reference_shift, rms
+from dssc_jax.flight_logs.reader import FlightLog, signal_name
+from dssc_jax.study import Study
+
+RATE_REMEDY = (
+    "the slope of a record whose time stamps jitter is rough. Give it the log's rate, by rate_column and rate_file"
+)
+
+
+class ComparedReferences(NamedTuple):
+    """How a log's references differ from the study's.
+
+    Args:
+        differences: Largest difference of y_ref, by channel.
+        rates: Largest difference of y_ref_dot, at the times of the log, by channel.
+        conversions: Signals that are the study's in another unit, sign or column, each with the words for it.
+        shifts: References that are the study's at another time.
+        slopes: Rates that are not the slope of the study's reference, though the reference is.
+    """
+
+    differences: dict[str, float]
+    rates: dict[str, float]
+    conversions: dict[str, str]
+    shifts: dict[str, str]
+    slopes: dict[str, str]
+
+
+def median_values(study: Study) -> dict[str, float]:
+    """The median of every law of the study."""
+    return {name: float(law.median) for name, law in study.laws.items()}
+
+
+def references_at(study: Study, times: np.ndarray) -> np.ndarray:
+    """The study's reference of each channel with two derivatives, shape (channels, 3, times); medians of laws.
+
+    Args:
+        study: The study.
+        times: Times of the study [s], shape (times,).
+    """
+    with arithmetic(study.config.loop.precision):
+        params = study.params(median_values(study)).reference
+        points = jax.vmap(lambda t: as_arrays(study.loop.mimo_reference.at(params, t)))(jnp.asarray(times))
+    return np.array([[np.asarray(part, float) for part in point] for point in points])
+
+
+def study_references(study: Study, samples: int) -> np.ndarray:
+    """The same at the study's samples, shape (channels, 3, samples)."""
+    return references_at(study, study.loop.sample_time * np.arange(samples))
+
+
+def compared_references(
+    study: Study, log: FlightLog, signals: Sequence[Mapping[str, np.ndarray]], references: np.ndarray
+) -> ComparedReferences:
+    """The log's references beside the study's.
+
+    Args:
+        study: The study, without a sweep.
+        log: The flight.
+        signals: The logged signals of each channel at the study's samples, NaN where missing.
+        references: The study's, shape (channels, 3, samples).
+    """
+    loop = study.loop
+    found = ComparedReferences({}, {}, {}, {}, {})
+    rates = rate_distances(study, log)
+    logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
+    for index, values in logged.items():
+        channel = loop.channels[index]
+        name = signal_name(channel, "y_ref")
+        reference = references[index, 0]
+        found.differences[channel] = largest_distance(values, reference)
+        text = reference_conversion(index, values, references[:, 0], loop.channels, study.units[index].output)
+        shift = 0 if text else reference_shift(values, reference)
+        if text:
+            found.conversions[name] = text
+        elif shift and all(is_shifted(other, references[place, 0], shift) for place, other in logged.items()):
+            side = "later" if shift > 0 else "earlier"
+            start = log.start + shift * loop.sample_time
+            found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
+        if channel not in rates:
+            continue
+        distance, size = rates[channel]
+        found.rates[channel] = float(np.abs(distance).max(initial=0.0))
+        same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
+        if same and rms(distance) > SAME_REFERENCE * size > 0.0:
+            unit = study.units[index].of("y/s")
+            found.slopes[signal_name(channel, "y_ref_dot")] = (
+                f"differs from the slope of the study's reference by {rms(distance):.3g} {unit} rms, "
+                f"{100 * rms(distance) / size:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
+            )
+    return found
+
+
+def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
+    """The largest distance of a logged reference from the study's; 0 if it has no value."""
+    return float(np.nanmax(np.abs(logged - reference), initial=0.0))
+
+
+def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, float]]:
+    """The logged rate of each channel's reference less the study's, at the times of the log, and its root mean square.
+
+    Channels whose rate is not logged within the study's duration are left out.
+    """
+    loop = study.loop
+    columns = {}
+    for index, channel in enumerate(loop.channels):
+        column = log.columns.get(signal_name(channel, "y_ref_dot"))
+        if column is not None:
+            time = column.time - log.start
+            inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
+            if inside.any():
+                columns[index] = (time[inside], column.value[inside])
+    if not columns:
+        return {}
+    times, places = np.unique(np.concatenate([time for time, _ in columns.values()]), return_inverse=True)
+    slopes = references_at(study, times)[:, 1]
+    found = {}
+    begin = 0
+    for index, (time, value) in columns.items():
+        rows = places[begin : begin + len(time)]
+        begin += len(time)
+        found[loop.channels[index]] = (value - slopes[index, rows], rms(value))
+    return found
