@@ -2,9 +2,11 @@
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
@@ -14,6 +16,7 @@ from dssc_jax.study import Described
 from dssc_jax.study.importing import allow_imports
 from tests.conftest import UNCERTAIN
 from tests.mutations import document
+from tests.page_examples import BLOCK
 
 SPRING = """
 from typing import Annotated, NamedTuple
@@ -258,3 +261,37 @@ def test_a_stored_result_keeps_the_units_of_a_plant_s_own_outputs(cube, tmp_path
     loaded = dj.load(tmp_path / "done")
     assert isinstance(loaded.study, Described)
     assert loaded.dataset["max_abs_force"].attrs["units"] == "N"
+
+
+def documented(name):
+    """The file of this name that the page on parts of one's own gives."""
+    page = (Path(__file__).parents[1] / "docs" / "extending.md").read_text()
+    return next(text for _, text in BLOCK.findall(page) if text.startswith(f"# {name}\n"))
+
+
+def shaft_rate(t, speed, current, load):
+    return (0.1 * current - 1e-4 * speed * np.abs(speed) - load) / 0.02
+
+
+def test_a_documented_plant_has_a_disturbance_at_an_input_that_it_names(tmp_path, monkeypatch):
+    """A PI loop of the page's shaft, integrated by SciPy from sample to sample, with the load torque from 2 s on."""
+    (tmp_path / "shaft.py").write_text(documented("shaft.py"))
+    (tmp_path / "shaft.toml").write_text(documented("shaft.toml"))
+    monkeypatch.syspath_prepend(tmp_path)
+    numbers = {"plant.drag": 1e-4, "disturbance.0.value": 0.8, "sensor": {"measures": ["y_dot"]}, "draws": 1}
+    try:
+        study = dj.Study.load(tmp_path / "shaft.toml").override(numbers)
+        assert study.loop.input_names == ("load",)
+        flight = dj.simulate(study)
+    finally:
+        sys.modules.pop("shaft", None)
+    speed = integral = 0.0
+    speeds = []
+    for k in range(400):
+        speeds.append(speed)
+        error = speed - 20.0
+        current = integral - error
+        integral -= 0.01 * 2.0 * error
+        load = 0.8 if k >= 200 else 0.0
+        speed = solve_ivp(shaft_rate, (0.0, 0.01), [speed], args=(current, load), rtol=1e-10, atol=1e-10).y[0, -1]
+    np.testing.assert_allclose(flight["y"].squeeze(), speeds, atol=1e-6)

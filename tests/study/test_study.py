@@ -131,6 +131,11 @@ BAD = {
         {"requirement": [{"metric": "error_rms", "after": 80.0, "max": 1.0}]},
         "requirement.0.after: must be <= the time of the last sample",
     ),
+    "requirement that ends later than the flight": (
+        {"requirement": [{"metric": "error_rms", "until": 80.001, "max": 1.0}]},
+        "requirement.0.until: must be <= the duration 80 s, got 80.001; leave it out for a window up to the end",
+    ),
+    "metrics that end later than the flight": ({"metrics.until": 90.0}, "metrics.until: must be <= the duration 80 s"),
     "metrics after the end": ({"metrics.after": 90.0}, "metrics.after: must be <= the time of the last sample"),
     "number of a part that has none": (
         {"unmodelled": {"kind": "none"}, "sweep.unmodelled.mu": [0.1]},
@@ -195,6 +200,12 @@ def test_bad_files(tmp_path, text, message):
 def test_absent_file(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         dj.Study.load(tmp_path / "none.toml")
+
+
+def test_a_window_may_end_with_the_flight(case_2):
+    window = {"metric": "error_rms", "until": case_2.loop.steps * case_2.loop.sample_time, "max": 1.0}
+    (required,) = case_2.override({"requirement": [window], "envelope": []}).requirements
+    assert required.measure.window.until == pytest.approx(80.0)
 
 
 def test_override_leads_nowhere(case_2):

@@ -77,7 +77,8 @@ def measure(
         drive: The plant's input just before; None: commands and disturbances are 0.
     """
     zeros = (0.0,) * len(loop.channels)
-    drive = PlantInput(zeros, zeros) if drive is None else drive
+    if drive is None:
+        drive = PlantInput(zeros, zeros, None, loop.plant.quiet_inputs(params.plant))
     measurements = loop.mimo_plant.measure(params.plant, plant, drive)
     return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
 

@@ -164,7 +164,7 @@ def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels
     known: list[bool] = []
 
     def traced(state: State) -> State:
-        slope = remainder(params, state, PlantInput(zeros, zeros, None), 0.0)
+        slope = remainder(params, state, PlantInput(zeros, zeros, None, plant.quiet_inputs(params)), 0.0)
         known.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
         return slope
 

@@ -30,7 +30,7 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
     zeros: Signals = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
     condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
-    drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind, condition=condition)
+    drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind, loop.plant.quiet_inputs(params.plant), condition)
     return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, drive)
 
 

@@ -29,6 +29,7 @@ from dssc_jax.core.signals import (
     ReferencePoints,
     Scalar,
     Signal,
+    Signals,
     State,
 )
 from dssc_jax.core.smoothness import Declaration
@@ -114,7 +115,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
             meaning in trajectories; the others have none.
         outputs: ``(params) -> outputs`` of a plant whose table names what ``monitor`` reports; None: ``info`` names it.
         inputs: ``(params) -> inputs``: the inputs of disturbances beside those of the channels, whose values are
-            ``input.inputs`` in this order; None: there are none.
+            ``input.inputs`` in this order, one for each in every call, 0 where nothing acts; None: there are none.
         software: Sampled software on board, which runs between two samples of the loop; None: there is none.
         estimation: Sensors and estimator on board, through which the controllers see; None: there are none.
         advance: ``(params, state, input, t, h) -> state`` after its own step h, input held; None: the loop's steps.
@@ -148,6 +149,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     advance: Callable[[Params, State, PlantInput[Signal], Scalar, float], State] | None = None
     begin: Begin | None = None
     native: str = ""
+
+    def quiet_inputs(self, params: Params) -> Signals:
+        """No disturbance at each input that the plant names, as ``input.inputs`` has it."""
+        return (0.0,) * len(self.inputs(params)) if self.inputs else ()
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""

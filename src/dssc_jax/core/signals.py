@@ -68,7 +68,7 @@ class PlantInput(NamedTuple, Generic[Signal]):
 
     Both are scalars for a plant with one channel, and tuples in the order of the channels otherwise; ``wind`` is a
     ``Vec3`` [m/s] for flying plants. ``inputs`` are the disturbances at the inputs that the plant names, in their
-    order; () stands for zeros. ``condition`` is what events have made of a vehicle; None: nothing has happened.
+    order. ``condition`` is what events have made of a vehicle; None: nothing has happened.
     """
 
     command: Signal

@@ -31,7 +31,9 @@ def exact_rates(study: Study) -> tuple[str, ...]:
         state = plant.init(template.plant)
 
         def rates(disturbances: jax.Array) -> jax.Array:
-            drive: PlantInput[Signals] = PlantInput(zeros, tuple(disturbances), None)
+            drive: PlantInput[Signals] = PlantInput(
+                zeros, tuple(disturbances), None, plant.quiet_inputs(template.plant)
+            )
             measurements = plant.measure(template.plant, state, drive)
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
 

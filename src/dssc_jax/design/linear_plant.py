@@ -184,7 +184,7 @@ def plant_at_start(study: Study) -> PlantAtStart:
     params = medians(study.template).plant
     with arithmetic():
         start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
-        inputs = (0.0,) * len(loop.inputs)
+        inputs = loop.plant.quiet_inputs(params)
 
         def slope(x: jax.Array, u: Scalar) -> jax.Array:
             rate = loop.plant.derivative(params, unravel(x), PlantInput(u, 0.0, None, inputs), 0.0)

@@ -99,9 +99,10 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         return as_arrays(software.start(params_of(values), readings))
 
     def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
-        drive = PlantInput(commands, (0.0,) * count)
+        params = params_of(values)
+        drive = PlantInput(commands, (0.0,) * count, None, loop.plant.quiet_inputs(params))
         state = software.holding(readings, held)
-        return as_arrays(software.held(software.sample(params_of(values), state, drive, loop.sample_time)))
+        return as_arrays(software.held(software.sample(params, state, drive, loop.sample_time)))
 
     def tick(values: Sequence[Scalar], readings: State, held: State) -> State:
         return as_arrays(software.held(software.tick(params_of(values), software.holding(readings, held), period)))

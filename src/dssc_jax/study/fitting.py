@@ -48,7 +48,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
     inputs = plant.inputs(params) if plant.inputs else ()
     leaves, structure = jax.tree.flatten(plant.init(params))
     order = len(leaves)
-    quiet = (0.0,) * len(inputs)
+    quiet = plant.quiet_inputs(params)
 
     def signals(x: jax.Array, command: Scalar) -> jax.Array:
         state = structure.unflatten(list(x))

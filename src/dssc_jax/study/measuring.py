@@ -20,6 +20,8 @@ from dssc_jax.study.schema import RequirementTable, StudyTable
 
 KNOWN = METRICS | PERFORMANCE | STEP_RESPONSE
 
+ROUNDING = 1e-9  # relative, of times that are compared
+
 ENVELOPE_SIGNALS = {
     "y": ("y", "the output y", lambda s: s.e + s.reference.y),
     "e": ("y", "the output error e", lambda s: s.e),
@@ -211,19 +213,23 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
 
 
 def require_samples(config: StudyTable, window: Window, place: str) -> None:
-    """Require that a sample lies in the window.
+    """Require that a sample lies in the window, and that the window ends within the flight.
 
     Raises:
-        ConfigError: none does.
+        ConfigError: none does, or it ends later.
     """
     clock = config.loop
     first = first_sample(window, clock.sample_time)
     if first >= clock.steps:
         end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
+    to_end = place.removesuffix("after") + "until"
+    if math.isfinite(window.until) and window.until > clock.duration * (1.0 + ROUNDING):
+        rule = f"must be <= the duration {clock.duration:g} s, got {window.until:g}"
+        raise ConfigError(to_end, f"{rule}; leave it out for a window up to the end, or set loop.duration")
     if samples_before_end(window, clock.sample_time, clock.steps) <= first:
         rule = f"no sample lies in the window from after = {window.after:g} s to until = {window.until:g} s"
-        raise ConfigError(place.removesuffix("after") + "until", f"{rule}; T_s is {clock.sample_time:g} s")
+        raise ConfigError(to_end, f"{rule}; T_s is {clock.sample_time:g} s")
 
 
 def default_kinds(has_several_channels: bool) -> tuple[str, ...]:

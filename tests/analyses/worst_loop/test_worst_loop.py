@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.linalg import expm
 
 import dssc_jax as dj
+from dssc_jax.analyses.worst_loop.box import box_of
 from dssc_jax.analyses.worst_loop.cells import cover
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.search import nearest_instability
@@ -169,6 +171,64 @@ def test_laws_without_ends_are_cut(worst):
     assert side.low == pytest.approx(0.9)
     assert side.high == pytest.approx(1.1)
     assert not worst.answer.box["plant.b.1"].cut
+
+
+@pytest.mark.parametrize(
+    ("law", "reference"),
+    [
+        ({"uniform": [0.7, 1.3]}, stats.uniform(0.7, 0.6)),
+        ({"loguniform": [1e-200, 1e200]}, stats.uniform(1e-200, 1e200)),
+        ({"normal": [1.0, 0.05]}, stats.norm(1.0, 0.05)),
+        ({"truncated_normal": [1.0, 0.1, 0.9, 1.3]}, stats.truncnorm(-1.0, 3.0, 1.0, 0.1)),
+        ({"lognormal": [-7.0, 0.3]}, stats.lognorm(0.3, scale=np.exp(-7.0))),
+        ({"beta": [2.0, 3.0]}, stats.beta(2.0, 3.0)),
+        ({"beta": [2.0, 3.0, 0.5, 1.5]}, stats.beta(2.0, 3.0, 0.5, 1.0)),
+        ({"triangular": [0.5, 1.0, 2.0]}, stats.triang(1.0 / 3.0, 0.5, 1.5)),
+        ({"choice": [1.0, 3.0, 2.0]}, stats.uniform(1.0, 2.0)),
+    ],
+)
+def test_a_side_ends_where_its_law_does_or_at_both_cuts(law, reference):
+    study = dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": law, "plant.a.1.1": -1.0})
+    (side,) = box_of(study, 2.5).sides
+    endless = {"normal", "lognormal"} & law.keys()
+    tail = stats.norm.cdf(-2.5) if endless else 0.0
+    assert side.cut == bool(endless)
+    assert (side.low, side.high) == pytest.approx((reference.ppf(tail), reference.ppf(1.0 - tail)), rel=1e-9)
+    assert side.at(np.array([-1.0, 1.0])) == pytest.approx([side.low, side.high], rel=1e-9)
+
+
+@pytest.mark.parametrize("sigma", [10.0, 40.0])
+def test_a_cut_far_out_has_no_end_lost_to_rounding(sigma):
+    study = dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": {"lognormal": [0.0, 0.3]}})
+    side = box_of(study, sigma).sides[1]
+    assert (np.log(side.low), np.log(side.high)) == pytest.approx((-0.3 * sigma, 0.3 * sigma))
+    with pytest.raises(dj.ConfigError, match=r"sigma: cuts plant\.b\.1 at \[0, inf\]; take fewer"):
+        box_of(study, 1e4)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_lognormal_number_has_both_ends_and_a_value_in_its_witness():
+    """The loop is stable on all of the box by NumPy, and its largest sensitivity is that of a dense search."""
+    law = {"lognormal": [0.0, 0.1]}
+    worst = dj.worst_loop(dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": law}), cells=1000)
+    loop = worst.answer.loops["input"]
+    rng = np.random.default_rng(3)
+    low, high = np.exp([-0.3, 0.3])
+    points = [*((a, b) for a in (-1.4, -0.6) for b in (low, high))]
+    points += list(zip(rng.uniform(-1.4, -0.6, 200), rng.uniform(low, high, 200), strict=True))
+    assert max(np.abs(np.linalg.eigvals(closed_loop(a, b)[0])).max() for a, b in points) < 1.0
+    assert loop.stable
+    angles = np.geomspace(1e-2, np.pi, 500)
+
+    def peak(a, b):
+        matrix, column, row = closed_loop(a, b)
+        g = np.linalg.solve(np.exp(1j * angles)[:, None, None] * np.eye(2) - matrix, column[:, None])[..., 0] @ row
+        return np.abs(1.0 + g).max()
+
+    found = loop.margins["sensitivity_peak"]
+    assert found.found == pytest.approx(max(peak(a, b) for a, b in points), rel=1e-3)
+    witness = worst.witness("input", "sensitivity_peak").table["plant"]
+    assert peak(witness["a"][1][1], witness["b"][1]) == pytest.approx(found.found, rel=1e-3)
 
 
 def test_a_stable_box_without_a_bound_says_so(worst):

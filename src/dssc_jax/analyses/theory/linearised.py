@@ -21,7 +21,6 @@ from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, section_of
 
 ORIGIN = ReferencePoint(0.0, 0.0, 0.0)
-QUIET = PlantInput(0.0, 0.0)
 
 
 class Linearised(NamedTuple):
@@ -99,18 +98,19 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     gains = params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]
     resting, unravel = ravel_pytree(loop.plant.init(params.plant))
+    quiet = PlantInput(0.0, 0.0, None, loop.plant.quiet_inputs(params.plant))
     memory, unravel_memory = ravel_pytree(as_arrays(model.init(dynamics)))
 
     def sigma_of(x: jax.Array) -> Scalar:
-        return tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0).sigma
+        return tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0).sigma
 
     def derivative(state: jax.Array, u: Scalar) -> jax.Array:
         x, z = state[: resting.size], unravel_memory(state[resting.size :])
-        error = tracking_error(loop.plant.measure(params.plant, unravel(x), QUIET), ORIGIN, gains.l0)
+        error = tracking_error(loop.plant.measure(params.plant, unravel(x), quiet), ORIGIN, gains.l0)
         total = u + nominal_control(gains.nominal, gains.l0, error, ORIGIN, predictor_pole_at_rest(gains))
         _, slope = jax.jvp(lambda dt: model.step(dynamics, z, total, dt), (0.0,), (1.0,))
         reaching = model.output(dynamics, z, total)
-        rate = loop.plant.derivative(params.plant, unravel(x), PlantInput(reaching, 0.0), 0.0)
+        rate = loop.plant.derivative(params.plant, unravel(x), quiet._replace(command=reaching), 0.0)
         return jnp.concatenate([ravel_pytree(rate)[0], ravel_pytree(as_arrays(slope))[0]])
 
     origin = jnp.zeros(resting.size + memory.size)

@@ -34,7 +34,9 @@ class Side(NamedTuple):
     def at(self, u: np.ndarray) -> np.ndarray:
         """Values at coordinates."""
         if self.logarithmic:
-            return np.sqrt(self.low * self.high) * (self.high / self.low) ** (0.5 * u)
+            middle = 0.5 * (np.log(self.low) + np.log(self.high))
+            half = 0.5 * (np.log(self.high) - np.log(self.low))
+            return np.exp(middle + half * u)
         return 0.5 * (self.low + self.high) + 0.5 * (self.high - self.low) * u
 
 
@@ -59,6 +61,9 @@ class Box(NamedTuple):
 def box_of(study: Study, sigma: float) -> Box:
     """The box of a study's laws; laws without ends are cut at ``sigma`` standard deviations of a normal law.
 
+    Such a law (``normal``, ``lognormal``) is symmetric about its median, on a linear or a logarithmic scale. It is cut
+    at both ends. That a lognormal number is above 0 is no end: no deviation reaches it.
+
     Raises:
         ConfigError: The study has no uncertain number, or ``sigma`` is not admissible.
     """
@@ -69,13 +74,14 @@ def box_of(study: Study, sigma: float) -> Box:
     sides = []
     for name, law in study.laws.items():
         low, high = law.support
-        cut = not np.isfinite(high - low)
-        tail = norm.cdf(-sigma)
-        if not np.isfinite(low) or (law.logarithmic and not low > 0.0):
-            low = float(law.quantile(np.asarray(tail)))
-            cut = True
-        if not np.isfinite(high):
-            high = float(law.quantile(np.asarray(1.0 - tail)))
+        cut = not (np.isfinite(low) and np.isfinite(high))
+        if cut:
+            below = law.quantile(norm.cdf(-1.0))
+            with np.errstate(over="ignore", under="ignore"):
+                low = float(law.spread(below, sigma))
+                high = float(law.spread(below, -sigma))
+            if not np.isfinite(high) or (law.logarithmic and not low > 0.0):
+                raise ConfigError("sigma", f"cuts {name} at [{low:g}, {high:g}]; take fewer standard deviations")
         sides.append(Side(name, low, high, law.logarithmic, cut))
     return Box(tuple(sides))
 

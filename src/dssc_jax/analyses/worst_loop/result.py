@@ -166,7 +166,7 @@ class WorstLoop(Analysis):
             low = float(side["low"])
             high = float(side["high"])
             if bool(side["logarithmic"]):
-                numbers[name] = value * (value / np.sqrt(low * high)) ** BEYOND
+                numbers[name] = value * np.exp(BEYOND * (np.log(value) - 0.5 * (np.log(low) + np.log(high))))
             else:
                 numbers[name] = value + BEYOND * (value - 0.5 * (low + high))
         return self.study.override(numbers) if numbers else None

@@ -64,14 +64,14 @@ def joined(parts: list[Points]) -> Points:
 
 
 def box_of(laws: dict[str, Law], names: list[str]) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of each uncertain number that can move; unbounded laws are cut off at a small level."""
+    """Lowest and highest value of each uncertain number that can move; laws without ends are cut at a small level."""
     box = {}
     for name in names:
         if not laws[name].movable:
             continue
         ends = laws[name].quantile(np.array([SEARCH_EDGE, 1.0 - SEARCH_EDGE]))
         support = np.array(laws[name].support)
-        low, high = np.where(np.isfinite(support), support, ends)
+        low, high = support if np.all(np.isfinite(support)) else ends
         box[name] = (float(low), float(high))
     return box
 
