@@ -9,6 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
@@ -87,7 +88,7 @@ def plant_at_start(study: Study) -> PlantAtStart:
     params = medians(study.template).plant
     with arithmetic():
         start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
-        quiet = jnp.zeros(1 + len(loop.plant.quiet_inputs(params)))
+        quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
 
         def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
             drive = PlantInput(u, disturbances[0], None, tuple(disturbances[1:]))
