@@ -13,6 +13,7 @@ Steps 3 and 4 are part of :func:`control`, hence of the generated C. Metrics cou
 from typing import NamedTuple
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.numerics import turned_near, wrap_angle
 from dssc_jax.core.signals import (
     Command,
@@ -78,7 +79,7 @@ def measure(
     """
     zeros = (0.0,) * len(loop.channels)
     if drive is None:
-        drive = PlantInput(zeros, zeros, None, loop.plant.quiet_inputs(params.plant))
+        drive = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
     measurements = loop.mimo_plant.measure(params.plant, plant, drive)
     return tuple(near_reference(loop, i, measurement, references[i]) for i, measurement in enumerate(measurements))
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax
 
 from dssc_jax.closed_loop.averaged import Averaged, average_output
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import LinearDynamics, Moments, Mover, Plant, Unmodelled, Variation
 from dssc_jax.core.integrators import INTEGRATORS, ORDERS, Integrator
 from dssc_jax.core.numerics import as_arrays, dot, is_zero
@@ -164,7 +165,7 @@ def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels
     known: list[bool] = []
 
     def traced(state: State) -> State:
-        slope = remainder(params, state, PlantInput(zeros, zeros, None, plant.quiet_inputs(params)), 0.0)
+        slope = remainder(params, state, PlantInput(zeros, zeros, None, quiet_inputs(plant, params)), 0.0)
         known.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
         return slope
 

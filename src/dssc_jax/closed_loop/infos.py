@@ -4,6 +4,7 @@ import jax
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import as_arrays, control, initial_control, measure
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import condition_at
 from dssc_jax.core.named import signals_in
@@ -30,7 +31,7 @@ def first_infos(loop: Loop, params: LoopParams) -> tuple[tuple[Info, ...], Info]
     zeros: Signals = (0.0,) * len(loop.channels)
     wind = loop.wind.value(params.wind, loop.wind.init(params.wind, jax.random.key(0)), 0.0)
     condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
-    drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind, loop.plant.quiet_inputs(params.plant), condition)
+    drive: PlantInput[Signals] = PlantInput(zeros, zeros, wind, quiet_inputs(loop.plant, params.plant), condition)
     return tuple(infos), loop.mimo_plant.monitor(params.plant, plant, drive)
 
 

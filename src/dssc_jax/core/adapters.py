@@ -53,6 +53,11 @@ def linear_derivative(
     return derivative
 
 
+def quiet_inputs(plant: Plant, params: Params) -> Signals:
+    """No disturbance at each input that a plant names, as ``input.inputs`` has it."""
+    return (0.0,) * len(plant.inputs(params)) if plant.inputs else ()
+
+
 def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Signals]:
     """Adapt a plant with one channel to the interface of several: its signals become tuples of one value."""
 

@@ -29,7 +29,6 @@ from dssc_jax.core.signals import (
     ReferencePoints,
     Scalar,
     Signal,
-    Signals,
     State,
 )
 from dssc_jax.core.smoothness import Declaration
@@ -149,10 +148,6 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     advance: Callable[[Params, State, PlantInput[Signal], Scalar, float], State] | None = None
     begin: Begin | None = None
     native: str = ""
-
-    def quiet_inputs(self, params: Params) -> Signals:
-        """No disturbance at each input that the plant names, as ``input.inputs`` has it."""
-        return (0.0,) * len(self.inputs(params)) if self.inputs else ()
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""

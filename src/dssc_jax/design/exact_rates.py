@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import LoopParams
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint, Scalar, Signals
@@ -32,7 +33,7 @@ def exact_rates(study: Study) -> tuple[str, ...]:
 
         def rates(disturbances: jax.Array) -> jax.Array:
             drive: PlantInput[Signals] = PlantInput(
-                zeros, tuple(disturbances), None, plant.quiet_inputs(template.plant)
+                zeros, tuple(disturbances), None, quiet_inputs(plant, template.plant)
             )
             measurements = plant.measure(template.plant, state, drive)
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])

@@ -7,7 +7,6 @@ from the derivative of what the others do at a sample.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,48 +14,24 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from dssc_jax.closed_loop.readings import STATE
 from dssc_jax.core.chains import chain
 from dssc_jax.core.contracts import Controller, Unmodelled
-from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
-from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.sampled_linear import LinearSystem
-from dssc_jax.core.signals import Measurement, Params, PlantInput, ReferencePoint, Scalar
+from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar
+from dssc_jax.design.plant_at_start import PlantAtStart
 from dssc_jax.models.controllers.lqg import sampled_system
 from dssc_jax.study.actuators import acting_elements
 from dssc_jax.study.components import Component
 from dssc_jax.study.fitting import medians
 from dssc_jax.study.study import Study
 
-NEWTON_STEPS = 20
-AT_REST = 1e-9  # share of the rate of change without a command that may be left
 GRID = 600  # frequencies of the sensitivity's peak
 DECADES = 6.0  # of this grid, below the Nyquist frequency
 SETTLED = 0.02  # of the largest distance from the end
 FADED = 7.0  # time constants of the slowest pole, over which an output is looked at
 INSTANTS = 2000
-
-
-class PlantAtStart(NamedTuple):
-    """A plant of one channel, linearised at its start: x' = A x + b u, y = c x, y' = r x, s = C x + D u.
-
-    Args:
-        a: Shape (n, n).
-        b: Shape (n,).
-        c: Shape (n,).
-        rate: r, shape (n,).
-        signals: C, a row for each measured signal, shape (m, n).
-        through: D, shape (m,).
-    """
-
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-    rate: np.ndarray
-    signals: np.ndarray
-    through: np.ndarray
 
 
 class LinearPlant(NamedTuple):
@@ -164,67 +139,6 @@ class Subject(NamedTuple):
     actuators: ActuatorsBefore
     whole: LinearPlant
     limit: float | None
-
-
-def plant_at_start(study: Study) -> PlantAtStart:
-    """A study's plant, linearised at its start with the median in place of each law.
-
-    The command is the one that keeps the plant at its start; 0 where there is none.
-
-    Raises:
-        ConfigError: the plant has several channels, or no derivative.
-    """
-    loop = study.loop
-    where = f"{study.source}: plant.kind"
-    if len(loop.channels) > 1:
-        raise ConfigError(where, "first gains are those of a plant with one command")
-    if loop.plant.begin is not None:
-        rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
-        raise ConfigError(where, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
-    params = medians(study.template).plant
-    with arithmetic():
-        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
-        inputs = loop.plant.quiet_inputs(params)
-
-        def slope(x: jax.Array, u: Scalar) -> jax.Array:
-            rate = loop.plant.derivative(params, unravel(x), PlantInput(u, 0.0, None, inputs), 0.0)
-            return ravel_pytree(rate)[0]
-
-        def measured(x: jax.Array, u: Scalar) -> jax.Array:
-            state = unravel(x)
-            drive = PlantInput(u, 0.0, None, inputs)
-            measurement = loop.plant.measure(params, state, drive)
-            values = {"y": measurement.y, "y_dot": measurement.y_dot}
-            values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
-            if loop.measures:
-                values |= signals_in(loop.plant.monitor(params, state, drive))
-            names = ("y", "y_dot", *(signal.name for signal in loop.measures))
-            return jnp.stack([jnp.asarray(values[name], float) for name in names])
-
-        command = holding_command(slope, start)
-        a, b = map(np.asarray, jax.jacfwd(slope, argnums=(0, 1))(start, command))
-        rows, through = map(np.asarray, jax.jacfwd(measured, argnums=(0, 1))(start, command))
-    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], through[2:])
-
-
-def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float:
-    """The command with which a state stays where it is, by Newton's method; 0 where there is none.
-
-    Args:
-        slope: ``(x, u) -> x'``.
-        start: The state x.
-    """
-    command = 0.0
-    for _ in range(NEWTON_STEPS):
-        rate = np.asarray(slope(start, command), float)
-        effect = np.asarray(jax.jacfwd(slope, argnums=1)(start, command), float)
-        size = float(effect @ effect)
-        if not size > 0.0:
-            return 0.0
-        command -= float(effect @ rate) / size
-    left = np.max(np.abs(np.asarray(slope(start, command), float)))
-    moved = np.max(np.abs(np.asarray(slope(start, 0.0), float)))
-    return command if left <= AT_REST * moved else 0.0
 
 
 def actuators_before(study: Study) -> ActuatorsBefore:
@@ -343,8 +257,8 @@ def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> Actua
                 return jnp.asarray(model.advance(params, sample_time)(unravel(z), u)[1].mean, float)
             return jnp.asarray(u if model.linear is not None else model.output(params, unravel(z), u), float)
 
-        state, state_input = map(np.asarray, jax.jacfwd(sample, argnums=(0, 1))(begin, 0.0))
-        output, output_input = map(np.asarray, jax.jacfwd(driving, argnums=(0, 1))(begin, 0.0))
+        state, state_input = map(np.asarray, jax.jit(jax.jacfwd(sample, argnums=(0, 1)))(begin, 0.0))
+        output, output_input = map(np.asarray, jax.jit(jax.jacfwd(driving, argnums=(0, 1)))(begin, 0.0))
         system = as_arrays(model.linear(params) if model.linear is not None else None, len(begin))
     return ActuatorsAtSample(state, state_input, output, float(output_input), system)
 
@@ -379,7 +293,7 @@ def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
             after, command = sample(unravel(state), shown)
             return jnp.append(ravel_pytree(after)[0], command)
 
-        of_state, of_shown = map(np.asarray, jax.jacfwd(flat, argnums=(0, 1))(at, quiet))
+        of_state, of_shown = map(np.asarray, jax.jit(jax.jacfwd(flat, argnums=(0, 1)))(at, quiet))
     moves = of_state[:-1] != 0.0
     shown_states = np.any(of_shown[:-1] != 0.0, axis=1)
     kept = closure(shown_states, moves.T) & closure(of_state[-1] != 0.0, moves)  # an integral without k_i stands still

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.onboard import Onboard
@@ -100,7 +101,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
 
     def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
         params = params_of(values)
-        drive = PlantInput(commands, (0.0,) * count, None, loop.plant.quiet_inputs(params))
+        drive = PlantInput(commands, (0.0,) * count, None, quiet_inputs(loop.plant, params))
         state = software.holding(readings, held)
         return as_arrays(software.held(software.sample(params, state, drive, loop.sample_time)))
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.errors import errors_under
 from dssc_jax.core.named import NamedSignal, signals_in
@@ -48,7 +49,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
     inputs = plant.inputs(params) if plant.inputs else ()
     leaves, structure = jax.tree.flatten(plant.init(params))
     order = len(leaves)
-    quiet = plant.quiet_inputs(params)
+    quiet = quiet_inputs(plant, params)
 
     def signals(x: jax.Array, command: Scalar) -> jax.Array:
         state = structure.unflatten(list(x))

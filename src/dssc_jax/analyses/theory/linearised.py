@@ -8,6 +8,7 @@ from jax.flatten_util import ravel_pytree
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import LoopState, initial_state, step
+from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import as_arrays
@@ -98,7 +99,7 @@ def open_loop(loop: Loop, params: LoopParams) -> Linearised:
     gains = params.controller[0]
     model, dynamics = loop.unmodelled[0], params.unmodelled[0]
     resting, unravel = ravel_pytree(loop.plant.init(params.plant))
-    quiet = PlantInput(0.0, 0.0, None, loop.plant.quiet_inputs(params.plant))
+    quiet = PlantInput(0.0, 0.0, None, quiet_inputs(loop.plant, params.plant))
     memory, unravel_memory = ravel_pytree(as_arrays(model.init(dynamics)))
 
     def sigma_of(x: jax.Array) -> Scalar:

@@ -16,7 +16,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.files import design_toml, load_design
-from dssc_jax.design.first_gains import FirstController, first_gains
+from dssc_jax.design.first_gains import FirstController, FirstGains, first_gains
 from dssc_jax.results.summary import jsonable
 from dssc_jax.study import Study, read_toml
 from dssc_jax.study.library import find
@@ -71,6 +71,8 @@ def print_first_gains(options: Design) -> int:
     print(toml_entries(found.table, "controller").strip())
     sampled = f"T_s = {study.loop.sample_time:g} s"
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
+    for line in point_lines(found):
+        print(line)
     actuators = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
     sliding = " while it slides" if found.table["kind"] == FirstController.SSC else ""
     decay = study.loop.sample_time / -math.log(found.radius) if found.radius > 0.0 else 0.0
@@ -83,6 +85,19 @@ def print_first_gains(options: Design) -> int:
         print(f"left out, so that the whole loop has less margin: {', '.join(found.left_out)}")
     print("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
     return DONE
+
+
+def point_lines(found: FirstGains) -> list[str]:
+    """Where the plant was linearised, if that says anything."""
+    resting = found.plant.resting
+    if not found.plant.held:
+        rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
+        return [f"{rule}; start it at an equilibrium to have them about one"]
+    if resting is None or not (resting.output or resting.command or any(resting.signals)):
+        return []
+    point = f"linearised where it rests: y = {resting.output:.6g}, u = {resting.command:.6g}"
+    signals = ", ".join(f"{value:.6g}" for value in resting.signals)
+    return [f"{point}, measured signals = {signals}" if signals else point]
 
 
 def write_study(out: Path, table: TomlTable) -> None:

@@ -20,7 +20,14 @@ class DelayParams(NamedTuple):
 
     samples: Annotated[Scalar, Quantity("1", "delay, in controller samples", at_least=0.0)]
     memory: Annotated[
-        float, Quantity("1", "longest delay, in samples", at_least=1.0, at_most=MOST_SAMPLES, law=False)
+        float,
+        Quantity(
+            "1",
+            "longest delay, in samples; each is a state of the linearised loop, so the least that suffices is fastest",
+            at_least=1.0,
+            at_most=MOST_SAMPLES,
+            law=False,
+        ),
     ] = 20.0
 
 

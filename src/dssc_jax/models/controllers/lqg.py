@@ -6,6 +6,9 @@ because they are taken just before the new command acts. Per sample,
     x^ = x- + L (s - C x- - D u(k-1)),   u = -K x^ - k_i z + N y_m within its limits,
     x-(k+1) = A x^ + B u,                z(k+1) = z + T_s (y - y_m).
 
+About an operating point (y_0, u_0, s_0) other than 0, these are the deviations u - u_0, s - s_0 and y_m - y_0. The
+model is that of the plant if it is linear, or the one that the table ``model`` states, such as a linearisation there.
+
 K and k_i minimise the sum over the samples of q_y y^2 + sum of q_i x_i^2 + q_z z^2 + r u^2; L is the filter of least
 variance for the stated standard deviations of w and v. Both follow from a discrete algebraic Riccati equation when the
 study is built, with the median in place of each law: the controller of every draw is that of the nominal plant. N makes
@@ -25,13 +28,21 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot
+from dssc_jax.core.numerics import dot, is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
-from dssc_jax.core.setting import LoopSetting
+from dssc_jax.core.setting import LoopSetting, NominalPlant
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
 from dssc_jax.models.controllers.command_limits import HIGH, LOW, prepare_limits, smooth_within_limits, within_limits
 from dssc_jax.models.controllers.nominal import L0
+from dssc_jax.models.controllers.operating_point import (
+    RESTING_COMMAND,
+    RESTING_OUTPUT,
+    RESTING_SIGNALS,
+    deviations,
+    less,
+    require_resting,
+)
 
 STATE_WEIGHTS = Quantity("SI", "weight q_i of each state's square; absent: 0", at_least=0.0, law=False)
 OUTPUT_WEIGHT = Quantity("1/y^2", "weight q_y of y^2", at_least=0.0, law=False)
@@ -48,8 +59,28 @@ SIGNAL_STD = Quantity(
     "SI", "standard deviation of each measured signal's noise; of y without any", above=0.0, law=False
 )
 
+MODEL_A = Quantity("SI", "entry of A, row by row", law=False)
+MODEL_B = Quantity("SI", "entry of the command's column", law=False)
+MODEL_C = Quantity("SI", "entry of y's row", law=False)
+MODEL_SIGNALS = Quantity("SI", "entry of each measured signal's row; absent: y alone is measured", law=False)
+MODEL_THROUGH = Quantity("SI", "feedthrough of the command to each measured signal; absent: 0", law=False)
+MODEL_DISTURBANCES = Quantity(
+    "SI", "entry of each disturbance's column, beside the command first; absent: the command's", law=False
+)
+
 Row = tuple[Scalar, ...]
 Rows = tuple[Row, ...]
+
+
+class LqgModel(NamedTuple):
+    """The linear model x' = A x + b u + E w, y = c x, s = C x + D u, in continuous time, of deviations."""
+
+    a: Annotated[Rows, MODEL_A]
+    b: Annotated[Row, MODEL_B]
+    c: Annotated[Row, MODEL_C]
+    signals: Annotated[Rows, MODEL_SIGNALS] = ()
+    through: Annotated[Row, MODEL_THROUGH] = ()
+    disturbances: Annotated[Rows, MODEL_DISTURBANCES] = ()
 
 
 class LqgGains(NamedTuple):
@@ -67,6 +98,10 @@ class LqgGains(NamedTuple):
     state_std: Annotated[Row, STATE_STD] = ()
     low: Annotated[Scalar | None, LOW] = None
     high: Annotated[Scalar | None, HIGH] = None
+    resting_output: Annotated[Scalar, RESTING_OUTPUT] = 0.0
+    resting_command: Annotated[Scalar, RESTING_COMMAND] = 0.0
+    resting_signals: Annotated[Row, RESTING_SIGNALS] = ()
+    model: LqgModel | None = None
     l0: Annotated[Scalar, L0] = 1.0
     transition: Rows = ()
     input: Row = ()
@@ -172,11 +207,39 @@ def gain_at_rest(plant: SampledPlant, output: np.ndarray, feedback: np.ndarray) 
     return float(equilibrium[order] + feedback @ equilibrium[:order])
 
 
+def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
+    """The plant that a table states; raises ConfigError where its sizes do not fit."""
+    order = len(model.a)
+    named = () if setting.plant is None else setting.plant.inputs
+    columns = model.disturbances or (model.b,)
+    rows = model.signals
+    sizes = [("a", row, order) for row in model.a] + [("b", model.b, order), ("c", model.c, order)]
+    sizes += [("signals", row, order) for row in rows] + [("disturbances", column, order) for column in columns]
+    sizes += [("through", model.through, len(rows))] if model.through else []
+    for name, entries, count in sizes:
+        if len(entries) != count:
+            raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(entries)}")
+    if len(rows) != len(setting.measures):
+        rule = f"must have a row for each of the {len(setting.measures)} measured signals, got {len(rows)}"
+        raise ConfigError("model.signals", rule)
+    return NominalPlant(
+        np.array(model.a, float),
+        np.array(model.b, float),
+        np.array(columns, float).T,
+        np.array(model.c, float),
+        np.reshape(np.array(rows, float), (len(rows), order)),
+        np.array(filled("model.through", model.through, len(rows))),
+        named,
+    )
+
+
 def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
-    """Regulator and filter of the nominal plant; raises ConfigError."""
-    if setting.plant is None:
-        raise ConfigError("kind", "'lqg' needs a linear plant with one command, such as kind = 'state_space'")
-    plant = setting.plant
+    """Regulator and filter of the nominal plant, or of the stated model; raises ConfigError."""
+    plant = setting.plant if gains.model is None else stated_plant(gains.model, setting)
+    if plant is None:
+        rule = "'lqg' needs a linear plant with one command, such as kind = 'state_space', or a linear model of it"
+        raise ConfigError("kind", f"{rule} in [controller.model], as `design --controller lqg` writes it")
+    require_resting(gains.resting_signals, len(setting.measures))
     by_output = not setting.measures
     rows = plant.output[None, :] if by_output else plant.signals
     feedthrough = np.zeros(1) if by_output else plant.through
@@ -217,16 +280,22 @@ def step(
     gains: LqgGains, state: LqgState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[LqgState, Command, LqgInfo]:
     """One sample: correct, command, predict."""
-    shown = measurement.signals or (measurement.y,)
+    shown = (less(measurement.y, gains.resting_output),)
+    if measurement.signals:
+        shown = deviations(measurement.signals, gains.resting_signals)
+    last = less(state.command, gains.resting_command)
     innovations = []
     for row, feedthrough, signal in zip(gains.signals, gains.through, shown, strict=True):
-        innovations.append(signal - dot((*row, feedthrough), (*state.predicted, state.command)))
+        innovations.append(signal - dot((*row, feedthrough), (*state.predicted, last)))
     estimate = []
     for x, row in zip(state.predicted, gains.correction, strict=True):
         estimate.append(x + dot(row, innovations))
     error = measurement.y - reference.y
     integral_part = -gains.integral_gain * state.integral
-    v = integral_part + gains.feedforward * reference.y - dot(gains.feedback, estimate)
+    desired = less(reference.y, gains.resting_output)
+    v = integral_part + gains.feedforward * desired - dot(gains.feedback, estimate)
+    if not is_zero(gains.resting_command):
+        v = v + gains.resting_command
     u = within_limits(v, gains.low, gains.high)
     change = dt * error
     if gains.low is not None or gains.high is not None:
@@ -234,7 +303,7 @@ def step(
         change = jnp.where(drives_further, 0.0, change)
     predicted = []
     for row, entry in zip(gains.transition, gains.input, strict=True):
-        predicted.append(dot((*row, entry), (*estimate, u)))
+        predicted.append(dot((*row, entry), (*estimate, less(u, gains.resting_command))))
     after = LqgState(tuple(predicted), state.integral + change, u)
     return after, Command(u, 0.0), LqgInfo(integral_part, innovations[0])
 

@@ -1,4 +1,6 @@
-"""State feedback with integral action, u = -k_1 (y - y_m) - k_2 (y' - y_m') - k s + f y_m - k_i int (y - y_m) dt.
+"""State feedback with integral action about an operating point (y_0, u_0, s_0), by default 0:
+
+    u = u_0 - k_1 (y - y_m) - k_2 (y' - y_m') - k (s - s_0) + f (y_m - y_0) - k_i int (y - y_m) dt.
 
 Without measured signals s the state is (y, y'), what the class (5)-(8) measures; with n = 2 it is the plant's whole
 state. With ``measures = "state"``, s is the whole state of a linear plant of any order. Limits and anti-windup are
@@ -27,6 +29,14 @@ from dssc_jax.models.controllers.command_limits import (
     within_limits,
 )
 from dssc_jax.models.controllers.nominal import L0
+from dssc_jax.models.controllers.operating_point import (
+    RESTING_COMMAND,
+    RESTING_OUTPUT,
+    RESTING_SIGNALS,
+    deviations,
+    less,
+    require_resting,
+)
 
 
 class FeedbackGains(NamedTuple):
@@ -39,7 +49,10 @@ class FeedbackGains(NamedTuple):
     high: Annotated[Scalar | None, HIGH] = None
     tracking: Annotated[Scalar | None, Quantity("s", "time constant T_t of the anti-windup", above=0.0)] = None
     signals: Annotated[tuple[Scalar, ...], Quantity("SI", "gain k of each measured signal")] = ()
-    feedforward: Annotated[Scalar, Quantity("u/y", "gain f of the desired output y_m")] = 0.0
+    feedforward: Annotated[Scalar, Quantity("u/y", "gain f of the desired output y_m - y_0")] = 0.0
+    resting_output: Annotated[Scalar, RESTING_OUTPUT] = 0.0
+    resting_command: Annotated[Scalar, RESTING_COMMAND] = 0.0
+    resting_signals: Annotated[tuple[Scalar, ...], RESTING_SIGNALS] = ()
     l0: Annotated[Scalar, L0] = 1.0
 
 
@@ -61,11 +74,13 @@ def init(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoi
 
 
 def proportional_part(gains: FeedbackGains, measurement: Measurement, reference: ReferencePoint) -> Scalar:
-    """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k s - f y_m."""
+    """-(u - its integral part): k_1 (y - y_m) + k_2 (y' - y_m') + k (s - s_0) - f (y_m - y_0) - u_0."""
     total = gains.k_1 * (measurement.y - reference.y) + gains.k_2 * (measurement.y_dot - reference.y_dot)
     if gains.signals:
-        total = total + dot(gains.signals, measurement.signals)
-    return total if is_zero(gains.feedforward) else total - gains.feedforward * reference.y
+        total = total + dot(gains.signals, deviations(measurement.signals, gains.resting_signals))
+    if not is_zero(gains.feedforward):
+        total = total - gains.feedforward * less(reference.y, gains.resting_output)
+    return less(total, gains.resting_command)
 
 
 def step(
@@ -92,6 +107,7 @@ def transfer(
 def prepare(gains: FeedbackGains) -> FeedbackGains:
     """Require a gain and limits in order; raises ConfigError."""
     require_order(gains.low, gains.high)
+    require_resting(gains.resting_signals, len(gains.signals))
     if is_zero(gains.k_1) and is_zero(gains.k_2) and not gains.signals:
         raise ConfigError("k_1", "must not be zero with k_2 and without signals: nothing would be fed back")
     return gains

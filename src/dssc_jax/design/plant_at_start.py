@@ -1,0 +1,141 @@
+"""A study's plant, linearised at its start in continuous time, and the operating point that this is."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from dssc_jax.closed_loop.readings import STATE
+from dssc_jax.core.adapters import quiet_inputs
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.named import signals_in
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.setting import NominalPlant
+from dssc_jax.core.signals import PlantInput, Scalar
+from dssc_jax.study.fitting import MATCHED, medians
+from dssc_jax.study.study import Study
+
+NEWTON_STEPS = 20
+AT_REST = 1e-9  # share of the rate of change without a command that may be left
+
+
+class Resting(NamedTuple):
+    """An operating point at which a nonlinear plant rests.
+
+    Args:
+        output: y_0.
+        command: u_0, which holds the plant.
+        signals: Each measured signal there.
+    """
+
+    output: float
+    command: float
+    signals: tuple[float, ...]
+
+
+class PlantAtStart(NamedTuple):
+    """A plant of one channel, linearised at its start: x' = A x + b u + E w, y = c x, y' = r x, s = C x + D u.
+
+    Args:
+        a: Shape (n, n).
+        b: Shape (n,).
+        c: Shape (n,).
+        rate: r, shape (n,).
+        signals: C, a row for each measured signal, shape (m, n).
+        through: D, shape (m,).
+        disturbances: E, columns of the disturbance beside the command and of each named input, shape (n, q). A plant
+            without the former has the command's column.
+        inputs: Names of these columns.
+        resting: The operating point; None: a linear plant, which has 0 as one, or a start at which no command holds it.
+        held: Whether a command holds the plant at its start, or it is linear.
+    """
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    rate: np.ndarray
+    signals: np.ndarray
+    through: np.ndarray
+    disturbances: np.ndarray
+    inputs: tuple[str, ...]
+    resting: Resting | None
+    held: bool
+
+    @property
+    def nominal(self) -> NominalPlant:
+        """The plant as a controller is fitted to it."""
+        return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.through, self.inputs)
+
+
+def plant_at_start(study: Study) -> PlantAtStart:
+    """A study's plant, linearised at its start with the median in place of each law.
+
+    The command is the one that keeps the plant at its start; 0 where there is none.
+
+    Raises:
+        ConfigError: the plant has several channels, or no derivative.
+    """
+    loop = study.loop
+    where = f"{study.source}: plant.kind"
+    if len(loop.channels) > 1:
+        raise ConfigError(where, "first gains are those of a plant with one command")
+    if loop.plant.begin is not None:
+        rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
+        raise ConfigError(where, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
+    params = medians(study.template).plant
+    with arithmetic():
+        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
+        quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))
+
+        def slope(x: jax.Array, u: Scalar, disturbances: jax.Array = quiet) -> jax.Array:
+            drive = PlantInput(u, disturbances[0], None, tuple(disturbances[1:]))
+            return ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))[0]
+
+        def measured(x: jax.Array, u: Scalar) -> jax.Array:
+            state = unravel(x)
+            drive = PlantInput(u, 0.0, None, tuple(quiet[1:]))
+            measurement = loop.plant.measure(params, state, drive)
+            values = {"y": measurement.y, "y_dot": measurement.y_dot}
+            values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(jax.tree.leaves(state), start=1)}
+            if loop.measures:
+                values |= signals_in(loop.plant.monitor(params, state, drive))
+            names = ("y", "y_dot", *(signal.name for signal in loop.measures))
+            return jnp.stack([jnp.asarray(values[name], float) for name in names])
+
+        holding = holding_command(slope, start)
+        command = holding or 0.0
+        a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(start, command, quiet))
+        rows, through = map(np.asarray, jax.jit(jax.jacfwd(measured, argnums=(0, 1)))(start, command))
+        y, _, *signals = np.asarray(jax.jit(measured)(start, command)).tolist()
+    if not np.any(columns[:, 0]):
+        columns = np.column_stack([b, columns[:, 1:]])
+    linear = loop.plant.linear is not None and loop.plant.remainder is None
+    resting = None if linear or holding is None else Resting(y, command, tuple(signals))
+    held = linear or holding is not None
+    names = (MATCHED, *loop.input_names)
+    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], through[2:], columns, names, resting, held)
+
+
+def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
+    """The command with which a state stays where it is, by Newton's method; None where there is none.
+
+    Args:
+        slope: ``(x, u) -> x'``.
+        start: The state x.
+    """
+    rate_of = jax.jit(lambda u: slope(start, u))
+    effect_of = jax.jit(jax.jacfwd(rate_of))
+    command = 0.0
+    moved = float(np.max(np.abs(np.asarray(rate_of(0.0), float))))
+    for _ in range(NEWTON_STEPS if moved > 0.0 else 0):
+        rate = np.asarray(rate_of(command), float)
+        effect = np.asarray(effect_of(command), float)
+        size = float(effect @ effect)
+        if not size > 0.0:
+            return None
+        command -= float(effect @ rate) / size
+    left = np.max(np.abs(np.asarray(rate_of(command), float)))
+    return command if left <= AT_REST * moved else None

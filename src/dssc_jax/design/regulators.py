@@ -1,0 +1,151 @@
+"""First gains of LQG and of state feedback: regulators and filters of the plant at its start."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.toml import TomlTable
+from dssc_jax.design.linear_plant import LinearPlant, Subject
+from dssc_jax.design.pid_gains import acts_at_rest, limits
+from dssc_jax.models.controllers.lqg import filter_gain, gain_at_rest, regulator_gain, sampled_system
+
+FILTER_RATIO = 4.0  # of the filter's bandwidth to the regulator's
+PLACES = 9  # bisections' decades of a weight on either side
+FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
+
+
+def lqg(subject: Subject, omega: float, ratio: float) -> TomlTable:
+    """The LQG controller of y, or of all measured signals; raises ConfigError."""
+    study, plant = subject.study, subject.alone
+    nominal = subject.plant.nominal
+    names = [signal.name for signal in study.loop.measures] or ["y"]
+    rows = nominal.signals if study.loop.measures else nominal.output[None, :]
+    z = plant.sample_time
+    faster = min(FILTER_RATIO * omega, 0.5 * math.pi / z)
+    sampled = sampled_system(nominal.a, np.column_stack([nominal.command, nominal.disturbances]), z)
+    entering = sampled.disturbances[:, 0]
+    sizes = np.abs(rows @ responses(sampled.a, entering, faster, z))
+    for name, size in zip(names, sizes, strict=True):
+        if not size > 1e-12 * np.max(sizes):
+            rule = f"'{name}' does not move with a disturbance at the command, so its noise has no scale"
+            raise ConfigError(f"{study.source}: sensor.measures", f"{rule}; leave it out, or state weights of your own")
+    scaled = rows / sizes[:, None]
+    noise = np.outer(entering, entering)
+
+    def filtered(deviation: float) -> float:
+        correction = filter_gain(sampled.a, scaled, noise, deviation**2 * np.eye(len(rows)))
+        return float(np.linalg.norm(scaled @ responses(sampled.a, sampled.a @ correction, faster, z), 2))
+
+    deviation = crossing(filtered, 1.0)
+    weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, z)
+    table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight}
+    table |= {"integral_weight": integral_weight(plant, ratio * omega)}
+    table |= {"signal_std": [float(deviation * size) for size in sizes], "disturbance_std": [1.0]}
+    return table | limits(subject) | operating_point(subject) | stated_model(subject)
+
+
+def stated_model(subject: Subject) -> TomlTable:
+    """The model of LQG, where the plant is not linear itself: its linearisation."""
+    plant = subject.plant
+    dynamics = subject.study.loop.plant
+    if dynamics.linear is not None and dynamics.remainder is None:
+        return {}
+    model: TomlTable = {"a": plant.a.tolist(), "b": plant.b.tolist(), "c": plant.c.tolist()}
+    if len(plant.signals):
+        model |= {"signals": plant.signals.tolist(), "through": plant.through.tolist()}
+    return {"model": model | {"disturbances": (plant.disturbances.T + 0.0).tolist()}}
+
+
+def operating_point(subject: Subject) -> TomlTable:
+    """The point about which the law acts; raises ConfigError where the limit excludes the command that holds it."""
+    resting = subject.plant.resting
+    if resting is None:
+        return {}
+    if subject.limit is not None and abs(resting.command) >= subject.limit:
+        rule = f"must be above the command {resting.command:.4g} that holds the plant at its start"
+        raise ConfigError("`limit`", f"{rule}, got {subject.limit:g}")
+    found: TomlTable = {"resting_output": resting.output, "resting_command": resting.command}
+    found |= {"resting_signals": list(resting.signals)} if any(resting.signals) else {}
+    return {name: value for name, value in found.items() if value}
+
+
+def integral_weight(plant: LinearPlant, corner: float) -> float:
+    """The weight of the integral of y with which it acts below a frequency [rad/s]; 0 without a gain at rest."""
+    return corner**2 if acts_at_rest(plant, corner) else 0.0
+
+
+def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
+    """The weight of u^2 beside y^2 at which the regulator's loop crosses 1 at a frequency; raises ConfigError."""
+    q = np.outer(c, c)
+    through = responses(a, b, omega, sample_time)
+
+    def regulated(weight: float) -> float:
+        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ through))
+
+    return crossing(regulated, float(np.abs(c @ through)) ** 2)
+
+
+def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
+    """(z - A)^-1 columns at an angular frequency."""
+    return np.linalg.solve(np.exp(1j * omega * sample_time) * np.eye(len(a)) - a, columns)
+
+
+def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
+    """The regulator of LQG as feedback of measured states, or of y and y'; raises ConfigError."""
+    study, plant = subject.study, subject.plant
+    z = subject.alone.sample_time
+    sampled = sampled_system(plant.a, plant.b[:, None], z)
+    weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, z)
+    n = len(plant.a)
+    integral = integral_weight(subject.alone, ratio * omega)
+    a, b, q = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
+    if integral:
+        a = np.block([[a, np.zeros((n, 1))], [z * plant.c[None, :], np.ones((1, 1))]])
+        b = np.append(b, [[0.0]], axis=0)
+        q = np.block([[q, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
+    gains = regulator_gain(a, b, q, weight)
+    feedback = gains[:n]
+    names = tuple(signal.name for signal in study.loop.measures)
+    rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
+    shares = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
+    if np.any(plant.through * shares[: len(plant.through)] != 0.0) or (
+        np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback))
+    ):
+        shown = ", ".join(names) if names else "y and y'"
+        rule = f"shows {shown}, and the regulator feeds back all {n} states"
+        remedy = "add measures = \"state\" to [sensor], or ask for 'lqg', which estimates them"
+        raise ConfigError(f"{study.source}: sensor", f"{rule}; {remedy}")
+    forward = gain_at_rest(sampled, plant.c, feedback)
+    k_i = float(gains[n]) if integral else 0.0
+    proportional: TomlTable = {"signals": list(map(float, shares)), "feedforward": forward}
+    if not names:
+        k_1 = float(shares[0])
+        k_2 = float(shares[1]) if n > 1 else 0.0
+        proportional = {"k_1": k_1, "k_2": k_2, "feedforward": forward - k_1}
+        if k_1 < 0.0 or k_2 < 0.0:
+            rule = f"needs the gains k_1 = {k_1:.4g} and k_2 = {k_2:.4g}, and they are at least 0"
+            raise ConfigError(f"{study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
+    if k_i < 0.0:
+        raise ConfigError(f"{study.source}: plant", "has a negative gain at rest; turn the command's sign")
+    table: TomlTable = {"kind": "state_feedback"} | proportional | ({"k_i": k_i} if k_i else {})
+    tracking = {"tracking": 1.0 / (ratio * omega)} if k_i and subject.limit is not None else {}
+    return table | tracking | limits(subject) | operating_point(subject)
+
+
+def crossing(size: Callable[[float], float], guess: float) -> float:
+    """The positive number at which a falling function is 1, by bisection of its logarithm; raises ConfigError."""
+    low = high = guess
+    for _ in range(PLACES):  # from the guess on: a Riccati equation far from it may have no solution in floating point
+        low = low if size(low) > 1.0 else 0.1 * low
+        high = high if size(high) < 1.0 else 10.0 * high
+    if not size(low) > 1.0 > size(high):
+        raise ConfigError("`bandwidth`", "is out of reach of every weight for this plant; ask for another one")
+    for _ in range(80):
+        middle = math.sqrt(low * high)
+        if size(middle) > 1.0:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(low * high)

@@ -1,0 +1,34 @@
+"""The operating point about which a linear law acts: y_0, u_0 and s_0, at which the plant rests.
+
+A linear law is a law of deviations. About an equilibrium other than 0, the reference's feedforward must act on
+y_m - y_0, the feedback of signals on s - s_0, and u_0 holds the plant. A feedforward of the whole y_m would ask for a
+command that the integral then has to take back.
+"""
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import is_zero
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.signals import Scalar, Signals
+
+RESTING_OUTPUT = Quantity("y", "output y_0 at the operating point")
+RESTING_COMMAND = Quantity("u", "command u_0 that holds the plant there")
+RESTING_SIGNALS = Quantity("SI", "each measured signal s_0 there; absent: 0")
+
+
+def less(value: Scalar, resting: Scalar) -> Scalar:
+    """The deviation of a value from that at rest."""
+    return value if is_zero(resting) else value - resting
+
+
+def deviations(signals: Signals, resting: Signals) -> Signals:
+    """The deviations of measured signals from those at rest; () stands for zeros."""
+    if not resting:
+        return signals
+    return tuple(less(value, at_rest) for value, at_rest in zip(signals, resting, strict=True))
+
+
+def require_resting(resting: Signals, count: int) -> None:
+    """Require a number for each measured signal, or none; raises ConfigError."""
+    if resting and len(resting) != count:
+        rule = f"must have a number for each of the {count} measured signals, got {len(resting)}"
+        raise ConfigError("resting_signals", rule if count else "belongs to measured signals, and there are none")
