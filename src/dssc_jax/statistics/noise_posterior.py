@@ -20,7 +20,7 @@ from scipy import optimize, special, stats
 
 from dssc_jax.statistics.correlated_noise import WHITE, Drift, FirstOrder, Misfit, Noise, SecondOrder, misfit
 
-WHITE_PRIOR = 0.2  # probability of white noise; the kinds of correlated noise share the rest
+WHITE_PRIOR = 0.1  # probability of white noise; the kinds of correlated noise share the rest
 SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
 DAMPING_MIDDLE = 1.0  # of logit zeta
 DAMPING_WIDTH = 1.5  # standard deviation of logit zeta: 14 to 92 %

@@ -105,7 +105,7 @@ def test_an_inverted_vehicle_is_turned_back():
     params = study.template.plant
     loop = params.inner_loop
     level = Readings(Vec3(0.0, 0.0, 0.0), Quaternion(1.0, 0.0, 0.0, 0.0), Vec3(0.0, 0.0, 0.0))
-    state = loop.init(params.craft, level)
+    state = loop.init(params.craft, level, params.first_carrying)
     for tilt in (0.0, 1e-3, -1e-3):
         rates = loop.rate_for(state, Quaternion(np.sin(tilt), np.cos(tilt), 0.0, 0.0))
         assert abs(float(rates.x)) == pytest.approx(2.0 * loop.attitude_p[0], rel=1e-5)
