@@ -7,9 +7,9 @@ import tomli_w
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.conversions import conversion_text, reference_conversion, reference_shift
+from dssc_jax.flight_logs.conversions import conversion_text, likeness, reference_conversion, reference_shift
 from dssc_jax.flight_logs.fit import fit_log, sampled_log
-from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations
+from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations, Readings
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.refusals import NotIdentifiable, Unexplained, require_unique_minimum
 from dssc_jax.flight_logs.replay import replay_log
@@ -60,6 +60,79 @@ def test_references_of_other_channels_and_times():
     assert reference_shift((TIME > 2.5).astype(float), step) == -25
     assert reference_shift(step, step) == reference_shift(SINE**3 + 1.0, step) == 0
     assert reference_shift(np.ones(400), np.zeros(400)) == 0
+
+
+def flying_references(x, y):
+    """A vehicle whose x and y follow steps after 1 s and 3.5 s, and a log of references of x and y."""
+    steps = {axis: {"kind": "step", "size": 1.0, "at": at} for axis, at in (("x", 1.0), ("y", 3.5))}
+    study = dj.Study.load("studies/uav_robustness.toml").without_sweep()
+    changes = {"loop.duration": 8.0, "loop.sample_time": DT, "requirement": [], "metrics": {"names": ["error_rms"]}}
+    study = study.override({**changes, "reference": {"kind": "hover", **steps}})
+    time = DT * np.arange(len(x))
+    return study, FlightLog("flight", {"x_y_ref": Column(time, x), "y_y_ref": Column(time, y)}, 0.0)
+
+
+def test_a_start_is_offered_only_if_all_references_agree():
+    time = DT * np.arange(400)
+    jumps = (time > 1.0 - 1e-9).astype(float), (time > 5.5 - 1e-9).astype(float)
+    study, log = flying_references(*jumps)  # the clock jumps by 2 s between the steps
+    assert replay_log(study, log, commands=False).hints.shifts == {}
+    study, log = flying_references((time > 3.0 - 1e-9).astype(float), jumps[1])
+    late = "is the study's, 2 s later: set start to 2 s"
+    assert replay_log(study, log, commands=False).hints.shifts == {"x_y_ref": late, "y_y_ref": late}
+
+
+def test_the_slope_of_a_record_with_jittered_stamps_is_told():
+    """Against the rate that the log has, which the record then takes."""
+    random = np.random.default_rng(2)
+    stamps = TIME + np.abs(random.normal(0.0, 1e-3, TIME.shape))
+    speed = 0.5 * np.pi * np.cos(np.pi * TIME)
+    record = {"kind": "record", "time": stamps.tolist(), "value": SINE.tolist()}
+    columns = {"y_ref": Column(TIME, SINE), "y_ref_dot": Column(TIME, speed)}
+    log = log_of(SINE)._replace(columns=columns)
+    slope = np.interp(TIME, stamps, np.append(np.diff(SINE) / np.diff(stamps), 0.0))
+    rough = replay_log(linear(reference=record), log, commands=False)
+    assert rough.rates[""] > 0.5 * np.abs(slope - speed)[1:-1].max()
+    assert "differs from the slope of the study's reference" in rough.hints.slopes["y_ref_dot"]
+    assert "by rate_column and rate_file" in rough.hints.slopes["y_ref_dot"]
+    rated = replay_log(linear(reference={**record, "rate": speed.tolist()}), log, commands=False)
+    assert rated.rates[""] < 0.1 * rough.rates[""]
+    assert rated.hints.all() == {}
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        (2.0 + SINE, -SINE, ("", "looks like the study's with the opposite sign")),
+        (SINE, 2.0 + SINE, ("looks like the study's y_y", "looks like the study's x_y")),
+        (200.0 + 100.0 * SINE, SINE, ("looks like the study's times 100 (centimetres in place of metres)", "")),
+        (2.0 + 1.1 * SINE, 0.9 * SINE, ("", "")),
+    ],
+)
+def test_what_an_output_looks_like(x, y, words):
+    expected = [2.0 + SINE, SINE]
+    found = tuple(likeness(index, logged, expected, ("x_y", "y_y"), "m") for index, logged in enumerate((x, y)))
+    assert found == words
+
+
+def test_a_comparison_names_a_mirrored_output_and_an_early_end(tmp_path, capsys):
+    study = linear(draws=19)
+    run = dj.simulate(study, 3)
+    rows = "\n".join(f"{t},{-y}" for t, y in zip(run["t"].values[:120], run["y"].values[:120], strict=True))
+    (tmp_path / "log.csv").write_text(f"t,y\n{rows}\n")
+    (tmp_path / "s.toml").write_text(tomli_w.dumps(study.table))
+    assert (
+        guarded(["compare-log", str(tmp_path / "s.toml"), str(tmp_path / "log.csv"), "--out", str(tmp_path / "o")]) == 0
+    )
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "warning: y looks like the study's with the opposite sign" in printed
+    assert "log.csv over 19 draws, 120 of the study's 400 samples: the log ends before the study" in printed
+
+
+def test_a_simulation_that_diverges_warns_of_nothing(flight):
+    """Infinity times a weight of 0 between the samples is no number, and no warning."""
+    readings = Readings.of(sampled_log(linear(), log_of(*flight[::-1])), 0, DT)
+    assert np.isnan(readings.interpolate(np.full(400, np.inf))).any()
 
 
 def test_a_fit_refuses_a_mirrored_reference_and_tells_a_late_start(flight):

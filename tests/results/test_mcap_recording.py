@@ -104,7 +104,12 @@ def test_parquet_has_units(flight):
     table = parquet.read_table(folder / "flight.parquet")
     assert table.column_names == ["t", *trajectory.data_vars]
     np.testing.assert_array_equal(table["attitude_w"].to_numpy(), trajectory["attitude_w"])
-    assert table.schema.field("rate_x").metadata[b"units"] == b"rad/s"
+    units = {"rate_x": b"rad/s", "phi": b"rad", "psi": b"rad", "psi_y": b"rad", "x_y_dot": b"m/s"}
+    assert {name: table.schema.field(name).metadata[b"units"] for name in units} == units
+    assert table.schema.field("psi").metadata[b"long_name"] == b"yaw"
+    assert table.schema.metadata[b"study"] == trajectory.attrs["study"].encode()
+    assert float(table.schema.metadata[b"draw"]) == trajectory.attrs["draw"]
+    assert b"east, north, up" in table.schema.metadata[b"axes"]
 
 
 def test_a_loop_of_one_axis_has_signals_only(tmp_path):

@@ -17,6 +17,11 @@ from dssc_jax.results.mcap_recording import write_mcap
 from dssc_jax.results.summary import jsonable
 
 FIGURES = (".png", ".svg", ".pdf")
+AXES = (
+    "inertial x, y, z: east, north, up (ENU); body: forward, left, up (FLU); attitude R_z(psi) R_y(theta) R_x(phi) and "
+    "its quaternion: body to inertial"
+)
+"""The axes of a vehicle's trajectory, for its file."""
 
 
 def require_writable(options: Simulate | Replay) -> None:
@@ -68,7 +73,10 @@ def write_table(trajectory: xr.Dataset, path: Path) -> None:
 
 
 def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
-    """Write a trajectory as Parquet, with unit and meaning of each column in the metadata of its field.
+    """Write a trajectory as Parquet.
+
+    The metadata of each field have its unit and meaning, those of the file the study's name, the draw, its numbers and
+    how it ended; of a vehicle also the axes.
 
     Raises:
         ConfigError: pyarrow is not installed.
@@ -84,6 +92,9 @@ def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     for name, column in zip(names, columns, strict=True):
         described = {key: str(value) for key, value in trajectory[name].attrs.items()}
         fields.append(pa.field(name, column.type, metadata=described))
-    table = pa.Table.from_arrays(columns, schema=pa.schema(fields))
+    described = {name: str(value) for name, value in trajectory.attrs.items()}
+    if "attitude_w" in trajectory:
+        described["axes"] = AXES
+    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=described))
     with files.replacing(path) as file:
         parquet.write_table(table, file)

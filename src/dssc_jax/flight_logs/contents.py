@@ -173,7 +173,8 @@ def topic_table(
 ) -> dict[str, np.ndarray]:
     """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
 
-    Messages without a stamp, or from before the start, are left out.
+    Messages without a stamp, or from before the start, are left out, but for the last one before it: with its negative
+    time a record has a value at 0, too.
 
     Args:
         path: A ULog of PX4.
@@ -206,6 +207,8 @@ def topic_table(
             raise ConfigError(
                 topic, f"has no message from {max(part.begin, origin):.4g} s on in the part asked for; {has}"
             )
+        earlier = np.flatnonzero(time < max(part.begin, origin))
+        inside[earlier[-1:]] = True
         table = {TIME: time[inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)

@@ -34,6 +34,7 @@ from dssc_jax.flight_logs.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
+    column_remedy,
     forward_filled,
     held_samples,
     nearest_offsets,
@@ -205,7 +206,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             continue
         replay = replayed_channel(study, row, signals, references[row])
         if isinstance(replay, str):
-            raise ConfigError(log.name, f"has no command {signal_name(channel, 'u_total')}, and {replay}")
+            name = signal_name(channel, "u_total")
+            raise ConfigError(log.name, f"has no command {name}, and {replay}; {column_remedy(channel, 'u_total')}")
         commands[row] = replay
         replayed.append(channel)
         needed += [signal_name(channel, name) for name in signals if name.startswith("y")]

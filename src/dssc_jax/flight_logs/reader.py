@@ -234,6 +234,14 @@ def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     return found
 
 
+def column_remedy(channel: str, name: str) -> str:
+    """How a table of columns gives a signal, with the column that a ULog of PX4 usually has."""
+    signal = signal_name(channel, name)
+    usual = PX4_COLUMNS.get(channel, {}).get(name)
+    example = f", which PX4 logs as {' or '.join(usual)}" if usual else ""
+    return f"give its column in the table of columns, or by --column {signal}=COLUMN{example}"
+
+
 def has_column(topics: TopicData, column: str) -> bool:
     """Whether a log has finite values of a column."""
     place = column_place(column)

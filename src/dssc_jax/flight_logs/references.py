@@ -90,8 +90,9 @@ def compared_references(
             continue
         distance, size = rates[channel]
         found.rates[channel] = float(np.abs(distance).max(initial=0.0))
+        moves = np.ptp(reference) > 0.0
         same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-        if same and rms(distance) > SAME_REFERENCE * size > 0.0:
+        if moves and same and rms(distance) > SAME_REFERENCE * size > 0.0:
             unit = study.units[index].of("y/s")
             found.slopes[signal_name(channel, "y_ref_dot")] = (
                 f"differs from the slope of the study's reference by {rms(distance):.3g} {unit} rms, "

@@ -23,7 +23,6 @@ MOST_UNEXPLAINED = 0.1  # of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
 MANY_TIMES = 3.0  # what noise explains of a residual: above, the residual is doubted
 LEAST_DOUBTED = 1e-5  # of the output's variance left unexplained, in a residual that is doubted
-PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISE_REPLICATES = 16  # of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix

@@ -196,7 +196,7 @@ def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.nda
 def column_attributes(name: str, study: Study) -> dict[str, str]:
     """Unit and meaning of a trajectory's column; an info field without a quantity has only its name."""
     channel, _, field = name.partition("_")
-    named = channel in study.loop.channels and bool(channel)
+    named = channel in study.loop.channels and bool(channel) and bool(field)
     signal = field if named else name
     index = study.loop.channels.index(channel) if named else 0
     units = study.units[index]

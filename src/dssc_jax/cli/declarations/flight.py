@@ -158,7 +158,7 @@ class CompareLog(OutputOptions, LogOptions, DrawsOptions):
             "--simulations",
             metavar="N",
             min=1,
-            help="With --fit, after which the search ends with the best so far [2000].",
+            help="With --fit, after which the search ends with the best so far [2000]; its refinement takes more.",
         ),
     ] = None
     minutes: Annotated[

@@ -1,0 +1,150 @@
+"""Times of a log that fall, jump, or count milliseconds; files that are empty, cut or asked beyond their end."""
+
+import itertools
+import struct
+
+import numpy as np
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.cli.main import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.clocks import falls_of, gaps_of, rising_rows
+from dssc_jax.flight_logs.contents import log_contents, topic_table
+from dssc_jax.flight_logs.coverage import few_samples_remedy
+from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.ulog import list_topics
+from tests.cli.conftest import last_json
+from tests.flight_logs.test_ulog import TAKEOFF, log_head, message
+
+pytest.importorskip("pyulog")
+
+RATE = np.arange(100) * 0.02  # s
+
+
+def ulog(path, stamps, other=RATE):
+    """A log of a topic ``rate`` with these stamps [s], and of a topic ``other``, from the time 1 s on."""
+    formats = ["rate:uint64_t timestamp;float value;", "other:uint64_t timestamp;float value;"]
+    parts = [log_head(formats, [("rate", 0), ("other", 0)], 1_000_000)]
+    for number, times in enumerate((stamps, other)):
+        for index, stamp in enumerate(times):
+            parts.append(message(b"D", struct.pack("<HQf", number, round(1e6 * (stamp + 1.0)), index)))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def topic(contents, name):
+    return next(topic for topic in contents.topics if topic.name == name)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_fewest_rows_are_left_out(seed):
+    """Of all subsets that rise, none is larger."""
+    time = np.random.default_rng(seed).integers(0, 6, 9).astype(float)
+    kept = rising_rows(time)
+    assert (np.diff(kept) > 0).all()
+    assert (np.diff(time[kept]) >= 0.0).all()
+    larger = itertools.combinations(range(9), len(kept) + 1)
+    assert not any((np.diff(time[list(rows)]) >= 0.0).all() for rows in larger)
+
+
+def test_a_stray_time_is_named_and_left_out_on_request(tmp_path):
+    """Row 41 jumps ahead; the 60 rows after it are not to blame."""
+    time = RATE.copy()
+    time[40] = 50.0
+    log = ulog(tmp_path / "a.ulg", time)
+    table = {"signals": {"y": "rate.value"}}
+    told = r"a.ulg: y: .*: 0.82 s comes after 50 s in row 42; 1 of 100 rows would have to go, which --allow-damaged"
+    with pytest.raises(ConfigError, match=told):
+        dj.read_log(log, table=table)
+    read = dj.read_log(log, table=table, allow_damaged=True)
+    assert read.dropped == {"y": 1}
+    np.testing.assert_allclose(read.columns["y"].time, np.delete(RATE, 40), atol=1e-9)
+    np.testing.assert_array_equal(read.columns["y"].value, np.delete(np.arange(100.0), 40))
+    contents = log_contents(log)
+    assert (topic(contents, "rate").falls, topic(contents, "rate").rate) == (1, pytest.approx(50.0))
+    assert contents.gaps == []
+
+
+def test_a_clock_that_was_set_back_is_no_stray_time(tmp_path, capsys):
+    """Where NumPy sees the first fall; the rate is that of the messages."""
+    time = np.where(RATE < 1.2, RATE, RATE - 0.6)
+    log = ulog(tmp_path / "back.ulg", time)
+    for allowed in (False, True):
+        with pytest.raises(ConfigError, match=r"0.6 s comes after 1.18 s in row 61, and 29 of 100 .* was set back"):
+            dj.read_log(log, table={"signals": {"y": "rate.value"}}, allow_damaged=allowed)
+    contents = log_contents(log)
+    first = int(np.argmax(np.diff(time) < 0))
+    (fall,) = contents.falls
+    assert fall.topics == ("rate",)
+    assert fall.stamps == pytest.approx((time[first], time[first + 1]))
+    assert topic(contents, "rate").rate == pytest.approx(50.0)
+    assert topic(contents, "other").rate == pytest.approx(50.0)
+    assert guarded(["log", str(log)]) == 0
+    assert "times fall once, first from 1.180 s to 0.600 s: rate\n" in capsys.readouterr().out
+
+
+def test_a_hole_is_told_for_all_topics_that_have_it(tmp_path, capsys):
+    jumping = np.where(RATE < 0.5, RATE, RATE + 2.0)
+    log = ulog(tmp_path / "jump.ulg", jumping, jumping + 0.001)
+    (gap,) = log_contents(log).gaps
+    assert sorted(gap.topics) == ["other", "rate"]
+    assert gap.stamps == pytest.approx((0.48, 2.5))
+    assert guarded(["log", str(log), "--json"]) == 0
+    assert last_json(capsys)["logs"][0]["gaps"][0]["rate"] == pytest.approx(50.0)
+    assert log_contents(ulog(tmp_path / "even.ulg", RATE)).gaps == []
+    flight = list_topics(TAKEOFF).topics
+    assert gaps_of(flight) == falls_of(flight) == []
+
+
+def test_times_in_milliseconds(tmp_path):
+    rows = "\n".join(f"{1000 * t:.0f},{t}" for t in RATE)
+    (tmp_path / "ms.csv").write_text(f"stamp,y\n{rows}\n")
+    log = dj.read_log(tmp_path / "ms.csv", table={"time": {"column": "stamp", "scale": 0.001}, "start": 0.1})
+    np.testing.assert_allclose(log.columns["y"].time, log.columns["y"].value, atol=1e-12)
+    assert log.start == 0.1
+    for entry, told in (
+        (3, r"time: must be the name of a column, or a table"),
+        ({"column": "stamp", "scale": 0.0}, r"time\.scale: .* above 0, got 0"),
+        ({"column": 1}, r"time\.column"),
+        ({"column": "stamp", "offset": 1.0}, r"time: .* column and scale"),
+    ):
+        with pytest.raises(ConfigError, match=told):
+            dj.read_log(tmp_path / "ms.csv", table={"time": entry})
+
+
+def test_a_table_of_a_topic_has_the_message_before_its_start(tmp_path, capsys):
+    log = ulog(tmp_path / "a.ulg", RATE)
+    table = topic_table(log, "rate", start=0.05)
+    np.testing.assert_allclose(table["t"], RATE[2:] - 0.05, atol=1e-9)
+    np.testing.assert_array_equal(table["value"], np.arange(2.0, 100.0))
+    out = tmp_path / "late.csv"
+    assert guarded(["log", str(log), "--topic", "rate", "--start", "500", "--csv", str(out)]) == 2
+    assert "rate: has no message from 500 s on in the part asked for; its messages are from 0 s to 1.98 s" in (
+        capsys.readouterr().err
+    )
+    assert not out.exists()
+
+
+def test_an_empty_file_is_told_alike(tmp_path):
+    (tmp_path / "empty.ulg").write_bytes(b"")
+    for read in (log_contents, lambda path: dj.read_log(path, table={"signals": {"y": "rate.value"}})):
+        with pytest.raises(ConfigError, match=r"^\S*/empty\.ulg: is no ULog: the file is empty$"):
+            read(tmp_path / "empty.ulg")
+
+
+def test_a_cut_file_is_known(tmp_path):
+    content = ulog(tmp_path / "a.ulg", RATE).read_bytes()
+    (tmp_path / "cut.ulg").write_bytes(content[:-5])
+    cut, whole = (FlightLog("a", {}, 0.0, file=path).is_cut() for path in (tmp_path / "cut.ulg", tmp_path / "a.ulg"))
+    assert cut
+    assert not whole
+    assert not FlightLog("a", {}, 0.0).is_cut()
+
+
+def test_gaps_and_rare_values_have_their_own_remedies():
+    known = np.ones(100, bool)
+    known[30:55] = False
+    assert "at most 25 in a row (between 0.58 s and 1.1 s of the study)" in few_samples_remedy(known, 0.02)
+    assert few_samples_remedy(np.arange(100) % 2 == 0, 0.02).startswith("log it as often as the controller runs")
+    assert few_samples_remedy(np.zeros(100, bool), 0.02).startswith("log it as often")
