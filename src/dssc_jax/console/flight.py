@@ -91,8 +91,9 @@ def show_replay(summary: Mapping[str, Any]) -> None:
             f"{replay['unit']} (at {replay['largest_difference_at']:.4g} s), "
             f"rms {replay['rms_difference']:.4g} of {replay['rms_logged']:.4g}"
         )
-    for name, count in summary["dropped_rows"].items():
-        say(f"{name}: {'1 row' if count == 1 else f'{count:,} rows'} left out, because the times of the log fall")
+    if summary["dropped_rows"]:
+        counts = ", ".join(f"{count:,} of {name}" for name, count in summary["dropped_rows"].items())
+        say(f"rows left out, because their times fall: {counts}")
     if summary["held_samples"]:
         say(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
     for channel, reason in summary["not_replayed"].items():

@@ -127,5 +127,5 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, allowed: bool) -> 
             "or a table with the rows before or after that time",
         )
     if not allowed:
-        raise ConfigError(name, f"{place}; {share}, which --allow-damaged (`allow_damaged`) leaves out")
+        raise ConfigError(name, f"{place}; {share}, which `allow_damaged` leaves out")
     return kept

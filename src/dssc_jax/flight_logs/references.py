@@ -12,6 +12,8 @@ from dssc_jax.flight_logs.conversions import SAME_REFERENCE, is_shifted, referen
 from dssc_jax.flight_logs.reader import FlightLog, signal_name
 from dssc_jax.study import Study
 
+USUAL = 0.9
+"""Share of the values of a rate that tell whether it is a slope; the largest differences may be damage of the log."""
 RATE_REMEDY = (
     "the slope of a record whose time stamps jitter is rough. Give it the log's rate, by rate_column and rate_file"
 )
@@ -88,15 +90,17 @@ def compared_references(
             found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
         if channel not in rates:
             continue
-        distance, size = rates[channel]
-        found.rates[channel] = float(np.abs(distance).max(initial=0.0))
+        distance, rate = rates[channel]
+        found.rates[channel] = float(distance.max(initial=0.0))
+        usual = distance <= np.quantile(distance, USUAL)
+        rough, size = rms(distance[usual]), rms(rate[usual])
         moves = np.ptp(reference) > 0.0
         same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-        if moves and same and rms(distance) > SAME_REFERENCE * size > 0.0:
+        if moves and same and rough > SAME_REFERENCE * size > 0.0:
             unit = study.units[index].of("y/s")
             found.slopes[signal_name(channel, "y_ref_dot")] = (
-                f"differs from the slope of the study's reference by {rms(distance):.3g} {unit} rms, "
-                f"{100 * rms(distance) / size:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
+                f"differs from the slope of the study's reference by {rough:.3g} {unit} rms, {100 * rough / size:.2g} "
+                f"% of it, though y_ref is the same: {RATE_REMEDY}"
             )
     return found
 
@@ -106,8 +110,8 @@ def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:
     return float(np.nanmax(np.abs(logged - reference), initial=0.0))
 
 
-def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, float]]:
-    """The logged rate of each channel's reference less the study's, at the times of the log, and its root mean square.
+def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Distances of the logged rate of each channel's reference from the study's, at the times of the log, and the rate.
 
     Channels whose rate is not logged within the study's duration are left out.
     """
@@ -129,5 +133,5 @@ def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, 
     for index, (time, value) in columns.items():
         rows = places[begin : begin + len(time)]
         begin += len(time)
-        found[loop.channels[index]] = (value - slopes[index, rows], rms(value))
+        found[loop.channels[index]] = (np.abs(value - slopes[index, rows]), value)
     return found
