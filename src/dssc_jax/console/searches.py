@@ -146,6 +146,9 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
         console.print(f"it fails: {result}; the first failure came after {answer.first_failure} of {spent}")
     else:
         console.print(f"no failure was found, which proves nothing; the worst of {spent}: {result}")
+    if len(answer.worst_seen) > 1:
+        seen = ", ".join(f"{name}: {value}" for name, value in answer.worst_seen.items())
+        console.print(f"worst seen of each requirement, in different draws: {seen}", markup=False, soft_wrap=True)
     course = falsified.course_at(falsified.worst)
     if course:
         console.print(f"worst draw: {course}", markup=False, soft_wrap=True)

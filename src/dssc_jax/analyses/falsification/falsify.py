@@ -19,6 +19,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
+from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
@@ -65,10 +66,20 @@ class FalsifiedAnswer:
     worst: PointAnswer = field(metadata={MERGED: True})
     units: Annotated[dict[str, str], Quantity("", "unit of each uncertain number")]
     nearest_failure: PointAnswer | None
+    worst_seen: Annotated[dict[str, str], Quantity("", "worst value of each requirement, of all complete draws")]
     simulations: Annotated[int, Quantity("1", "simulations spent")]
     stopped: Annotated[str, Quantity("", "why the search stopped before its budget was spent; empty if it spent it")]
     first_failure: Annotated[int | None, Quantity("1", "simulations until the first failure; None if there was none")]
     seconds: Annotated[float, Quantity("s", "computing time")]
+
+
+def value_text(requirement: Requirement, slack: float) -> str:
+    """The metric of a requirement with its unit, from its slack."""
+    value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
+    if np.isnan(value):
+        return "no number"
+    shown, unit = requirement.shown(value)
+    return f"{shown:.4g} {unit}".removesuffix(" 1")
 
 
 def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
@@ -84,8 +95,9 @@ class Falsified(Analysis):
     relative to its bound, or for a bound of 0 to its median over the first points, negative if the draw fails;
     ``binding``, the index of that requirement; ``distance_to_bound``, its slack in the metric's unit;
     ``simulations``, the number spent so far; ``ended``, the outcome code of a draw that ended early, else 0, and its
-    ``failed_at``; ``first``, the index of the requirement that it violated first, or -1, and ``violated_at``; and its
-    likelihood, as ``distance``, ``log_density`` and ``mass``
+    ``failed_at``; the slack of every requirement in its metric's unit, by its name; ``first``, the index of the
+    requirement that it violated first, or -1, and ``violated_at``; and its likelihood, as ``distance``,
+    ``log_density`` and ``mass``
     (:class:`dssc_jax.statistics.Likelihood`). A simulation with derivatives counts once, and once more for each
     derivative.
 
@@ -106,7 +118,7 @@ class Falsified(Analysis):
     @classmethod
     def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "") -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at = (
+        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at, every = (
             np.concatenate(parts) for parts in zip(*seen, strict=True)
         )
         study, distances = region.study, region.distances(points)
@@ -123,6 +135,8 @@ class Falsified(Analysis):
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
+        for requirement, column in zip(study.requirements, every.T, strict=True):
+            columns[requirement.name] = (column, "", f"slack of {requirement.text} in its metric's unit")
         for name, column in region.values(points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         described = {
@@ -181,12 +195,18 @@ class Falsified(Analysis):
         if self.binding_at(point) is None:
             return None
         requirement = self.study.requirements[int(self.dataset["binding"][point])]
-        slack = float(self.dataset["distance_to_bound"][point])
-        value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
-        if np.isnan(value):
-            return "no number"
-        shown, unit = requirement.shown(value)
-        return f"{shown:.4g} {unit}".removesuffix(" 1")
+        return value_text(requirement, float(self.dataset["distance_to_bound"][point]))
+
+    @property
+    def worst_seen(self) -> dict[str, str]:
+        """The worst metric of each requirement over all points whose draws run to their end, by the requirement."""
+        complete = self.dataset["ended"].values == 0
+        found = {}
+        for requirement in self.study.requirements:
+            slacks = self.dataset[requirement.name].values[complete]
+            if np.any(~np.isnan(slacks)):
+                found[requirement.short] = value_text(requirement, float(np.nanmin(slacks)))
+        return found
 
     def ending_at(self, point: int) -> str | None:
         """How the draw of a point ends early, in words; None if it runs to its end."""
@@ -251,6 +271,7 @@ class Falsified(Analysis):
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
             nearest_failure=None if nearest is None else self.point_answer(nearest),
+            worst_seen=self.worst_seen,
             simulations=self.simulations,
             stopped=self.stopped,
             first_failure=self.first_failure,

@@ -72,6 +72,7 @@ class Seen(NamedTuple):
         failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).
         first: Index of the requirement that it violated first, before it ended; -1 if none, shape (n,).
         violated_at: Time at which that was certain [s]; NaN if none, shape (n,).
+        every: Slack of every requirement in its metric's unit, shape (n, requirements).
     """
 
     points: np.ndarray
@@ -83,6 +84,7 @@ class Seen(NamedTuple):
     failed_at: np.ndarray
     first: np.ndarray
     violated_at: np.ndarray
+    every: np.ndarray
 
 
 @dataclass
@@ -140,7 +142,9 @@ class Hunt:
         ended = np.where(ended_early(results["outcome"]), results["outcome"], 0)
         first, violated_at = first_violation(self.requirements, results)
         self.seen.append(
-            Seen(points, slacks, binding, distances, spent, ended, results["failed_at"], first, violated_at)
+            Seen(
+                points, slacks, binding, distances, spent, ended, results["failed_at"], first, violated_at, all_slacks.T
+            )
         )
         self.spent += cost * len(points)
         self.worst = min(self.worst, float(slacks.min()))
