@@ -6,6 +6,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot
 from dssc_jax.study.components import field_specs
 from dssc_jax.study.table_errors import UNKNOWN_NAME
@@ -54,9 +55,15 @@ def sections_of(
             f'in [{slot}] of kind "{kind}"'
             for slot, registry in registries.items()
             for kind, entry in registry.items()
-            if name in field_specs(params_of(entry))
+            if has_field(params_of(entry), name)
         ]
     return list(dict.fromkeys(places))
+
+
+def has_field(params: type, name: str) -> bool:
+    """Whether a parameter type has a field of a name that a study writes; the values of a record come from a file."""
+    spec = field_specs(params).get(name)
+    return spec is not None and not (isinstance(spec.mark, Quantity) and spec.mark.data)
 
 
 def params_of(entry: Entry) -> Any:
