@@ -4,8 +4,6 @@ import ctypes
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-import llvmlite.binding as llvm
-
 from dssc_jax.lanes.gpu import driver, ptx
 from dssc_jax.lanes.gpu.kernel_text import SPECIAL_REGISTERS
 from dssc_jax.lanes.interface import ENTRY_POINT
@@ -25,7 +23,7 @@ class Kernel:
             text = text.replace(f"declare i32 {intrinsic}", f"{variable} = global i32 0\n{function}")
             text = text.replace(intrinsic, f"{variable}_read()")
         module = machine.module_here(text.replace("define ptx_kernel void", "define void"))
-        self._engine = llvm.create_mcjit_compiler(module, machine.target_machine())
+        self._engine = machine.engine_of(module)
         self._engine.finalize_object()
         places = {name: self._engine.get_global_value_address(name) for name in SPECIAL_REGISTERS.values()}
         self.registers = {name: ctypes.c_uint32.from_address(place) for name, place in places.items()}

@@ -123,6 +123,12 @@ def module_here(text: str) -> Any:
     return module
 
 
+def engine_of(module: Any) -> Any:
+    """LLVM's engine that loads a module; code and constants lie in one place where they must be near each other."""
+    together = has_near_constants() or None  # llvmlite's memory manager, which is not the default everywhere
+    return llvm.create_mcjit_compiler(module, target_machine(), use_lmm=together)
+
+
 @dataclass
 class LoadedCode:
     """Machine code in this process.
@@ -134,9 +140,7 @@ class LoadedCode:
     code: bytes
 
     def __post_init__(self) -> None:
-        machine = target_machine()
-        together = has_near_constants() or None  # llvmlite's memory manager keeps code and constants in one place
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=together)
+        self._engine = engine_of(llvm.parse_assembly(""))
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(self.code))
         self._engine.finalize_object()
         pointer, count = ctypes.c_void_p, ctypes.c_int64
