@@ -110,7 +110,7 @@ SETTING = LoopSetting(
         disturbances=np.array([[0.0], [1.0]]),
         output=np.array([1.0, 0.0]),
         signals=np.zeros((0, 2)),
-        through=np.zeros(0),
+        feedthrough=np.zeros(0),
         inputs=("disturbance",),
     ),
 )

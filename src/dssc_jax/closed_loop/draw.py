@@ -72,11 +72,11 @@ def initial_progress(
 ) -> Progress:
     """The state of the time loop before the first sample; ``margins`` are those among the measures, by name."""
     zero = jnp.zeros((), dtype=jnp.int32)
-    none = jnp.zeros((), dtype=integer_type())
+    no_samples = jnp.zeros((), dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
     watched = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
-    return Progress(zero, state, as_arrays(starts(measures, margins)), none, none, in_band, watched)
+    return Progress(zero, state, as_arrays(starts(measures, margins)), no_samples, no_samples, in_band, watched)
 
 
 def integer_type() -> type[np.integer]:

@@ -216,8 +216,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     for channel, noise in summary["noise"].items():
         say(residual_text(f"residual{f' of {channel}' if channel else ''}", noise, summary["noise_unit"][channel]))
     starts = f"{summary['starts_here']} of {summary['starts']} starts of the search end in this minimum"
-    beyond = ", with those that refine the best minimum" if summary["search_cut"] else ""
-    say(f"{starts}; {summary['simulations']} simulations{beyond}")
+    refined = ", with those that refine the best minimum" if summary["search_cut"] else ""
+    say(f"{starts}; {summary['simulations']} simulations{refined}")
     if summary["search_cut"]:
         say(f"the search ended early, {summary['search_cut']}: these are the best numbers so far, others may be better")
     for minimum in summary["other_minima"]:

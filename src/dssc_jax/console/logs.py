@@ -30,8 +30,8 @@ def show_log(log: LogContents) -> None:
     if log.cut:
         say("cut off: the file ends within a message, and what was to come is not in it")
     for step in log.falls:
-        often = "once" if step.falls == 1 else f"{step.falls:,} times"
-        say(f"times fall {often}, first {span(step)}: {', '.join(step.topics)}")
+        number = "once" if step.falls == 1 else f"{step.falls:,} times"
+        say(f"times fall {number}, first {span(step)}: {', '.join(step.topics)}")
     for step in log.gaps:
         usual = f"where {step.rate:.3g} a second are usual (messages are missing, or the clock jumps)"
         say(f"no message {span(step)}, {usual}: {', '.join(step.topics)}")

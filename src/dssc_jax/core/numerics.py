@@ -130,6 +130,11 @@ def times(left: Scalar, right: Scalar) -> Scalar:
     return 0.0 if is_zero(left) or is_zero(right) else left * right
 
 
+def difference(minuend: Scalar, subtrahend: Scalar) -> Scalar:
+    """The difference; the minuend itself if the subtrahend is known to be 0 before tracing."""
+    return minuend if is_zero(subtrahend) else minuend - subtrahend
+
+
 def at_least(x: Scalar, low: float) -> Scalar:
     """The larger of x and low; a plain number if x is one, so that constants stay constants."""
     return max(x, low) if isinstance(x, float) else jnp.maximum(x, low)

@@ -14,7 +14,7 @@ class NominalPlant(NamedTuple):
         disturbances: Columns of the disturbance beside the command and of each named input, shape (n, q).
         output: Row of y, shape (n,).
         signals: Row of each measured signal, shape (m, n).
-        through: Feedthrough of the command to each of them, shape (m,).
+        feedthrough: Feedthrough of the command to each of them, shape (m,).
         inputs: Names of the columns of ``disturbances``.
     """
 
@@ -23,7 +23,7 @@ class NominalPlant(NamedTuple):
     disturbances: np.ndarray
     output: np.ndarray
     signals: np.ndarray
-    through: np.ndarray
+    feedthrough: np.ndarray
     inputs: tuple[str, ...]
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from dssc_jax.core.numerics import is_zero, root_abs, times
+from dssc_jax.core.numerics import difference, root_abs, times
 from dssc_jax.core.signals import Scalar
 
 
@@ -63,10 +63,7 @@ class Vec3(NamedTuple):
 
 def minor(a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
     """The determinant a b - c d of two rows and columns, without products that are known to be 0."""
-    first, second = times(a, b), times(c, d)
-    if is_zero(second):
-        return first
-    return -second if is_zero(first) else first - second
+    return difference(times(a, b), times(c, d))
 
 
 class Mat3(NamedTuple):

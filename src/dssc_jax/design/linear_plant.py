@@ -202,7 +202,7 @@ def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: 
     def wide(row: np.ndarray) -> np.ndarray:
         return np.append(row, np.zeros(order + 1))
 
-    signals = [wide(row) + d * reaching for row, d in zip(plant.signals, plant.through, strict=True)]
+    signals = [wide(row) + d * reaching for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
     return LinearPlant(
         transition,
         np.append(stepped[:, total], acting_input),

@@ -45,7 +45,7 @@ class PlantAtStart(NamedTuple):
         c: Shape (n,).
         rate: r, shape (n,).
         signals: C, a row for each measured signal, shape (m, n).
-        through: D, shape (m,).
+        feedthrough: D, shape (m,).
         disturbances: E, columns of the disturbance beside the command and of each named input, shape (n, q). A plant
             without the former has the command's column.
         inputs: Names of these columns.
@@ -58,7 +58,7 @@ class PlantAtStart(NamedTuple):
     c: np.ndarray
     rate: np.ndarray
     signals: np.ndarray
-    through: np.ndarray
+    feedthrough: np.ndarray
     disturbances: np.ndarray
     inputs: tuple[str, ...]
     resting: Resting | None
@@ -67,7 +67,7 @@ class PlantAtStart(NamedTuple):
     @property
     def nominal(self) -> NominalPlant:
         """The plant as a controller is fitted to it."""
-        return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.through, self.inputs)
+        return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.feedthrough, self.inputs)
 
 
 def plant_at_start(study: Study) -> PlantAtStart:
@@ -79,12 +79,12 @@ def plant_at_start(study: Study) -> PlantAtStart:
         ConfigError: the plant has several channels, or no derivative.
     """
     loop = study.loop
-    where = f"{study.source}: plant.kind"
+    place = f"{study.source}: plant.kind"
     if len(loop.channels) > 1:
-        raise ConfigError(where, "first gains are those of a plant with one command")
+        raise ConfigError(place, "first gains are those of a plant with one command")
     if loop.plant.begin is not None:
         rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
-        raise ConfigError(where, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
+        raise ConfigError(place, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
     params = medians(study.template).plant
     with arithmetic():
         start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
@@ -108,7 +108,7 @@ def plant_at_start(study: Study) -> PlantAtStart:
         holding = holding_command(slope, start)
         command = holding or 0.0
         a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(start, command, quiet))
-        rows, through = map(np.asarray, jax.jit(jax.jacfwd(measured, argnums=(0, 1)))(start, command))
+        rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(measured, argnums=(0, 1)))(start, command))
         y, _, *signals = np.asarray(jax.jit(measured)(start, command)).tolist()
     if not np.any(columns[:, 0]):
         columns = np.column_stack([b, columns[:, 1:]])
@@ -116,7 +116,7 @@ def plant_at_start(study: Study) -> PlantAtStart:
     resting = None if linear or holding is None else Resting(y, command, tuple(signals))
     held = linear or holding is not None
     names = (MATCHED, *loop.input_names)
-    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], through[2:], columns, names, resting, held)
+    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], feedthrough[2:], columns, names, resting, held)
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:

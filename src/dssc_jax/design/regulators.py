@@ -54,7 +54,7 @@ def stated_model(subject: Subject) -> TomlTable:
         return {}
     model: TomlTable = {"a": plant.a.tolist(), "b": plant.b.tolist(), "c": plant.c.tolist()}
     if len(plant.signals):
-        model |= {"signals": plant.signals.tolist(), "through": plant.through.tolist()}
+        model |= {"signals": plant.signals.tolist(), "feedthrough": plant.feedthrough.tolist()}
     return {"model": model | {"disturbances": (plant.disturbances.T + 0.0).tolist()}}
 
 
@@ -79,12 +79,12 @@ def integral_weight(plant: LinearPlant, corner: float) -> float:
 def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, sample_time: float) -> float:
     """The weight of u^2 beside y^2 at which the regulator's loop crosses 1 at a frequency; raises ConfigError."""
     q = np.outer(c, c)
-    through = responses(a, b, omega, sample_time)
+    response = responses(a, b, omega, sample_time)
 
     def regulated(weight: float) -> float:
-        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ through))
+        return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ response))
 
-    return crossing(regulated, float(np.abs(c @ through)) ** 2)
+    return crossing(regulated, float(np.abs(c @ response)) ** 2)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
@@ -110,7 +110,7 @@ def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
     names = tuple(signal.name for signal in study.loop.measures)
     rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
     shares = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
-    if np.any(plant.through * shares[: len(plant.through)] != 0.0) or (
+    if np.any(plant.feedthrough * shares[: len(plant.feedthrough)] != 0.0) or (
         np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback))
     ):
         shown = ", ".join(names) if names else "y and y'"

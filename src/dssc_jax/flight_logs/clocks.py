@@ -42,7 +42,7 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
     """The longest time without a message of each topic, if unusual; those of several topics together are one step."""
     unusual = []
     for topic in topics:
-        length = topic.gap.after - topic.gap.before
+        length = topic.gap.late - topic.gap.early
         if topic.messages >= LEAST_MESSAGES and length * topic.usual > LONG_GAP:
             unusual.append((topic, topic.gap))
     return grouped(unusual)
@@ -52,10 +52,10 @@ def grouped(found: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
     """Steps of topics, one for all that have nearly the same stamps, in order of time."""
     steps: list[ClockStep] = []
     for topic, stamps in sorted(found, key=lambda pair: pair[1]):
-        slack = SAME_STEP * abs(stamps.after - stamps.before)
-        last = steps[-1] if steps else None
-        if last and max(abs(a - b) for a, b in zip(last.stamps, stamps, strict=True)) <= slack:
-            steps[-1] = last._replace(topics=(*last.topics, topic.name), falls=max(last.falls, topic.falls))
+        slack = SAME_STEP * abs(stamps.late - stamps.early)
+        latest = steps[-1] if steps else None
+        if latest and max(abs(a - b) for a, b in zip(latest.stamps, stamps, strict=True)) <= slack:
+            steps[-1] = latest._replace(topics=(*latest.topics, topic.name), falls=max(latest.falls, topic.falls))
         else:
             steps.append(ClockStep(stamps, (topic.name,), topic.falls, topic.usual))
     return steps
@@ -78,11 +78,11 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
     """
     lowest: list[float] = []  # last time of a subsequence of each length
     rows: list[int] = []  # its row
-    before = np.full(len(time), -1)
+    predecessor = np.full(len(time), -1)
     for row, value in enumerate(time.tolist()):
         place = bisect.bisect_right(lowest, value)
         if place:
-            before[row] = rows[place - 1]
+            predecessor[row] = rows[place - 1]
         if place == len(lowest):
             lowest.append(value)
             rows.append(row)
@@ -93,7 +93,7 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
     row = rows[-1] if rows else -1
     while row >= 0:
         kept.append(row)
-        row = int(before[row])
+        row = int(predecessor[row])
     return np.array(kept[::-1], int)
 
 

@@ -193,15 +193,15 @@ def topic_table(
             known = [topic.name for topic in list_topics(path).topics]
             raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
         time = stamps(signals, begin)
-        whole = time[np.isfinite(time)]
+        known = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
         part = log_span if segment is None else chosen_segment(segment, segments_of(data, begin))
         origin = part.begin if start is None else start
         inside = (time >= max(part.begin, origin)) & (time <= part.end)
         if not inside.any():
             has = (
-                f"its messages are from {whole.min():.4g} s to {whole.max():.4g} s"
-                if whole.size
+                f"its messages are from {known.min():.4g} s to {known.max():.4g} s"
+                if known.size
                 else "none has a stamp"
             )
             raise ConfigError(

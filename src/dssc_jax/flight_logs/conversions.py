@@ -72,13 +72,13 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     if size == 0.0 or not np.isfinite(size):
         return ""
     best = ""
-    least = min(tolerance * size, FEWER * rms(logged - expected))
+    smallest = min(tolerance * size, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
         if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
             continue
         distance = rms(logged / conversion.factor - expected)
-        if distance <= least:
-            least = distance
+        if distance <= smallest:
+            smallest = distance
             best = conversion.text(unit)
     return best
 
@@ -96,14 +96,14 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
     found = conversion_text(logged, expected[index], PREDICTED, unit)
     if found:
         return f"looks like the study's {found}"
-    least = FEWER * rms(logged - expected[index])
-    other = ""
+    smallest = FEWER * rms(logged - expected[index])
+    text = ""
     for place, output in enumerate(expected):
         distance = rms(logged - output)
-        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), least):
-            least = distance
-            other = f"looks like the study's {names[place]}"
-    return other
+        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest):
+            smallest = distance
+            text = f"looks like the study's {names[place]}"
+    return text
 
 
 def reference_conversion(

@@ -67,8 +67,8 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
     products = np.zeros((1 + p + len(fixed),) * 2)
     rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
     for readings, noise, variance, columns in rows:
-        whole = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
-        products += weighted_products(noise, readings.times, whole)[0] / variance
+        extended = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
+        products += weighted_products(noise, readings.times, extended)[0] / variance
     return stepped(tuple(fixed), problem.names, known, products)
 
 

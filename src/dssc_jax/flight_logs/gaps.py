@@ -53,13 +53,13 @@ def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, .
     """The gaps of signals from the study's beginning to a time of the log [s]; those that overlap are one."""
     found: list[Gap] = []
     spans = ((span, name) for name in signals for span in gaps_of(log.columns[name], log.start, end))
-    for (begin, until), name in sorted(spans):
-        last = found[-1] if found else None
-        if last is not None and begin < last.end:
-            names = last.signals if name in last.signals else (*last.signals, name)
-            found[-1] = Gap(last.begin, max(last.end, until), names)
+    for (begin, stop), name in sorted(spans):
+        latest = found[-1] if found else None
+        if latest is not None and begin < latest.end:
+            names = latest.signals if name in latest.signals else (*latest.signals, name)
+            found[-1] = Gap(latest.begin, max(latest.end, stop), names)
         else:
-            found.append(Gap(begin, until, (name,)))
+            found.append(Gap(begin, stop, (name,)))
     return tuple(found)
 
 
@@ -68,13 +68,13 @@ def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:
     spans = []
     for gap in gaps[:NAMED]:
         spans.append(f"{gap.end - gap.begin:.3g} s from {gap.begin:.4g} s on ({', '.join(gap.signals)})")
-    more = f" and {len(gaps) - NAMED} more times" if len(gaps) > NAMED else ""
+    further = f" and {len(gaps) - NAMED} more times" if len(gaps) > NAMED else ""
     longest = max(gaps, key=lambda gap: gap.end - gap.begin)
-    before = sample_time * np.floor((longest.begin - log.start) / sample_time)
-    parts = [f"the part before with loop.duration = {before:g}"] if before > 0.0 else []
+    duration = sample_time * np.floor((longest.begin - log.start) / sample_time)
+    parts = [f"the part before with loop.duration = {duration:g}"] if duration > 0.0 else []
     if longest.end < log.end - sample_time:
         parts.append(f"the part after with a start of {longest.end:.4g} s")
     return (
-        f"messages are missing for {', '.join(spans)}{more}, and commands are held where the flight had others. "
+        f"messages are missing for {', '.join(spans)}{further}, and commands are held where the flight had others. "
         f"Fit {', or '.join(parts) or 'another log'}"
     )

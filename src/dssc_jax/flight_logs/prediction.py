@@ -95,18 +95,20 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
     return outputs
 
 
-def prediction(study: Study, names: Sequence[str], samples: int, more: Mapping[str, float] = NO_NUMBERS) -> Prediction:
+def prediction(
+    study: Study, names: Sequence[str], samples: int, presets: Mapping[str, float] = NO_NUMBERS
+) -> Prediction:
     """Compile the prediction: the output without noise and random disturbances, and its derivatives in forward mode.
 
     Args:
         study: The study, without a sweep.
         names: The numbers.
         samples: Of the simulation.
-        more: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
+        presets: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
             channels.
     """
     if len(study.loop.channels) > 1:
-        return prediction_by_lanes(study, names, samples, more)
+        return prediction_by_lanes(study, names, samples, presets)
     outputs = simulated_outputs(study, names, samples, quiet=True)
 
     def with_slopes(values: jax.Array, commands: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -128,15 +130,15 @@ def prediction(study: Study, names: Sequence[str], samples: int, more: Mapping[s
 
 
 def prediction_by_lanes(
-    study: Study, names: Sequence[str], samples: int, more: Mapping[str, float] = NO_NUMBERS
+    study: Study, names: Sequence[str], samples: int, presets: Mapping[str, float] = NO_NUMBERS
 ) -> Prediction:
     """The prediction of a plant of several channels: the lanes' code, one lane for each derivative.
 
     A vehicle has thousands of operations in a sample, each of which XLA calls as a kernel. The commands are constants
     of the program, which is compiled again for others.
     """
-    preset = [math.nan] * len(names) + list(more.values())
-    names = (*names, *more)
+    preset = [math.nan] * len(names) + list(presets.values())
+    names = (*names, *presets)
     outputs = simulated_outputs(study, names, samples, quiet=True)
     programs: dict[bytes, Start] = {}
 
@@ -155,8 +157,8 @@ def prediction_by_lanes(
             if key not in programs:
                 programs[key] = program(commands)
             count = len(values)
-            whole = [*values, *preset[count:]]
-            columns = {name: np.full(count, value) for name, value in zip(names, whole, strict=True)}
+            extended = [*values, *preset[count:]]
+            columns = {name: np.full(count, value) for name, value in zip(names, extended, strict=True)}
             columns[DIRECTION] = np.arange(count, dtype=float)
             results, _ = programs[key](columns, np.zeros(count, np.uint32))()
         channels = len(study.loop.channels)

@@ -84,7 +84,7 @@ def compared_references(
         shift = 0 if text else reference_shift(values, reference)
         if text:
             found.conversions[name] = text
-        elif shift and all(is_shifted(other, references[place, 0], shift) for place, other in logged.items()):
+        elif shift and all(is_shifted(values, references[place, 0], shift) for place, values in logged.items()):
             side = "later" if shift > 0 else "earlier"
             start = log.start + shift * loop.sample_time
             found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
@@ -95,8 +95,8 @@ def compared_references(
         usual = distance <= np.quantile(distance, USUAL)
         rough, size = rms(distance[usual]), rms(rate[usual])
         moves = np.ptp(reference) > 0.0
-        same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-        if moves and same and rough > SAME_REFERENCE * size > 0.0:
+        is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
+        if moves and is_same and rough > SAME_REFERENCE * size > 0.0:
             unit = study.units[index].of("y/s")
             found.slopes[signal_name(channel, "y_ref_dot")] = (
                 f"differs from the slope of the study's reference by {rough:.3g} {unit} rms, {100 * rough / size:.2g} "

@@ -135,12 +135,12 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
         place: Position of the readings.
     """
     readings = problem.readings[place]
-    names = [signal_name(problem.study.loop.channels[other.channel], "y") for other in problem.readings]
+    names = [signal_name(problem.study.loop.channels[output.channel], "y") for output in problem.readings]
     unit = problem.study.units[readings.channel].output
     for coordinates in (np.zeros_like(x), x):
         predicted = []
-        for other, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
-            predicted.append(np.interp(readings.times, other.times, other.values - columns[:, 0]))
+        for output, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
+            predicted.append(np.interp(readings.times, output.times, output.values - columns[:, 0]))
         found = likeness(place, readings.values, predicted, names, unit)
         if found:
             return f". {names[place]} {found}"

@@ -49,8 +49,8 @@ def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
     reason = in_the_air(study, log)
     if not reason:
         return {}
-    last = list(fixed)[-1]
-    return {last.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(last)}"}
+    vertical = list(fixed)[-1]
+    return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
 
 
 def in_the_air(study: Study, log: FlightLog) -> str:

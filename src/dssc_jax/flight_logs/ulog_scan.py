@@ -37,8 +37,8 @@ WINDOW = 1 << 16  # bytes that are searched at a time
 class Stamps(NamedTuple):
     """Two successive stamps of a topic, from the beginning of the log [s]; NaN where there are none."""
 
-    before: float = np.nan
-    after: float = np.nan
+    early: float = np.nan
+    late: float = np.nan
 
 
 class LogTopic(NamedTuple):
@@ -131,10 +131,10 @@ class TopicCount:
     def usual(self) -> float:
         """Messages a second, without intervals of more than eight times the middle one."""
         known = sum(self.intervals)
-        below = 0
+        counted = 0
         for digits, count in enumerate(self.intervals):
-            below += count
-            if 2 * below > known:
+            counted += count
+            if 2 * counted > known:
                 number, total = (sum(values[: digits + USUAL_DIGITS + 1]) for values in (self.intervals, self.sums))
                 return number / (MICROSECOND * total) if total else np.nan
         return np.nan

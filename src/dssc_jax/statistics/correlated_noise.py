@@ -137,8 +137,8 @@ class Drift(NamedTuple):
         early = np.minimum(first, second) / self.time
         decay = np.exp(-early)
         at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
-        later = -np.expm1(-np.abs(first - second) / self.time)
-        return (at + np.expm1(-early) ** 2 * later) / self.mean_square
+        relaxed = -np.expm1(-np.abs(first - second) / self.time)
+        return (at + np.expm1(-early) ** 2 * relaxed) / self.mean_square
 
 
 def small_drift(w: np.ndarray) -> np.ndarray:
@@ -160,9 +160,9 @@ def correlation_time(noise: Noise) -> float:
         return 0.0
     if isinstance(noise, Drift):
         ago = np.linspace(0.0, noise.span, 2001)[:-1]
-        past = noise.span - ago
-        sizes = np.sqrt(noise.covariance(past, past) * noise.covariance(noise.span, noise.span))
-        return float(ago[np.argmax(noise.covariance(past, noise.span) <= math.exp(-1.0) * sizes)])
+        times = noise.span - ago
+        sizes = np.sqrt(noise.covariance(times, times) * noise.covariance(noise.span, noise.span))
+        return float(ago[np.argmax(noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes)])
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
     decayed = noise.correlation(lags) <= math.exp(-1.0)
     return float(lags[np.argmax(decayed)])

@@ -118,7 +118,7 @@ class Falsified(Analysis):
     @classmethod
     def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "") -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at, every = (
+        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at, single_slacks = (
             np.concatenate(parts) for parts in zip(*seen, strict=True)
         )
         study, distances = region.study, region.distances(points)
@@ -135,7 +135,7 @@ class Falsified(Analysis):
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
-        for requirement, column in zip(study.requirements, every.T, strict=True):
+        for requirement, column in zip(study.requirements, single_slacks.T, strict=True):
             columns[requirement.name] = (column, "", f"slack of {requirement.text} in its metric's unit")
         for name, column in region.values(points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)

@@ -72,7 +72,7 @@ class Seen(NamedTuple):
         failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).
         first: Index of the requirement that it violated first, before it ended; -1 if none, shape (n,).
         violated_at: Time at which that was certain [s]; NaN if none, shape (n,).
-        every: Slack of every requirement in its metric's unit, shape (n, requirements).
+        single_slacks: Slack of every requirement in its metric's unit, shape (n, requirements).
     """
 
     points: np.ndarray
@@ -84,7 +84,7 @@ class Seen(NamedTuple):
     failed_at: np.ndarray
     first: np.ndarray
     violated_at: np.ndarray
-    every: np.ndarray
+    single_slacks: np.ndarray
 
 
 @dataclass

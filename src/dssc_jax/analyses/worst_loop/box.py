@@ -76,10 +76,10 @@ def box_of(study: Study, sigma: float) -> Box:
         low, high = law.support
         cut = not (np.isfinite(low) and np.isfinite(high))
         if cut:
-            below = law.quantile(norm.cdf(-1.0))
+            one_sigma = law.quantile(norm.cdf(-1.0))
             with np.errstate(over="ignore", under="ignore"):
-                low = float(law.spread(below, sigma))
-                high = float(law.spread(below, -sigma))
+                low = float(law.spread(one_sigma, sigma))
+                high = float(law.spread(one_sigma, -sigma))
             if not np.isfinite(high) or (law.logarithmic and not low > 0.0):
                 raise ConfigError("sigma", f"cuts {name} at [{low:g}, {high:g}]; take fewer standard deviations")
         sides.append(Side(name, low, high, law.logarithmic, cut))

@@ -44,12 +44,12 @@ class Instructions:
     Args:
         width: Lanes of a vector.
         flags: :data:`FAST` or :data:`STRICT`.
-        near: Whether operations read their constants from memory, as whole vectors, because registers are few.
+        stored_constants: Whether operations read constants from memory, as whole vectors, because registers are few.
     """
 
     width: int
     flags: str = FAST
-    near: bool = False
+    stored_constants: bool = False
     lines: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
@@ -89,7 +89,7 @@ class Instructions:
     def operand(self, value: Value, vector: bool) -> str:
         """A value as an operand of an operation that can read it from memory."""
         is_number = value.operation == "constant" and value.dtype.kind == "f" and value.detail != 0
-        if not (self.near and vector and self.width > 1 and is_number):
+        if not (self.stored_constants and vector and self.width > 1 and is_number):
             return self.read(value, vector)
         kind, bits = self.kind(value.dtype, True), literal(value.detail, value.dtype)
         name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"

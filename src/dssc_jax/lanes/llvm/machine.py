@@ -102,8 +102,8 @@ def code_name(text: str) -> str:
 @cache
 def translator() -> tuple[str, ...]:
     """What decides the machine code of a module's text: LLVM, the processor with its features, the addresses."""
-    model, instructions, near = scheduling_model(), features().flatten(), str(has_near_constants())
-    return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), near
+    model, instructions, addresses = scheduling_model(), features().flatten(), str(has_near_constants())
+    return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), addresses
 
 
 def object_code(text: str) -> bytes:
@@ -125,8 +125,8 @@ def module_here(text: str) -> Any:
 
 def engine_of(module: Any) -> Any:
     """LLVM's engine that loads a module; code and constants lie in one place where they must be near each other."""
-    together = has_near_constants() or None  # llvmlite's memory manager, which is not the default everywhere
-    return llvm.create_mcjit_compiler(module, target_machine(), use_lmm=together)
+    manager = has_near_constants() or None  # llvmlite's memory manager, which is not the default everywhere
+    return llvm.create_mcjit_compiler(module, target_machine(), use_lmm=manager)
 
 
 @dataclass

@@ -37,11 +37,11 @@ class Emitter(Instructions):
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
         window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
-        near: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
+        stored_constants: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
     """
 
-    def __init__(self, program: Program, width: int, strict: bool, window: int, near: bool = False) -> None:
-        super().__init__(width, STRICT if strict else FAST, near)
+    def __init__(self, program: Program, width: int, strict: bool, window: int, stored_constants: bool = False) -> None:
+        super().__init__(width, STRICT if strict else FAST, stored_constants)
         self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
         self.parts: dict[int, list[str]] = {}
@@ -323,6 +323,8 @@ class SubroutineEmitter(Emitter):
         return [head, "entry:", *self.lines, f"  ret {kind} {self.read(result, True)}", "}"]
 
 
-def module_text(program: Program, width: int, strict: bool = False, window: int = 0, near: bool = False) -> str:
+def module_text(
+    program: Program, width: int, strict: bool = False, window: int = 0, stored_constants: bool = False
+) -> str:
     """The text of a module with the function of a program; arguments as of :class:`Emitter`."""
-    return Emitter(program, width, strict, window, near).text()
+    return Emitter(program, width, strict, window, stored_constants).text()

@@ -82,7 +82,7 @@ class Ahead(Instructions):
         super().__init__(
             TURNS,
             lanes.flags,
-            lanes.near,
+            lanes.stored_constants,
             lines=lanes.lines,
             tables=lanes.tables,
             declared=lanes.declared,

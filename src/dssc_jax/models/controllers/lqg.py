@@ -28,7 +28,7 @@ from scipy.linalg import LinAlgError, expm, solve_discrete_are
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot, is_zero
+from dssc_jax.core.numerics import difference, dot, is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.setting import LoopSetting, NominalPlant
@@ -40,7 +40,6 @@ from dssc_jax.models.controllers.operating_point import (
     RESTING_OUTPUT,
     RESTING_SIGNALS,
     deviations,
-    less,
     require_resting,
 )
 
@@ -63,7 +62,7 @@ MODEL_A = Quantity("SI", "entry of A, row by row", law=False)
 MODEL_B = Quantity("SI", "entry of the command's column", law=False)
 MODEL_C = Quantity("SI", "entry of y's row", law=False)
 MODEL_SIGNALS = Quantity("SI", "entry of each measured signal's row; absent: y alone is measured", law=False)
-MODEL_THROUGH = Quantity("SI", "feedthrough of the command to each measured signal; absent: 0", law=False)
+MODEL_FEEDTHROUGH = Quantity("SI", "feedthrough of the command to each measured signal; absent: 0", law=False)
 MODEL_DISTURBANCES = Quantity(
     "SI", "entry of each disturbance's column, beside the command first; absent: the command's", law=False
 )
@@ -79,7 +78,7 @@ class LqgModel(NamedTuple):
     b: Annotated[Row, MODEL_B]
     c: Annotated[Row, MODEL_C]
     signals: Annotated[Rows, MODEL_SIGNALS] = ()
-    through: Annotated[Row, MODEL_THROUGH] = ()
+    feedthrough: Annotated[Row, MODEL_FEEDTHROUGH] = ()
     disturbances: Annotated[Rows, MODEL_DISTURBANCES] = ()
 
 
@@ -106,7 +105,7 @@ class LqgGains(NamedTuple):
     transition: Rows = ()
     input: Row = ()
     signals: Rows = ()
-    through: Row = ()
+    feedthrough: Row = ()
     feedback: Row = ()
     correction: Rows = ()
     integral_gain: Scalar = 0.0
@@ -215,7 +214,7 @@ def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
     rows = model.signals
     sizes = [("a", row, order) for row in model.a] + [("b", model.b, order), ("c", model.c, order)]
     sizes += [("signals", row, order) for row in rows] + [("disturbances", column, order) for column in columns]
-    sizes += [("through", model.through, len(rows))] if model.through else []
+    sizes += [("feedthrough", model.feedthrough, len(rows))] if model.feedthrough else []
     for name, entries, count in sizes:
         if len(entries) != count:
             raise ConfigError(f"model.{name}", f"must have {count} numbers in a row, got {len(entries)}")
@@ -228,7 +227,7 @@ def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
         np.array(columns, float).T,
         np.array(model.c, float),
         np.reshape(np.array(rows, float), (len(rows), order)),
-        np.array(filled("model.through", model.through, len(rows))),
+        np.array(filled("model.feedthrough", model.feedthrough, len(rows))),
         named,
     )
 
@@ -242,7 +241,7 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
     require_resting(gains.resting_signals, len(setting.measures))
     by_output = not setting.measures
     rows = plant.output[None, :] if by_output else plant.signals
-    feedthrough = np.zeros(1) if by_output else plant.through
+    feedthrough = np.zeros(1) if by_output else plant.feedthrough
     if len(gains.signal_std) != len(rows):
         named = "y" if by_output else ", ".join(setting.measures)
         rule = f"must have a number for each measured signal ({named}), got {len(gains.signal_std)}"
@@ -257,7 +256,7 @@ def fit(gains: LqgGains, setting: LoopSetting) -> LqgGains:
         transition=plain_rows(discrete.a),
         input=tuple(map(float, discrete.b)),
         signals=plain_rows(rows),
-        through=tuple(map(float, feedthrough)),
+        feedthrough=tuple(map(float, feedthrough)),
         feedback=tuple(map(float, feedback[:order])),
         correction=plain_rows(estimator(discrete, rows, gains)),
         integral_gain=float(feedback[order]) if len(feedback) > order else 0.0,
@@ -280,19 +279,19 @@ def step(
     gains: LqgGains, state: LqgState, measurement: Measurement, reference: ReferencePoint, dt: Scalar
 ) -> tuple[LqgState, Command, LqgInfo]:
     """One sample: correct, command, predict."""
-    shown = (less(measurement.y, gains.resting_output),)
+    shown = (difference(measurement.y, gains.resting_output),)
     if measurement.signals:
         shown = deviations(measurement.signals, gains.resting_signals)
-    last = less(state.command, gains.resting_command)
+    command = difference(state.command, gains.resting_command)
     innovations = []
-    for row, feedthrough, signal in zip(gains.signals, gains.through, shown, strict=True):
-        innovations.append(signal - dot((*row, feedthrough), (*state.predicted, last)))
+    for row, feedthrough, signal in zip(gains.signals, gains.feedthrough, shown, strict=True):
+        innovations.append(signal - dot((*row, feedthrough), (*state.predicted, command)))
     estimate = []
     for x, row in zip(state.predicted, gains.correction, strict=True):
         estimate.append(x + dot(row, innovations))
     error = measurement.y - reference.y
     integral_part = -gains.integral_gain * state.integral
-    desired = less(reference.y, gains.resting_output)
+    desired = difference(reference.y, gains.resting_output)
     v = integral_part + gains.feedforward * desired - dot(gains.feedback, estimate)
     if not is_zero(gains.resting_command):
         v = v + gains.resting_command
@@ -303,7 +302,7 @@ def step(
         change = jnp.where(drives_further, 0.0, change)
     predicted = []
     for row, entry in zip(gains.transition, gains.input, strict=True):
-        predicted.append(dot((*row, entry), (*estimate, less(u, gains.resting_command))))
+        predicted.append(dot((*row, entry), (*estimate, difference(u, gains.resting_command))))
     after = LqgState(tuple(predicted), state.integral + change, u)
     return after, Command(u, 0.0), LqgInfo(integral_part, innovations[0])
 

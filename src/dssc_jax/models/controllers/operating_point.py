@@ -6,25 +6,20 @@ command that the integral then has to take back.
 """
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import is_zero
+from dssc_jax.core.numerics import difference
 from dssc_jax.core.quantities import Quantity
-from dssc_jax.core.signals import Scalar, Signals
+from dssc_jax.core.signals import Signals
 
 RESTING_OUTPUT = Quantity("y", "output y_0 at the operating point")
 RESTING_COMMAND = Quantity("u", "command u_0 that holds the plant there")
 RESTING_SIGNALS = Quantity("SI", "each measured signal s_0 there; absent: 0")
 
 
-def less(value: Scalar, resting: Scalar) -> Scalar:
-    """The deviation of a value from that at rest."""
-    return value if is_zero(resting) else value - resting
-
-
 def deviations(signals: Signals, resting: Signals) -> Signals:
     """The deviations of measured signals from those at rest; () stands for zeros."""
     if not resting:
         return signals
-    return tuple(less(value, at_rest) for value, at_rest in zip(signals, resting, strict=True))
+    return tuple(difference(value, at_rest) for value, at_rest in zip(signals, resting, strict=True))
 
 
 def require_resting(resting: Signals, count: int) -> None:

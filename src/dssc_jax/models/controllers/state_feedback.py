@@ -16,7 +16,7 @@ import jax.numpy as jnp
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import dot, is_zero
+from dssc_jax.core.numerics import difference, dot, is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, single
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
@@ -34,7 +34,6 @@ from dssc_jax.models.controllers.operating_point import (
     RESTING_OUTPUT,
     RESTING_SIGNALS,
     deviations,
-    less,
     require_resting,
 )
 
@@ -79,8 +78,8 @@ def proportional_part(gains: FeedbackGains, measurement: Measurement, reference:
     if gains.signals:
         total = total + dot(gains.signals, deviations(measurement.signals, gains.resting_signals))
     if not is_zero(gains.feedforward):
-        total = total - gains.feedforward * less(reference.y, gains.resting_output)
-    return less(total, gains.resting_command)
+        total = total - gains.feedforward * difference(reference.y, gains.resting_output)
+    return difference(total, gains.resting_command)
 
 
 def step(

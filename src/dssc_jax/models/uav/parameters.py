@@ -93,11 +93,11 @@ class UavParams(NamedTuple):
 
         It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
         """
-        wanted = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
-        given = wrench(self.vehicle, tuple(f * actual / believed for f, actual, believed in wanted)).thrust
+        rotors = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
+        lift = wrench(self.vehicle, tuple(f * actual / believed for f, actual, believed in rotors)).thrust
         if self.ground is not None and self.ground.rotor_radius is not None:
-            given = given * lift_factor(self.ground, self.position[2])
-        return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / given)
+            lift = lift * lift_factor(self.ground, self.position[2])
+        return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / lift)
 
     @property
     def first_thrust(self) -> Scalar:
