@@ -184,7 +184,9 @@ def test_an_error_in_a_metric_names_the_metric_and_the_line(beside, update, valu
     assert caught.value.rule.endswith(f", in line {line} of {beside / 'own_metrics.py'}")
 
 
-@pytest.mark.parametrize(("info", "rule"), [("()", None), ("{'spring': spring}", "reports a dict as its info")])
+@pytest.mark.parametrize(
+    ("info", "rule"), [("()", None), ("{'spring': spring}", "must report a NamedTuple as its info")]
+)
 def test_a_controller_may_report_nothing_but_no_other_type(info, rule, tmp_path, monkeypatch):
     """In every command that reads what a controller reports."""
     name = f"silent_{'nothing' if rule is None else 'other'}"

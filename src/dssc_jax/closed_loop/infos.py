@@ -42,6 +42,6 @@ def fields_of(info: Info, part: str) -> tuple[str, ...]:
         ConfigError: it is neither a NamedTuple nor an empty tuple.
     """
     if not hasattr(info, "_fields") and info != ():
-        rule = f"reports a {type(info).__name__} as its info; must be a NamedTuple, or () for nothing to report"
+        rule = "must report a NamedTuple as its info, or () for nothing"
         raise ConfigError(part, rule)
     return tuple(signals_in(info))

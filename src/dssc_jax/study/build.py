@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
 from dssc_jax.closed_loop.metrics import Measure, available_metrics
+from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
 from dssc_jax.core.contracts import Plant
@@ -291,7 +292,9 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
     def first(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
         remaining = iter(arrays)
         completed = [next(remaining) if is_array(leaf) else leaf for leaf in leaves]
-        return first_infos(loop, jax.tree.unflatten(structure, completed))
+        params = jax.tree.unflatten(structure, completed)
+        rehearse(loop, params)
+        return first_infos(loop, params)
 
     def fields() -> Fields:
         with arithmetic():

@@ -49,6 +49,8 @@ def imported(name: str, place: str) -> Any:
 def import_failure(module_name: str, error: BaseException) -> str:
     """The reason why a module cannot be imported, and the remedy."""
     if isinstance(error, ModuleNotFoundError) and error.name:
+        if module_name.endswith(".py"):
+            return f"a module is named without `.py`: '{module_name.removesuffix('.py')}'"
         if f"{module_name}.".startswith(f"{error.name}."):
             return f"there is no module '{error.name}'; {WHERE_MODULES_ARE}"
         return f"the module needs '{error.name}', which is not installed; install it for this Python"

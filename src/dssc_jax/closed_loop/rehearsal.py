@@ -1,0 +1,180 @@
+"""One sample of a loop, traced without numbers, so that a fault in a user's part is told by its function and line."""
+
+import inspect
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import CodeType
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.sample import LoopState, actuate, initial_state, plant_input, step
+from dssc_jax.core.adapters import quiet_inputs
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.events import condition_at
+from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.signals import Command, Measurement, PlantInput, State
+
+NEW_LINE = "\n"
+PACKAGE = __name__.partition(".")[0]
+RESULTS_OF_STEP = 3  # state, command, info
+SLOTS_OF_CHANNELS = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
+TRACED_VALUES = (
+    "a model's numbers are traced: write jnp.where(condition, a, b) for `if`, and functions of jax.numpy for those of "
+    "math and NumPy"
+)
+
+
+class PartFunction(NamedTuple):
+    """A function that a user wrote, by the part of the study and the field of its contract."""
+
+    part: str
+    field: str
+
+
+def rehearse(loop: Loop, params: LoopParams) -> None:
+    """Trace the first sample of a loop with parts of users; loops of the package's parts pass at once.
+
+    Args:
+        loop: The models and the clock.
+        params: Their parameters; numbers may be abstract.
+
+    Raises:
+        ConfigError: A user's function fails, or a state changes its form.
+    """
+    if not user_functions(loop):
+        return
+    key = jax.random.key(0)
+    with faults_by_part(loop):
+        check_results(loop, params)
+        state = initial_state(loop, params, key)
+        slopes = first_slopes(loop, params, state)
+        require_form("plant", "derivative", "the state's derivative", state.plant, slopes)
+        after, _ = step(loop, params, key, state, 0)
+    require_form("plant", "project", "the state", state.plant, after.plant)
+    for channel, name in enumerate(loop.channels):
+        for slot in SLOTS_OF_CHANNELS:
+            before, following = (getattr(at.channels[channel], slot) for at in (state, after))
+            require_form(place_of(slot, name), "step", "the state", before, following)
+    require_form("wind", "step", "the state", state.wind, after.wind)
+
+
+def check_results(loop: Loop, params: LoopParams) -> None:
+    """Require of the plant that it gives measurements, and of the controllers that they give commands.
+
+    Raises:
+        ConfigError: One gives something else.
+    """
+    zeros = (0.0,) * len(loop.channels)
+    plant = as_arrays(loop.plant.init(params.plant))
+    drive = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
+    measurements = loop.mimo_plant.measure(params.plant, plant, drive)
+    references = loop.mimo_reference.at(params.reference, 0.0)
+    for channel, name in enumerate(loop.channels):
+        require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
+        seen = measurements[channel]._replace(signals=(0.0,) * len(loop.measures))
+        model, gains = loop.controller[channel], params.controller[channel]
+        state = as_arrays(model.init(gains, seen, references[channel]))
+        result = model.step(gains, state, seen, references[channel], loop.sample_time)
+        place = place_of("controller", name)
+        if not isinstance(result, tuple) or len(result) != RESULTS_OF_STEP:
+            raise ConfigError(place, f"`step` must return (state, command, info), got {form(result)}")
+        require_form(place, "step", "the command", Command(0.0, 0.0), result[1])
+
+
+def place_of(slot: str, channel: str) -> str:
+    """The path of a channel's part in the study."""
+    return f"{slot}.{channel}" if channel else slot
+
+
+def first_slopes(loop: Loop, params: LoopParams, state: LoopState) -> State:
+    """The derivative of the plant's state at t = 0."""
+    unmodelled = tuple(channel.unmodelled for channel in state.channels)
+    reaching = actuate(loop, params, unmodelled, (0.0,) * len(loop.channels))
+    condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
+    drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, 0.0, condition)
+    return loop.mimo_plant.derivative(params.plant, state.plant, drive, 0.0)
+
+
+def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
+    """The functions of a loop's parts that are not of this package, by their code."""
+    places = [("plant", loop.plant), ("reference", loop.reference), ("wind", loop.wind)]
+    for slot in SLOTS_OF_CHANNELS:
+        for name, model in zip(loop.channels, getattr(loop, slot), strict=True):
+            places.append((place_of(slot, name), model))
+    places += [(f"disturbance.{name}", model) for name, model in zip(loop.input_names, loop.inputs, strict=True)]
+    functions = {}
+    for place, model in places:
+        for field, function in model._asdict().items():
+            function = inspect.unwrap(function) if callable(function) else None
+            code = getattr(function, "__code__", None)
+            if code is not None and function.__module__.partition(".")[0] != PACKAGE:
+                functions[code] = PartFunction(place, field)
+    return functions
+
+
+@contextmanager
+def faults_by_part(loop: Loop) -> Iterator[None]:
+    """Tell an exception by the user's part, function and line that raised it.
+
+    Raises:
+        ConfigError: In the place of the exception.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except Exception as error:  # a user's code may raise anything
+        raise fault_of(error, user_functions(loop)) from error
+
+
+def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
+    """The error to raise for an exception from one of the functions, or from what one of them returned."""
+    message = f"{type(error).__name__}: {str(error).partition(NEW_LINE)[0].rstrip('.')}"
+    found = None
+    folder = None
+    line = ""
+    for frame, number in traceback.walk_tb(error.__traceback__):
+        file = Path(frame.f_code.co_filename)
+        if frame.f_code in functions:
+            found = functions[frame.f_code]
+            folder = file.parent
+        if folder is not None and file.parent == folder:
+            line = f"line {number} of {file}"
+    if found is None:
+        parts = " and ".join(sorted({function.part for function in functions.values()}))
+        return ConfigError(
+            parts, f"does not fit the loop: {message}; docs/extending.md tells what each function returns"
+        )
+    remedy = f"; {TRACED_VALUES}" if isinstance(error, jax.errors.JAXTypeError) else ""
+    return ConfigError(found.part, f"`{found.field}` fails in {line}: {message}{remedy}")
+
+
+def require_form(part: str, field: str, meaning: str, expected: object, result: object) -> None:
+    """Require that a function returns numbers of the same form as those expected.
+
+    Raises:
+        ConfigError: It does not.
+    """
+    if form(result) != form(expected):
+        raise ConfigError(part, f"`{field}` must return {meaning} as {form(expected)}, got {form(result)}")
+
+
+def form(value: object) -> str:
+    """Type, fields and shapes of numbers, in words."""
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        fields = [f"{name}={form(field)}" for name, field in zip(value._fields, value, strict=True)]
+        return f"{type(value).__name__}({', '.join(fields)})"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(form, value))})"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name}: {form(item)}' for name, item in value.items())}}}"
+    if not isinstance(value, jax.Array | np.ndarray | np.generic | float | int):
+        return type(value).__name__
+    shape = jnp.shape(value)
+    return f"array of shape {shape}" if shape else "number"

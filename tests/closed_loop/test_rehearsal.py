@@ -1,0 +1,123 @@
+"""Faults in parts that users wrote are told by the part, the function and the line."""
+
+import inspect
+import math
+import re
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import pytest
+
+import dssc_jax as dj
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.types import Command, Controller, Measurement, Plant
+from tests.conftest import UNCERTAIN
+
+
+class Params(NamedTuple):
+    """A pendulum has none."""
+
+
+class Swing(NamedTuple):
+    """Angle and rate."""
+
+    angle: float
+    rate: float
+
+
+class Gains(NamedTuple):
+    """The error's pole."""
+
+    l0: float = 1.0
+
+
+def derivative(params, state, drive, t):
+    return Swing(state.rate, drive.command - jnp.sin(state.angle))
+
+
+def misspelled(params, state, drive, t):
+    return Swing(state.speed, 0.0)
+
+
+def branching(params, state, drive, t):
+    return Swing(state.rate, 0.0) if state.angle > 0.0 else Swing(0.0, 0.0)
+
+
+def of_python(params, state, drive, t):
+    return Swing(state.rate, -math.sin(state.angle))
+
+
+PLANT = Plant(
+    Params, lambda params: Swing(0.1, 0.0), derivative, lambda p, at, u: Measurement(at.angle, at.rate), lambda p: 1.0
+)
+CONTROLLER = Controller(
+    Gains, lambda gains, seen, wanted: 0.0, lambda g, state, y, r, dt: (state, Command(-y.y, 0.0), ())
+)
+
+PLANTS = {
+    "a name that is not there": (PLANT._replace(derivative=misspelled), "`derivative` fails in line .*'speed'"),
+    "a Python branch": (PLANT._replace(derivative=branching), "`derivative` fails in line .*jnp.where"),
+    "a function of math": (PLANT._replace(derivative=of_python), "`derivative` fails in line .*jax.numpy"),
+    "a plain tuple": (
+        PLANT._replace(derivative=lambda p, at, u, t: (at.rate, at.angle)),
+        r"`derivative` must return .* as Swing\(angle=number, rate=number\), got \(number, number\)",
+    ),
+    "an array": (
+        PLANT._replace(derivative=lambda p, at, u, t: Swing(jnp.ones(2), at.rate)),
+        r"got Swing\(angle=array of shape \(2,\), rate=number\)",
+    ),
+    "a measurement of one number": (
+        PLANT._replace(measure=lambda p, at, u: at.angle),
+        "`measure` must return .*got number",
+    ),
+    "a function of other arguments": (PLANT._replace(derivative=lambda p, at: at), "does not fit the loop: TypeError"),
+    "a projection that loses the type": (
+        PLANT._replace(project=lambda p, at: tuple(at)),
+        "`project` must return the state",
+    ),
+}
+CONTROLLERS = {
+    "no info": (lambda g, state, y, r, dt: (state, Command(0.0, 0.0)), r"`step` must return \(state, command, info\)"),
+    "a number as command": (lambda g, state, y, r, dt: (state, -y.y, ()), r"`step` must return the command as Command"),
+    "another state": (
+        lambda g, state, y, r, dt: ((state, state), Command(0.0, 0.0), ()),
+        "`step` must return the state",
+    ),
+    "an info of one number": (lambda g, state, y, r, dt: (state, Command(0.0, 0.0), y.y), "must report a NamedTuple"),
+}
+
+
+def study(monkeypatch, **parts):
+    """The study with these objects as its parts."""
+    changes = {}
+    for slot, part in parts.items():
+        monkeypatch.setitem(globals(), slot.upper(), part)
+        changes[slot] = {"kind": f"{__name__}:{slot.upper()}"}
+    return dj.Study.from_table({**UNCERTAIN, "sweep": {}, **changes})
+
+
+@pytest.mark.parametrize("fault", PLANTS)
+def test_plants_function_is_named(fault, monkeypatch):
+    plant, rule = PLANTS[fault]
+    with pytest.raises(ConfigError, match=rule) as caught:
+        study(monkeypatch, plant=plant, controller=CONTROLLER)
+    assert "plant" in caught.value.where
+
+
+def test_line_is_that_of_the_fault(monkeypatch):
+    with pytest.raises(ConfigError) as caught:
+        study(monkeypatch, plant=PLANT._replace(derivative=misspelled), controller=CONTROLLER)
+    first = inspect.getsourcelines(misspelled)[1]
+    assert re.search(rf"line {first + 1} of .*{re.escape(__name__.rpartition('.')[2])}\.py", caught.value.rule)
+
+
+@pytest.mark.parametrize("fault", CONTROLLERS)
+def test_controllers_function_is_named(fault, monkeypatch):
+    step, rule = CONTROLLERS[fault]
+    with pytest.raises(ConfigError, match=rule) as caught:
+        study(monkeypatch, plant=PLANT, controller=CONTROLLER._replace(step=step))
+    assert "controller" in caught.value.where
+
+
+def test_parts_without_fault_pass(monkeypatch):
+    assert study(monkeypatch, plant=PLANT, controller=CONTROLLER).loop.plant is PLANT
