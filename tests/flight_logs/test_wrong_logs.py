@@ -204,11 +204,13 @@ def test_a_rival_within_the_confidence_region_is_no_other_minimum(flight):
     problem = FitProblem(
         study, names, lambda values, commands: (values, values), sampled_log(study, log_of(*flight[::-1]))
     )
-    best = Minimum(np.zeros(1), NormalEquations(10.0, np.zeros(1), np.array([[100.0]])), 4)
+    information = np.array([[100.0]])
+    best = Minimum(np.zeros(1), NormalEquations(10.0, np.zeros(1), information), 4)
     near, far = (Minimum(np.array([x]), best.equations._replace(cost=11.0), 4) for x in (0.19, 0.21))
-    require_unique_minimum(problem, MinimumSearch(best, [near], 8))
+    require_unique_minimum(problem, MinimumSearch(best, [near], 8), information)
     with pytest.raises(NotIdentifiable, match="two minima describe it equally well"):
-        require_unique_minimum(problem, MinimumSearch(best, [far], 8))
+        require_unique_minimum(problem, MinimumSearch(best, [far], 8), information)
+    require_unique_minimum(problem, MinimumSearch(best, [far], 8), information / 2.0)  # of a wider region
 
 
 def test_a_log_in_milliseconds_is_no_comparison(flight):

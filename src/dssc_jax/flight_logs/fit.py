@@ -286,11 +286,12 @@ def fitted_minimum(
     results = require_description(problem, x)
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
-    require_unique_minimum(problem, search)
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
-    require_identifiable(problem.names, np.linalg.inv(covariance))
+    information = np.linalg.inv(covariance)
+    require_identifiable(problem.names, information)
+    require_unique_minimum(problem, search, information)
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
     for rival in search.rivals:

@@ -241,15 +241,20 @@ def unidentified_direction(information: np.ndarray) -> UnidentifiedDirection | N
     return UnidentifiedDirection(vectors[:, 0], float(values[0] ** -0.5)) if values[0] < 1.0 else None
 
 
-def require_unique_minimum(problem: FitProblem, search: MinimumSearch) -> None:
+def require_unique_minimum(problem: FitProblem, search: MinimumSearch, information: np.ndarray) -> None:
     """Require that no other minimum describes the log as well as the best one does.
 
     A rival within the confidence region of the best minimum says nothing that the region does not.
+
+    Args:
+        problem: The least-squares problem.
+        search: Its minima.
+        information: The inverse of the covariance that the answer states.
     """
     allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
     for rival in search.rivals:
         move = rival.x - search.best.x
-        is_near = float(move @ search.best.equations.information @ move) <= allowed
+        is_near = float(move @ information @ move) <= allowed
         if rival.cost - search.best.cost <= allowed and not is_near:
             best = assignments(problem.named_values(search.best.x))
             second = assignments(problem.named_values(rival.x))
