@@ -10,6 +10,7 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.analyses.falsification.falsify import hunt
 from dssc_jax.analyses.falsification.hunt import Programs
+from dssc_jax.core.errors import ConfigError
 
 STUDIES = Path(__file__).parents[3] / "studies"
 
@@ -52,6 +53,19 @@ def test_the_worst_requirement_has_its_name(study):
         text = found.study.requirements[expected].text
         assert found.summary()["worst_requirement"] == text
         assert found.headline.endswith(f"where {text} is required")
+
+
+def test_only_one_requirement_counts(study):
+    """As in the study without the others, one of which every draw violates more."""
+    counted = {"metric": "error_max", "after": 1.5, "max": 0.8}
+    table = [{"metric": "error_rms", "max": 1e-6}, counted]
+    found = dj.falsify(study.override({"requirement": table}), budget=200, requirement="error_max_after_1.5")
+    alone = dj.falsify(study.override({"requirement": [counted]}), budget=200)
+    assert found.slack == pytest.approx(alone.slack, rel=1e-6)
+    assert found.summary()["requirements"] == alone.summary()["requirements"]
+    assert found.binding_at(found.worst) == alone.binding_at(alone.worst)
+    with pytest.raises(ConfigError, match=r"'error' is none of this study's; .*error_"):
+        dj.falsify(study.override({"requirement": table}), budget=64, requirement="error")
 
 
 def test_the_worst_seen_of_each_requirement_is_a_draw_of_its_own(study):

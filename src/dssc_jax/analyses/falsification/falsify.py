@@ -20,7 +20,7 @@ from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.requirements import Requirement
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis
@@ -105,6 +105,7 @@ class Falsified(Analysis):
         within: Distance from the median draw within which the search stayed, in sigma; None for the whole support.
         seconds: Computing time.
         stopped: Why the search stopped before its budget was spent, in words; empty if it spent it.
+        requirement: Label of the only requirement that counts; empty: all count.
     """
 
     kind = "falsify"
@@ -114,9 +115,12 @@ class Falsified(Analysis):
     within: float | None
     seconds: float
     stopped: str = ""
+    requirement: str = ""
 
     @classmethod
-    def of(cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "") -> Self:
+    def of(
+        cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "", requirement: str = ""
+    ) -> Self:
         """Collect the simulated points in the order of the search."""
         points, slacks, binding, signed, spent, ended, failed_at, first, violated_at, single_slacks = (
             np.concatenate(parts) for parts in zip(*seen, strict=True)
@@ -135,8 +139,8 @@ class Falsified(Analysis):
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
-        for requirement, column in zip(study.requirements, single_slacks.T, strict=True):
-            columns[requirement.name] = (column, "", f"slack of {requirement.text} in its metric's unit")
+        for required, column in zip(study.requirements, single_slacks.T, strict=True):
+            columns[required.name] = (column, "", f"slack of {required.text} in its metric's unit")
         for name, column in region.values(points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         described = {
@@ -144,7 +148,7 @@ class Falsified(Analysis):
             for name, (column, unit, meaning) in columns.items()
         }
         within = region.radius if isinstance(region, ScoreBall) else None
-        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds, stopped)
+        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds, stopped, requirement)
 
     @property
     def worst(self) -> int:
@@ -264,9 +268,12 @@ class Falsified(Analysis):
     def answer(self) -> FalsifiedAnswer:
         """The numbers that summary.json holds."""
         nearest = self.nearest_failure
+        counted = [known.text for known in self.study.requirements if self.requirement in ("", known.label)]
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(requirement.text for requirement in self.study.requirements),
+            requirements=tuple(
+                known.text for known in self.study.requirements if self.requirement in ("", known.label)
+            ),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
@@ -303,6 +310,7 @@ def falsify(
     seed: int = 0,
     within_sigma: float | None = None,
     within_mass: float | None = None,
+    requirement: str = "",
     progress: ProgressCallback | None = None,
 ) -> Falsified:
     """Find the worst draw of a study, by the worst requirement's signed slack.
@@ -321,11 +329,12 @@ def falsify(
         seed: Seed of the search.
         within_sigma: Distance k from the median draw within which to search, in (0, 8].
         within_mass: Probability of the draws among which to search, in (0, 1); instead of ``within_sigma``.
+        requirement: Label of the only requirement that counts, as in results; empty: the worst of all counts.
         progress: Called with the simulations spent.
 
     Raises:
-        ConfigError: nothing is uncertain, nothing is required, the budget or the set is out of range, or both
-            ``within_sigma`` and ``within_mass`` are given.
+        ConfigError: nothing is uncertain, nothing is required, the requirement is unknown, the budget or the set is
+            out of range, or both ``within_sigma`` and ``within_mass`` are given.
 
     Example:
         >>> import dssc_jax as dj
@@ -339,8 +348,9 @@ def falsify(
     """
     study = study.without_sweep()
     require_hunt(study, budget)
+    require_known(study, requirement)
     region = search_set(study, within_sigma, within_mass)
-    return hunt(Programs.of(study, budget), budget, seed, progress, region)
+    return hunt(Programs.of(study, budget), budget, seed, progress, region, requirement)
 
 
 def require_hunt(study: Study, budget: int) -> None:
@@ -357,19 +367,33 @@ def require_hunt(study: Study, budget: int) -> None:
         raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
 
 
+def require_known(study: Study, requirement: str) -> None:
+    """Require that a label, if there is one, is that of a requirement.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    labels = [known.label for known in study.requirements]
+    if requirement and requirement not in labels:
+        raise ConfigError(
+            "requirement", f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
+        )
+
+
 def hunt(
     programs: Programs,
     budget: int,
     seed: int,
     progress: ProgressCallback | None = None,
     region: SearchSet | None = None,
+    requirement: str = "",
 ) -> Falsified:
     """Run one search, by default over the whole support; see :func:`falsify`."""
     began = time.perf_counter()
     region = region or search_set(programs.study)
-    search = Hunt(programs, region, budget, np.random.default_rng(seed), progress)
+    search = Hunt(programs, region, budget, np.random.default_rng(seed), progress, requirement)
     search.explore()
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:
             stage()
-    return Falsified.of(region, search.seen, time.perf_counter() - began, search.stopped)
+    return Falsified.of(region, search.seen, time.perf_counter() - began, search.stopped, requirement)

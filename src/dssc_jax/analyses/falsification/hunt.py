@@ -97,6 +97,7 @@ class Hunt:
         budget: Number of simulations.
         rng: Random generator of the search.
         progress: Called with the simulations spent.
+        requirement: Label of the only requirement that counts; empty: all count.
         requirements: The study's, with the scales that the first points show.
         unspent: Why evolution leaves simulations, in words; empty if it does not, or has not begun.
     """
@@ -106,6 +107,7 @@ class Hunt:
     budget: int
     rng: np.random.Generator
     progress: ProgressCallback | None
+    requirement: str = ""
     spent: int = 0
     worst: float = np.inf
     seen: list[Seen] = field(default_factory=list)
@@ -131,11 +133,19 @@ class Hunt:
         """Number of uncertain numbers."""
         return self.region.size
 
+    @property
+    def counted(self) -> list[int]:
+        """Indices of the requirements that count."""
+        return [place for place, known in enumerate(self.requirements) if self.requirement in ("", known.label)]
+
     def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``cost`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
         self.requirements = self.requirements or add_sizes(self.programs.study.requirements, results)
-        slacks, binding = worst_slack(self.requirements, results), binding_requirement(self.requirements, results)
+        counted = self.counted
+        requirements = [self.requirements[place] for place in counted]
+        slacks = worst_slack(requirements, results)
+        binding = np.array(counted)[binding_requirement(requirements, results)]
         all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
         distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
         spent = self.spent + cost * np.arange(1, len(points) + 1)
@@ -199,7 +209,8 @@ class Hunt:
 
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
-        gradients = worst_slopes(self.requirements, results, list(self.programs.study.laws))
+        requirements = [self.requirements[place] for place in self.counted]
+        gradients = worst_slopes(requirements, results, list(self.programs.study.laws))
         slopes = self.region.slopes(points, gradients)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 

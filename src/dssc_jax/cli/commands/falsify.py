@@ -24,6 +24,7 @@ def run(options: Falsify) -> int:
         options.seed,
         options.within_sigma,
         options.within_mass,
+        options.requirement,
     )
     with progress_bar(study, quiet=options.as_json, of="simulations", early=lambda: falsified.stopped) as advance:
         falsified = falsify(
@@ -32,6 +33,7 @@ def run(options: Falsify) -> int:
             seed=options.search_seed,
             within_sigma=options.within_sigma,
             within_mass=options.within_mass,
+            requirement=options.requirement or "",
             progress=advance,
         )
     figures = save_analysis(falsified, folder, options)

@@ -86,6 +86,10 @@ class Falsify(OutputOptions, SeededOptions):
         float | None,
         typer.Option("--within-mass", metavar="P", help="Only the likeliest draws that have the probability P."),
     ] = None
+    requirement: Annotated[
+        str | None,
+        typer.Option("--requirement", metavar="NAME", help="Only this requirement counts, by its name in results."),
+    ] = None
     search_seed: Annotated[int, typer.Option("--search-seed", metavar="S", min=0, help="Seed of the search.")] = 0
 
 
