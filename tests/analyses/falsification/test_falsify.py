@@ -64,7 +64,7 @@ def test_only_one_requirement_counts(study):
     assert found.slack == pytest.approx(alone.slack, rel=1e-6)
     assert found.summary()["requirements"] == alone.summary()["requirements"]
     assert found.binding_at(found.worst) == alone.binding_at(alone.worst)
-    with pytest.raises(ConfigError, match=r"'error' is none of this study's; .*error_"):
+    with pytest.raises(ConfigError, match=r"'error' is not required by this study; .*error_"):
         dj.falsify(study.override({"requirement": table}), budget=64, requirement="error")
 
 

@@ -271,9 +271,7 @@ class Falsified(Analysis):
         counted = [known.text for known in self.study.requirements if self.requirement in ("", known.label)]
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(
-                known.text for known in self.study.requirements if self.requirement in ("", known.label)
-            ),
+            requirements=tuple(counted),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
