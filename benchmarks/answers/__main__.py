@@ -1,4 +1,4 @@
-"""Regenerates the table of docs/which_method.md: ``make answers``, some fifty minutes.
+"""Regenerates the table of docs/which_method.md: ``make answers``, some fifteen minutes on a quiet machine.
 
 ``python -m benchmarks.answers PEERS`` takes the Python of the environment with the other tools. Each answer is given by
 a process of its own, twice; the first time counts as cold, the second as warm. An answer that takes longer than
