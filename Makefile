@@ -117,7 +117,7 @@ $(VENV)/bench: $(VENV)/run
 # Elodin wants a newer Python.
 $(VENV)/simulators/done:
 	$(PYTHON) -m venv $(VENV)/simulators
-	if command -v python3.13; then python3.13 -m venv $(VENV)/simulators-newest && \
+	if python3.13 --version; then python3.13 -m venv $(VENV)/simulators-newest && \
 		$(VENV)/simulators-newest/bin/python -m pip install --quiet --disable-pip-version-check elodin; fi
 	for name in crazyflow "rotorpy torch torchdiffeq roma"; do \
 		$(VENV)/simulators/bin/python -m pip install --quiet --disable-pip-version-check $$name || echo "no $$name here"; done
