@@ -213,8 +213,9 @@ median and quartiles. All programs use every core, except in the column "one dev
 * **Numba**: `prange` over draws, scalar code, fast mathematics. **NumPy**: all draws in one array. Both run
   `benchmarks/speed/by_hand.py`.
 
-The trigonometric functions that replace the compiler's own, `atan` and `atan2` of `lanes/functions/approximations.py`, are within 3 units in
-the last place in both precisions (`tests/core/test_numerics.py`).
+The trigonometric functions that replace the compiler's own, `atan` and `atan2` of
+`lanes/functions/approximations.py`, are within 3 units in the last place in both precisions
+(`tests/core/test_numerics.py`).
 
 Millions of lane-steps per second:
 
@@ -241,8 +242,9 @@ Vectors of 256 bits:
 {stored_part(WITH_C[256], DOCS / "performance.md")}
 
 This processor has no wider vectors (Zen 3, 16 registers). Single cores are measured by processor time, and at times a
-neighbour on the same core halves their speed. In the faster quarter of the rounds of another measurement of that day, ours
-over C was 1.01, 0.99, 0.97 and 1.04 for the vehicle and 1.13 and 1.08 for the axis ([what was tried](lanes.md)).
+neighbour on the same core halves their speed. In the faster quarter of the rounds of another measurement of that day,
+ours over C was 1.01, 0.99, 0.97 and 1.04 for the vehicle and 1.13 and 1.08 for the axis
+([what was tried](lanes.md)).
 
 The next table shows the cost of a process for the UAV with RK4 in float64. Before its first result, each process
 imports this package to draw the same numbers. The metrics of all programs agree with ours to {ALLOWED[64]:g} relative
