@@ -18,7 +18,7 @@ from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.events import condition_at
 from dssc_jax.core.numerics import as_arrays
-from dssc_jax.core.signals import Command, Measurement, PlantInput, State
+from dssc_jax.core.signals import Command, Measurement, PlantInput, Signals, State
 
 NEW_LINE = "\n"
 PACKAGE = __name__.partition(".")[0]
@@ -70,9 +70,9 @@ def check_results(loop: Loop, params: LoopParams) -> None:
     Raises:
         ConfigError: One gives something else.
     """
-    zeros = (0.0,) * len(loop.channels)
+    zeros: Signals = (0.0,) * len(loop.channels)
     plant = as_arrays(loop.plant.init(params.plant))
-    drive = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
+    drive: PlantInput[Signals] = PlantInput(zeros, zeros, None, quiet_inputs(loop.plant, params.plant))
     measurements = loop.mimo_plant.measure(params.plant, plant, drive)
     references = loop.mimo_reference.at(params.reference, 0.0)
     for channel, name in enumerate(loop.channels):
@@ -167,8 +167,9 @@ def require_form(part: str, field: str, meaning: str, expected: object, result: 
 
 def form(value: object) -> str:
     """Type, fields and shapes of numbers, in words."""
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        fields = [f"{name}={form(field)}" for name, field in zip(value._fields, value, strict=True)]
+    names = getattr(value, "_fields", None)
+    if isinstance(value, tuple) and names is not None:
+        fields = [f"{name}={form(field)}" for name, field in zip(names, value, strict=True)]
         return f"{type(value).__name__}({', '.join(fields)})"
     if isinstance(value, tuple | list):
         return f"({', '.join(map(form, value))})"
