@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
+from dssc_jax.cli.warnings import warn_of_signals
 from dssc_jax.core.errors import ConfigError
 
 T_S = 0.005
@@ -217,3 +218,17 @@ def test_formulas_and_metrics_name_signals_as_columns_do():
     for wrong in ({"signal": "e_x", "metric": "max_abs", "max": 1.0}, {"formula": "always e_x < 1"}):
         with pytest.raises(ConfigError, match=r"e_x.*x_e"):
             dj.Study.from_table(table | {"requirement": [wrong]})
+
+
+@pytest.mark.parametrize(
+    ("controller", "warns"),
+    [
+        ({"kind": "pid", "k_p": 800.0}, True),
+        ({"kind": "state_feedback", "k_1": 800.0, "k_2": 0.0, "signals": [100.0]}, False),
+    ],
+)
+def test_a_sensor_of_a_signal_that_the_controller_does_not_read_is_told(controller, warns, capsys):
+    """An engineer gave the output's sensor as that of the signal y, and PID saw the exact output."""
+    sensor = {"measures": ["travel"], "travel": {"kind": "noisy", "position_resolution": 0.01}}
+    warn_of_signals(car(sensor=sensor, controller=controller))
+    assert ("[sensor.travel] act on signals that it does not read" in capsys.readouterr().err) == warns

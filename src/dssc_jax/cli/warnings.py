@@ -33,11 +33,27 @@ def warn_of_vehicle(study: Study) -> None:
             say(f"warning: {text}")
 
 
+def warn_of_signals(study: Study) -> None:
+    """Print a warning of sensors of measured signals that no controller of the study reads."""
+    if isinstance(study, Described) or not study.loop.measures:
+        return
+    loop, template = study.loop, study.template
+    if any(model.takes(gains) for model, gains in zip(loop.controller, template.controller, strict=True)):
+        return
+    sensors = [f"[sensor.{signal.name}]" for signal in loop.measures if signal.name in study.config.sensor]
+    if sensors:
+        say(
+            f"warning: the controller reads y and y' through the kind of [sensor] itself; {', '.join(sensors)} act on "
+            "signals that it does not read"
+        )
+
+
 def warn_of_study(study: Study) -> None:
-    """Print a warning of unused parameters, of odd vehicles, and where noise or an exact y' misleads."""
+    """Print a warning of unused parameters, of odd vehicles, and where noise, an exact y' or a sensor misleads."""
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_vehicle(study)
+    warn_of_signals(study)
     for warning in (noise_warning, rate_warning):
         if text := warning(study):
             say(f"warning: {text}")
