@@ -1,7 +1,5 @@
 """A vehicle's lanes on 64-bit ARM have the bits of strict arithmetic here: 128-bit vectors (NEON), emulated."""
 
-import shutil
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +8,12 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.engine.batching import drawn, lane_of_study
 from dssc_jax.lanes.lanes import CompiledLanes
-from tests.lanes.lanes_on_arm import TOOLS, ArmLanes
+from tests.lanes.lanes_on_arm import ArmLanes, needs_arm
 
 COUNT = 24
 
 
-@pytest.mark.skipif(any(shutil.which(tool) is None for tool in TOOLS), reason=f"needs {' and '.join(TOOLS)}")
+@needs_arm
 @pytest.mark.parametrize(("precision", "width"), [(64, 4), (32, 4)])
 def test_vehicles_have_the_same_bits(precision, width, tmp_path):
     """The study of 30 uncertain vehicles in wind, for a quarter of a second."""

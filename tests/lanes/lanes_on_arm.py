@@ -1,11 +1,13 @@
 """Lanes as machine code for 64-bit ARM, whose vectors have 128 bits (NEON), run by qemu."""
 
+import shutil
 import subprocess
 import time
 from pathlib import Path
 
 import llvmlite.binding as llvm
 import numpy as np
+import pytest
 
 from dssc_jax.lanes.interface import ENTRY_POINT
 from dssc_jax.lanes.lanes import CompiledLanes
@@ -14,6 +16,8 @@ from dssc_jax.lanes.llvm.machine import CODE_LEVEL
 TOOLS = ("aarch64-linux-gnu-gcc", "qemu-aarch64")
 TRIPLE = "aarch64-unknown-linux-gnu"
 PROCESSOR = "cortex-a72"
+MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
+needs_arm = pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: apt-get install gcc-aarch64-linux-gnu qemu-user")
 CALLER = f"""
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,22 +1,19 @@
 """Lanes on 64-bit ARM have the bits of strict arithmetic here: 128-bit vectors (NEON), emulated."""
 
 import re
-import shutil
 
 import jax
 import numpy as np
 import pytest
 
 from dssc_jax.lanes.lanes import CompiledLanes
-from tests.lanes.lanes_on_arm import TOOLS, ArmLanes
+from tests.lanes.lanes_on_arm import ArmLanes, needs_arm
 from tests.lanes.test_gpu import every_function, recorded
 
 VECTOR = re.compile(r"\tfmul\tv\d+\.(2d|4s)")
 COUNT = 24
 
-pytestmark = pytest.mark.skipif(
-    any(shutil.which(tool) is None for tool in TOOLS), reason=f"needs {' and '.join(TOOLS)}"
-)
+pytestmark = needs_arm
 
 
 def lane(x):

@@ -108,6 +108,11 @@ def add_sizes(requirements: Sequence[Requirement], results: Mapping[str, np.ndar
     return tuple(with_sizes)
 
 
+def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
+    """Indices of the requirements that count: those of a label, or all where it is empty."""
+    return [place for place, requirement in enumerate(requirements) if label in ("", requirement.label)]
+
+
 def violated(slack: Any) -> Any:
     """Whether a requirement is violated according to its slack; NaN counts as violated.
 

@@ -58,8 +58,9 @@ from dssc_jax.flight_logs.replay import (
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
-from dssc_jax.flight_logs.starts import fixed_integrals
+from dssc_jax.flight_logs.starts import begins_in_air, fixed_integrals
 from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
@@ -232,7 +233,8 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
     for name, jump in log.jumps.items():
         text = (
             f"{name} changes by {jump:.3g} where the log lacks it, and the last value is held until then: estimates of "
-            "lags and delays may be wrong by more than their intervals. Log every command, with a time stamp of its own"
+            "lags, delays, masses and gains may be wrong by more than their intervals. Log every command, with a time "
+            "stamp of its own"
         )
         found.append(Doubt(name, text))
     if log.gaps:
@@ -241,6 +243,17 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
         text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
         found.append(Doubt("", text))
     return tuple(found)
+
+
+def wind_doubts(study: Study) -> tuple[Doubt, ...]:
+    """That a vehicle which begins in the air in wind begins without the tilt that the wind asks of it."""
+    if not begins_in_air(study) or kind_in(study.config, "wind") == "none":
+        return ()
+    text = (
+        "the study begins in the air, level and without body rates, and a vehicle in wind is tilted: estimates of "
+        "wind, drag and integrals may be wrong by more than their intervals. Begin at the take-off"
+    )
+    return (Doubt("", text),)
 
 
 def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
@@ -314,5 +327,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        (*doubts(problem, x, results), *held_doubts(problem.log), *roughness_doubts(rough)),
+        (*doubts(problem, x, results), *held_doubts(problem.log), *wind_doubts(study), *roughness_doubts(rough)),
     )

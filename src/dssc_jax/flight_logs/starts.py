@@ -27,6 +27,16 @@ def fixed_integrals(study: Study) -> dict[str, float]:
     return found
 
 
+def begins_in_air(study: Study) -> bool:
+    """Whether integrals of software on board start elsewhere than at 0, as in a flight that has begun before."""
+    software = study.loop.mimo_plant.software
+    if software is None:
+        return False
+    names = software.integrals(study.template.plant)
+    fixed = fixed_integrals(study)
+    return software.settled(study.template.plant) or any(fixed.values()) or len(fixed) < len(names)
+
+
 def start_remedy(name: str) -> str:
     """What to do about integrals that start elsewhere.
 

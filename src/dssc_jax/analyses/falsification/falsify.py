@@ -19,7 +19,7 @@ import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
-from dssc_jax.closed_loop.requirements import Requirement
+from dssc_jax.closed_loop.requirements import Requirement, counted_places
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
@@ -268,10 +268,11 @@ class Falsified(Analysis):
     def answer(self) -> FalsifiedAnswer:
         """The numbers that summary.json holds."""
         nearest = self.nearest_failure
-        counted = [known.text for known in self.study.requirements if self.requirement in ("", known.label)]
+        required = self.study.requirements
+        counted = counted_places(required, self.requirement)
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(counted),
+            requirements=tuple(required[place].text for place in counted),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
@@ -371,11 +372,10 @@ def require_known(study: Study, requirement: str) -> None:
     Raises:
         ConfigError: It is not.
     """
-    labels = [known.label for known in study.requirements]
-    if requirement and requirement not in labels:
-        raise ConfigError(
-            "requirement", f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
-        )
+    if not counted_places(study.requirements, requirement):
+        labels = [known.label for known in study.requirements]
+        rule = f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
+        raise ConfigError("requirement", rule)
 
 
 def hunt(

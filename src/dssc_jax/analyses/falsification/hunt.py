@@ -12,6 +12,7 @@ from dssc_jax.closed_loop.requirements import (
     Requirement,
     add_sizes,
     binding_requirement,
+    counted_places,
     ended_early,
     first_violation,
     worst_slack,
@@ -133,16 +134,11 @@ class Hunt:
         """Number of uncertain numbers."""
         return self.region.size
 
-    @property
-    def counted(self) -> list[int]:
-        """Indices of the requirements that count."""
-        return [place for place, known in enumerate(self.requirements) if self.requirement in ("", known.label)]
-
     def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``cost`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
         self.requirements = self.requirements or add_sizes(self.programs.study.requirements, results)
-        counted = self.counted
+        counted = counted_places(self.requirements, self.requirement)
         requirements = [self.requirements[place] for place in counted]
         slacks = worst_slack(requirements, results)
         binding = np.array(counted)[binding_requirement(requirements, results)]
@@ -209,7 +205,8 @@ class Hunt:
 
     def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
         """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
-        requirements = [self.requirements[place] for place in self.counted]
+        counted = counted_places(self.requirements, self.requirement)
+        requirements = [self.requirements[place] for place in counted]
         gradients = worst_slopes(requirements, results, list(self.programs.study.laws))
         slopes = self.region.slopes(points, gradients)
         return np.where(np.isfinite(slopes), slopes, 0.0)
