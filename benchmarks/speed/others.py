@@ -45,7 +45,12 @@ def simulators(python: Path) -> list[Other]:
     program = Path(__file__).with_name("simulators.py")
     with TemporaryDirectory() as folder:  # MuJoCo leaves a log where it runs
         done = subprocess.run([python.absolute(), program], capture_output=True, text=True, check=True, cwd=folder)
-    return [Other(**json.loads(line)) for line in done.stdout.splitlines() if line.startswith("{")]
+    return parsed(done.stdout)
+
+
+def parsed(text: str) -> list[Other]:
+    """The simulators of which ``simulators.py`` tells."""
+    return [Other(**json.loads(line)) for line in text.splitlines() if line.startswith("{")]
 
 
 def measured(pythons: list[Path], rounds: int) -> tuple[list[list[float]], list[list[Other]]]:

@@ -1,12 +1,14 @@
-"""Rates of other simulators, for a Python that has them and not this package: ``PYTHON simulators.py``.
+"""Rates of other simulators, for a Python that has them and not this package: ``PYTHON simulators.py [NAME] [WORLDS]``.
 
-Prints a JSON object for each one that is installed; ``python -m benchmarks.speed.others`` runs it and writes the page.
+Prints a JSON object for each one that is installed, or for the one named; ``python -m benchmarks.speed.others`` runs
+it and writes the page. WORLDS is the number of crazyflow's vehicles, 4096 unless it is told.
 What is nearest to our UAV's loop: one vehicle a draw, attitude control each step, Runge-Kutta of order 4 at 5 ms, no
 metrics.
 """
 
 import json
 import os
+import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
@@ -14,7 +16,7 @@ from importlib.util import find_spec
 from statistics import median
 
 CORES = len(os.sched_getaffinity(0))
-DRAWS, STEPS, RATE, ROUNDS = 4096, 100, 200, 5
+STEPS, RATE, ROUNDS = 100, 200, 5
 
 
 def timed(run: Callable[[], object], steps: int) -> float:
@@ -29,14 +31,15 @@ def timed(run: Callable[[], object], steps: int) -> float:
 
 
 def crazyflow() -> tuple[float, str]:
-    """Worlds of one drone, sharded over the cores."""
+    """Worlds of one drone, sharded over the cores or GPUs."""
     import jax
     import numpy as np
     from crazyflow.sim import Sim
     from crazyflow.sim.sharding import world_mesh
 
+    worlds = int(sys.argv[2]) if len(sys.argv) > 2 else 4096
     sim = Sim(
-        n_worlds=DRAWS,
+        n_worlds=worlds,
         dynamics="first_principles",
         control="attitude",
         integrator="rk4",
@@ -45,15 +48,15 @@ def crazyflow() -> tuple[float, str]:
         force_torque_freq=RATE,
         mesh=world_mesh(jax.devices()),
     )
-    sim.attitude_control(np.tile(np.array([0.0, 0.0, 0.0, 0.4], dtype=np.float32), (DRAWS, 1, 1)))
+    sim.attitude_control(np.tile(np.array([0.0, 0.0, 0.0, 0.4], dtype=np.float32), (worlds, 1, 1)))
 
     def run() -> None:
         sim.step(STEPS)
         jax.block_until_ready(sim.data.states.pos)
 
-    return timed(run, DRAWS * STEPS), (
+    return timed(run, worlds * STEPS), (
         "float32; rigid body with rotor dynamics under an attitude controller; no velocity loops, wind, "
-        "outer controllers, metrics or end of a draw; sharded over the cores"
+        "outer controllers, metrics or end of a draw; sharded over the devices"
     )
 
 
@@ -121,9 +124,10 @@ def elodin() -> tuple[float, str]:
 
 def main() -> None:
     """Every simulator that is installed."""
+    wanted = sys.argv[1:2]
     for measure in (crazyflow, rotorpy, elodin):
         name = measure.__name__
-        if not find_spec(name):
+        if not find_spec(name) or (wanted and name not in wanted):
             continue
         try:
             rate, difference = measure()

@@ -44,7 +44,7 @@ def every_function(x):
 
 def recorded(x):
     """Every state of a short loop, and its sum."""
-    return jax.lax.scan(lambda s, k: (s * x + k, s > x), x, jnp.arange(5.0))
+    return jax.lax.scan(lambda s, k: (s * x + k, s > x), x, jnp.arange(5.0, dtype=x.dtype))
 
 
 def instructions(strict, real):
@@ -69,6 +69,13 @@ def test_the_assembler_takes_it(architecture):
     kernel = TracedKernel(every_function, (jax.ShapeDtypeStruct((), np.float64),), False)
     usage = assembled(ptx.ptx(kernel.text), architecture)
     assert 16 < usage.registers <= 255
+
+
+@pytest.mark.parametrize(("real", "limited"), [(np.float32, True), (np.float64, False)])
+def test_single_precision_leaves_room_for_two_blocks(real, limited):
+    """A multiprocessor has 65,536 registers."""
+    code = instructions(True, real)
+    assert (f".maxnreg {65536 // (2 * THREADS)}\n" in code) == limited
 
 
 def test_the_assembler_refuses_what_is_wrong():

@@ -6,6 +6,8 @@ The instructions are those of a CPU with vectors of one lane, and so are the bit
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from dssc_jax.lanes.foreign import ForeignFunction
 from dssc_jax.lanes.gpu import ptx
 from dssc_jax.lanes.interface import ENTRY_POINT
@@ -17,6 +19,8 @@ from dssc_jax.lanes.unsupported import Unsupported
 SPECIAL_REGISTERS = {"block": "ctaid", "size": "ntid", "thread": "tid"}
 """Where a thread reads the number of its block, the threads of a block and its number in the block."""
 WINDOW = 0  # the assembler orders instructions for the registers that it has
+REGISTERS = 128
+"""Registers of a thread in single precision: two blocks then share a multiprocessor, and hide their latencies."""
 
 
 class KernelEmitter(Emitter):
@@ -26,8 +30,13 @@ class KernelEmitter(Emitter):
         super().__init__(program, 1, strict, WINDOW)
 
     def head(self) -> str:
-        """The line with which the kernel begins; ``count`` is the number of lanes of the batch."""
-        return f"define ptx_kernel void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %count) {{"
+        """The line with which the kernel begins; ``count`` is the number of lanes of the batch.
+
+        In double precision a thread takes all registers that it needs.
+        """
+        double = np.dtype(np.float64) in self.program.inputs
+        limit = "" if double else f' "nvvm.maxnreg"="{REGISTERS}"'  # LLVM 20 ignores it
+        return f"define ptx_kernel void @{ENTRY_POINT}(ptr noalias %inputs, ptr noalias %outputs, i64 %count){limit} {{"
 
     def opening(self) -> list[str]:
         """The lane of a thread; a thread beyond the last lane does nothing."""

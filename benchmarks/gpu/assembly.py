@@ -1,4 +1,4 @@
-"""``python -m benchmarks.gpu``: what NVIDIA's assembler makes of the kernels; a part of docs/performance.md.
+"""What NVIDIA's assembler makes of the kernels; a part of docs/performance.md.
 
 No GPU is needed: ``ptxas`` of the package nvidia-cuda-nvcc, or of a CUDA toolkit, counts registers and spills.
 """
@@ -16,7 +16,7 @@ from dssc_jax.lanes.gpu import ptx
 from dssc_jax.lanes.gpu.kernel_text import TracedKernel
 from tests.lanes.assembler import ARCHITECTURES, assembled, version
 
-PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
+PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
 
 
 def kernel(case: Case, strict: bool) -> bytes:
@@ -48,18 +48,14 @@ def table() -> str:
 def part() -> str:
     """The part of the page."""
     language = int(ptx.FEATURES.removeprefix("+ptx")) / 10
-    return f"""The same loops as [kernels of one thread a draw](gpu.md), as NVIDIA's assembler translates them; no GPU
-has run them. A register has 32 bits, and a thread has at most 255. `python -m benchmarks.gpu` regenerates the table.
+    return f"""The same loops as [kernels of one thread a draw](gpu.md), as NVIDIA's assembler translates them, which needs
+no GPU. A register has 32 bits, and a thread has at most 255. `python -m benchmarks.gpu` regenerates the table.
 
 {table()}
 
 ptxas {version()}, from PTX {language:.1f} for compute capability 8.0."""
 
 
-def main() -> None:
+def write() -> None:
     """Write the table."""
     put("kernels", part(), PAGE)
-
-
-if __name__ == "__main__":
-    main()
