@@ -58,7 +58,7 @@ from dssc_jax.flight_logs.replay import (
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
-from dssc_jax.flight_logs.starts import begins_in_air, fixed_integrals
+from dssc_jax.flight_logs.starts import begins_in_air, begins_level, fixed_integrals
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 
@@ -247,11 +247,12 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
 
 def wind_doubts(study: Study) -> tuple[Doubt, ...]:
     """That a vehicle which begins in the air in wind begins without the tilt that the wind asks of it."""
-    if not begins_in_air(study) or kind_in(study.config, "wind") == "none":
+    if not begins_in_air(study) or not begins_level(study) or kind_in(study.config, "wind") == "none":
         return ()
     text = (
         "the study begins in the air, level and without body rates, and a vehicle in wind is tilted: estimates of "
-        "wind, drag and integrals may be wrong by more than their intervals. Begin at the take-off"
+        "wind, drag and integrals may be wrong by more than their intervals. Set plant.inner_loop.start = 'settled', "
+        "which is the equilibrium in the wind, or plant.roll, plant.pitch and plant.body_rate, or begin at the take-off"
     )
     return (Doubt("", text),)
 

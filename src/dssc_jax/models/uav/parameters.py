@@ -20,8 +20,6 @@ from dssc_jax.models.uav.presets import VEHICLES
 from dssc_jax.models.uav.rotors import wrench
 from dssc_jax.models.uav.vehicle import GRAVITY, Vehicle
 
-STEEP = 1.48
-"""Bound of the initial roll and pitch [rad]: steeper attitudes count as a flip."""
 EQUAL_SHARE = 1e-9
 """Difference of a rotor's share of the weight in hover from that of equal rotors, which is rounding."""
 
@@ -60,8 +58,8 @@ class UavParams(NamedTuple):
     position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
-    roll: Annotated[Scalar | None, Quantity("rad", "initial roll phi", above=-STEEP, below=STEEP)] = None
-    pitch: Annotated[Scalar | None, Quantity("rad", "initial pitch theta", above=-STEEP, below=STEEP)] = None
+    roll: Annotated[Scalar | None, Quantity("rad", "initial roll phi")] = None
+    pitch: Annotated[Scalar | None, Quantity("rad", "initial pitch theta")] = None
     body_rate: Annotated[tuple[Scalar, ...], Quantity("rad/s", "initial body rate, about body x, y, z")] = (
         0.0,
         0.0,
