@@ -239,7 +239,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
     end = log.start + (samples - 1) * loop.sample_time
-    taken, *others = reconstructions(commands)
+    taken, *others = reconstructions(list(commands))
     gaps = log_gaps(log, needed, end)
     return SampledLog(
         outputs, offsets, taken.commands, held, tuple(replayed), jumps, gaps, tuple(rare), taken.text, tuple(others)

@@ -79,10 +79,11 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
     attitude = turned(Angles(phi, theta, params.yaw))
     integrals: State = ()
     gains = params.inner_loop
-    if isinstance(gains, InnerGains) and trimmed is None:
-        integrals = Integrals(gains.first_velocity_integral(params.craft, params.first_carrying), 0.0)
-    elif isinstance(gains, InnerGains):
-        integrals = gains.trimmed(params.craft, trimmed)
+    if isinstance(gains, InnerGains):
+        if trimmed is None:
+            integrals = Integrals(gains.first_velocity_integral(params.craft, params.first_carrying), 0.0)
+        else:
+            integrals = gains.trimmed(params.craft, trimmed)
     state = UavState(
         Vec3(*params.position), Vec3(*params.velocity), attitude, Vec3(*params.body_rate), integrals, speeds
     )
