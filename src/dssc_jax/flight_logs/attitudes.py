@@ -5,6 +5,7 @@ another wind, drag or integral explains that.
 """
 
 import math
+import warnings
 from typing import NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from dssc_jax.closed_loop.beginning import begin_plant
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.flight_logs.reader import Column, FlightLog, ulog_column
 from dssc_jax.flight_logs.references import median_values
-from dssc_jax.flight_logs.ulog import TopicData, is_ulog, read_topics
+from dssc_jax.flight_logs.ulog import LogWarning, TopicData, is_ulog, read_topics
 from dssc_jax.models.uav.inner_loops.article import euler_of
 from dssc_jax.models.uav.onboard import UavState
 from dssc_jax.study import Study
@@ -47,7 +48,9 @@ def attitude_columns(log: FlightLog) -> dict[str, Column]:
     if log.file is None:
         return {name: log.columns[name] for name in ULOG_COLUMNS if name in log.columns}
     if is_ulog(log.file):
-        topics, begin, _ = read_topics(log.file, {column.partition(".")[0] for column in ULOG_COLUMNS.values()})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LogWarning)  # told where the log was read first
+            topics, begin, _ = read_topics(log.file, {column.partition(".")[0] for column in ULOG_COLUMNS.values()})
         present = {name: column for name, column in ULOG_COLUMNS.items() if has_topic(topics, column)}
         return {name: ulog_column(topics, begin, name, column) for name, column in present.items()}
     frame = recorded_frame(log.file)
@@ -88,8 +91,6 @@ def logged_motion(log: FlightLog) -> FirstMotion:
 
 def study_motion(study: Study) -> FirstMotion | None:
     """How a study begins, at the medians of its laws; None if its plant is no vehicle."""
-    if not study.loop.plant.angles or not hasattr(study.template.plant, "body_rate"):
-        return None
     with arithmetic(study.config.loop.precision):
         state = begin_plant(study.loop, study.params(median_values(study)), jax.random.key(0))
         if not isinstance(state, UavState):
@@ -103,11 +104,13 @@ def attitude_hints(study: Study, log: FlightLog) -> dict[str, str]:
 
     What has a law is left out: a fit estimates it.
     """
-    begins = study_motion(study)
-    if begins is None:
+    if not hasattr(study.template.plant, "body_rate"):
         return {}
     logged = logged_motion(log)
-    hints = {}
+    begins = study_motion(study) if logged.angles or logged.rate else None
+    hints: dict[str, str] = {}
+    if begins is None:
+        return hints
     if logged.angles and not has_free_tilt(study) and math.dist(logged.angles, begins.angles) > TILTED:
         roll, pitch = logged.angles
         hints["plant.roll"] = (
