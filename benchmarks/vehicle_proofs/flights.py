@@ -20,11 +20,11 @@ from benchmarks.vehicle_proofs.problems import Columns, random_starts, random_ve
 from dssc_jax.closed_loop.draw import conclude, initial_progress, is_running, sampler
 from dssc_jax.closed_loop.metrics import Instant, Measure, Metric, Scope, Window, itself, peak
 from dssc_jax.closed_loop.time_loops import until_all_ended
-from dssc_jax.core.contracts import Wind
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import root_abs, uniforms
 from dssc_jax.core.signals import Outcome, Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind
 from dssc_jax.engine.batching import Engine, Lane, evaluate, results_of
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.lanes.interface import AXIS

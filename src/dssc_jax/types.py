@@ -14,8 +14,6 @@ from dssc_jax.core.contracts import (
     Timing,
     Unmodelled,
     Variation,
-    Wind,
-    WindBounds,
     stateless,
     unchanged,
 )
@@ -37,6 +35,7 @@ from dssc_jax.core.signals import (
 )
 from dssc_jax.core.smoothness import SMOOTH, Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ChannelUnits
+from dssc_jax.core.wind import Wind, WindBounds
 
 __all__ = [
     "SMOOTH",

@@ -134,6 +134,9 @@ REFUSALS: list[tuple[dict[str, object], str]] = [
     ({"unmodelled": {"kind": "lag", "mu": 0.01}}, "no single delay"),
     ({"unmodelled": {"kind": "delay", "samples": {"uniform": [1.0, 2.0]}}}, "unmodelled.samples is uncertain"),
     ({"sensor": {"kind": "lag", "mu": 0.01}}, "a sensor is not ideal"),
+    ({"plant.pitch": 0.1}, "starts level"),
+    ({"plant.body_rate": [0.0, 0.0, 0.1]}, "starts level"),
+    ({"plant.roll": {"uniform": [0.0, 0.1]}}, "plant.roll is uncertain"),
 ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import jax
 
+from dssc_jax.closed_loop.beginning import first_wind
 from dssc_jax.closed_loop.control import measure
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.estimation import Estimation
@@ -26,7 +27,7 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
     software = loop.mimo_plant.software
     if software is not None and software.period(params.plant) is not None:
         seen = estimation.seen(params.plant, plant)
-        plant = software.holding(plant, software.start(params.plant, seen))
+        plant = software.holding(plant, software.start(params.plant, seen, first_wind(loop, params)))
     return plant, memory
 
 

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import jax
 
 from dssc_jax.core.adapters import as_mimo_plant, as_mimo_reference
-from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled, Wind
+from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Reference, Sensor, Unmodelled
 from dssc_jax.core.events import VehicleEvent
 from dssc_jax.core.integrators import Integrator
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.numerics import stream
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurements, Params, ReferencePoints, Signals
+from dssc_jax.core.wind import Wind
 
 
 class LoopParams(NamedTuple):

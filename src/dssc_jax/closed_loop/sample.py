@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.closed_loop.beginning import begin_controller, begin_plant
 from dssc_jax.closed_loop.control import (
     Controlled,
     ControlState,
@@ -152,24 +153,6 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
             )
         )
     return as_arrays(LoopState(plant, wind, tuple(channels), tuple(inputs), signal_sensors, estimate))
-
-
-def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
-    """The plant's state at t = 0; what it keeps outside of JAX begins."""
-    state = as_arrays(loop.plant.init(params.plant))
-    if loop.plant.begin is None:
-        return state
-    lane = jax.random.bits(loop.key(key, "plant"), dtype=jnp.uint32)
-    return as_arrays(loop.plant.begin(params.plant, state, lane, loop.steps * loop.substeps))
-
-
-def begin_controller(loop: Loop, params: LoopParams, key: jax.Array, i: int, state: State) -> State:
-    """The state of the controller of channel i before its first step; what it keeps outside of JAX begins."""
-    begin = loop.controller[i].begin
-    if begin is None:
-        return state
-    lane = jax.random.bits(loop.key(key, "controller", loop.channels[i]), dtype=jnp.uint32)
-    return begin(params.controller[i], state, lane, loop.steps)
 
 
 def held_parts(loop: Loop) -> HeldParts:

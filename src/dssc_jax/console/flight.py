@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from dssc_jax.console.terminal import output, show_files, show_table
+from dssc_jax.flight_logs.command_gaps import HELD
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 
@@ -107,10 +108,10 @@ def show_replay(summary: Mapping[str, Any]) -> None:
         say(f"warning: {name} {text}")
 
 
-def held_text(held: Mapping[str, int], samples: int, subject: str) -> str:
-    """How many samples of each signal are the log's, where it lacks some; the others hold its last value."""
+def held_text(held: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
+    """How many samples of each signal are the log's, where it lacks some, and what counts between them."""
     counts = ", ".join(f"{name} at {samples - count}" for name, count in held.items())
-    return f"{subject}: of {samples} samples, the log has {counts}; between them its last value is held"
+    return f"{subject}: of {samples} samples, the log has {counts}; between them {between}"
 
 
 def places_table(answer: LogAnswer) -> Table:
@@ -206,7 +207,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     if summary["held_commands"]:
-        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands"))
+        between = summary["between_commands"]
+        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", between))
     rows = []
     for name, number in summary["numbers"].items():
         low, high = number["interval_90"]

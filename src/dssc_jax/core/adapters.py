@@ -13,8 +13,6 @@ from dssc_jax.core.contracts import (
     Reference,
     Unmodelled,
     Variation,
-    Wind,
-    WindBounds,
     as_given,
 )
 from dssc_jax.core.numerics import dot
@@ -32,6 +30,7 @@ from dssc_jax.core.signals import (
 )
 from dssc_jax.core.smoothness import SMOOTH, Declaration, Substitution
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind, WindBounds
 
 
 def linear_derivative(
@@ -158,8 +157,14 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
         vertical = sum(limit.vertical for limit in limits)
         return WindBounds(speed, vertical, sum(rates) if len(rates) == len(parts) else None)
 
+    def mean(params: tuple[Params, ...], dt: Scalar) -> Vec3:
+        total = Vec3(0.0, 0.0, 0.0)
+        for wind, numbers in zip(parts, params, strict=True):
+            total = total + wind.at_start(numbers, dt)
+        return total
+
     has_bounds = all(wind.bounds is not None for wind in parts)
-    return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None)
+    return Wind(NoParams, init, step, value, bounds=bounds if has_bounds else None, mean=mean)
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:

@@ -120,6 +120,9 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         advance: ``(params, state, input, t, h) -> state`` after its own step h, input held; None: the loop's steps.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
         native: As in :class:`Controller`.
+        settle: ``(params, state, wind) -> state`` at t = 0 in the mean wind at the start [m/s], if the parameters ask
+            for an equilibrium with it, from the state of ``init``; None: the wind does not count. Not called without a
+            wind.
     """
 
     params: type
@@ -148,6 +151,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     advance: Callable[[Params, State, PlantInput[Signal], Scalar, float], State] | None = None
     begin: Begin | None = None
     native: str = ""
+    settle: Callable[[Params, State, Vec3], State] | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
@@ -267,40 +271,6 @@ class Disturbance(NamedTuple):
     prepare: Callable[[Params], Params] = as_given
     variation: Variation = Variation.STATE
     smooth: Declaration = None
-
-
-class WindBounds(NamedTuple):
-    """Bounds that every wind of a kind keeps at all times, whatever its random numbers.
-
-    Args:
-        speed: Bound of the norm of the horizontal wind [m/s].
-        vertical: Bound of the vertical wind |w_z| [m/s].
-        rate: Bound of |w'| of the horizontal vector, and of the vertical component [m/s^2]; None: the wind may jump.
-    """
-
-    speed: Scalar
-    vertical: Scalar
-    rate: Scalar | None
-
-
-class Wind(NamedTuple):
-    """Wind velocity in the inertial frame, z up [m/s].
-
-    Args:
-        params: NamedTuple type of the parameters.
-        init: ``(params, key) -> state``.
-        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
-        value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
-        prepare: As in :class:`Plant`.
-        bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
-    """
-
-    params: type
-    init: Callable[[Params, jax.Array], State]
-    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
-    value: Callable[[Params, State, Scalar], Vec3]
-    prepare: Callable[[Params], Params] = as_given
-    bounds: Callable[[Params], WindBounds] | None = None
 
 
 class Sensor(NamedTuple):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Params, PlantInput, State
+from dssc_jax.core.vectors import Vec3
 
 WHOLE = 1e-9
 """Relative deviation of a ratio that counts as a whole number."""
@@ -36,7 +37,8 @@ class Onboard(NamedTuple):
 
     Args:
         period: ``(params) -> time between two ticks [s]``; None: these parameters choose no sampled software.
-        start: ``(params, state) -> held``: its part of the plant's state at the first sample, from the rest of it.
+        start: ``(params, state, wind) -> held``: its part of the plant's state at the first sample, from the rest of it
+            and the mean wind at the start [m/s]; None: there is no wind.
         held: ``(state) -> held``: its part of a state.
         holding: ``(state, held) -> state`` with another such part.
         sample: ``(params, state, input, dt) -> state`` at each sample of the loop, of length dt.
@@ -50,7 +52,7 @@ class Onboard(NamedTuple):
     """
 
     period: Callable[[Params], float | None]
-    start: Callable[[Params, State], State]
+    start: Callable[[Params, State, Vec3 | None], State]
     held: Callable[[State], State]
     holding: Callable[[State, State], State]
     sample: Callable[[Params, State, PlantInput, float], State]

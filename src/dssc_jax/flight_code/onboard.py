@@ -97,7 +97,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         return study.params(dict(zip(laws, values, strict=True))).plant
 
     def start(values: Sequence[Scalar], readings: State) -> State:
-        return as_arrays(software.start(params_of(values), readings))
+        return as_arrays(software.start(params_of(values), readings, None))
 
     def sample(values: Sequence[Scalar], readings: State, held: State, commands: tuple[Scalar, ...]) -> State:
         params = params_of(values)

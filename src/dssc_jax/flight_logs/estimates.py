@@ -73,7 +73,8 @@ class Fitted:
     kept: dict[str, float]  # unidentified numbers, with the standard deviation from the flight divided by the law's
     samples: int  # of the log that were used
     simulated: int  # samples of the simulation
-    held: dict[str, int]  # of these, samples at which the log lacks a command, and its last value counts, by signal
+    held: dict[str, int]  # of these, samples at which the log lacks a command, by signal
+    between: str  # what commands do between two logged values
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     starts: int  # of the search
     starts_here: int  # that end in the minimum that was taken
@@ -163,6 +164,7 @@ class Fitted:
             "samples": self.samples,
             "simulated_samples": self.simulated,
             "held_commands": self.held,
+            "between_commands": self.between,
             "replayed": list(self.replayed),
             "numbers": numbers,
             "correlation": self.correlations(),

@@ -16,6 +16,15 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
+from dssc_jax.flight_logs.command_gaps import (
+    better_commands,
+    command_doubts,
+    command_moves,
+    compared_commands,
+    is_rare,
+    reconstructions,
+    with_commands,
+)
 from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
@@ -26,7 +35,6 @@ from dssc_jax.flight_logs.least_squares import (
     FitProblem,
     Minimum,
     MinimumSearch,
-    SampledLog,
     averaged_covariance,
     find_minima,
 )
@@ -35,7 +43,6 @@ from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
     column_remedy,
-    forward_filled,
     held_samples,
     nearest_offsets,
     samples_within,
@@ -57,8 +64,10 @@ from dssc_jax.flight_logs.replay import (
     require_same_signals,
 )
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
+from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
-from dssc_jax.flight_logs.starts import begins_in_air, fixed_integrals
+from dssc_jax.flight_logs.starts import begins_in_air, begins_level, fixed_integrals
+from dssc_jax.flight_logs.width_reasons import open_numbers, widest_growth, width_reasons
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
 
@@ -125,6 +134,7 @@ def fit_log(
             log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
         )
     kept: dict[str, float] = {}
+    reasons = ""
     whole: Mapping[str, Mapping[str, float]] | None = None
     while True:
         if chosen not in predictions:
@@ -133,25 +143,34 @@ def fit_log(
         search = find_minima(problem, known)
         if search is None:
             raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
+        compared = compared_commands(problem, search.best)
+        better = better_commands(problem, search.best, compared)
+        if better is not None:
+            sampled = with_commands(sampled, better)
+            known = [search.best, *search.rivals]
+            continue
         information = search.best.equations.information
         whole = information_by_names(chosen, information) if whole is None else whole
         unidentified = {} if names else unidentified_numbers(problem, search)
         if not unidentified:
             try:
-                return fitted_minimum(problem, search, kept, covariance_of_kept(whole, chosen, tuple(kept)))
+                by_kept = covariance_of_kept(whole, chosen, tuple(kept))
+                return fitted_minimum(problem, search, kept, by_kept, command_moves(problem, search.best, compared))
             except NotIdentifiable as refusal:
                 if names or refusal.number is None:
                     raise
                 unidentified = {refusal.number: refusal.width}
+                reasons = refusal.reasons
         kept |= unidentified
         known = search.without([name not in unidentified for name in chosen])
         chosen = tuple(name for name in chosen if name not in unidentified)
         if not chosen:
             x = search.best.x
-            reasons = "".join(f"; {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
+            doubted = "".join(f". {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
             raise NotIdentifiable(
-                f"the flight identifies none of {', '.join(kept)}: their laws are narrower than what it leaves open"
-                f"{reasons}"
+                f"the flight identifies none of {', '.join(kept)}: their laws are narrower than what it leaves open, a "
+                f"standard deviation that is a multiple of the law's, {open_numbers(kept)}. "
+                f"{reasons or width_reasons(problem)}{doubted}"
             )
 
 
@@ -187,6 +206,7 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
     replayed = []
+    rare = []
     needed = []  # signals whose gaps falsify a command
     held: dict[str, int] = {}
     jumps: dict[str, float] = {}
@@ -198,11 +218,13 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             outputs[row] = np.where(np.isfinite(offsets[row]), signals["y"], np.nan)
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
-            commands[row] = forward_filled(command)
+            commands[row] = command
+            if is_rare(command):
+                rare.append(signal_name(channel, "u_total"))
             needed.append(signal_name(channel, "u_total"))
             held |= held_samples({signal_name(channel, "u_total"): command})
             jump = largest_jump(command)
-            if jump > LARGE_JUMP * np.ptp(commands[row]):
+            if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):
                 jumps[signal_name(channel, "u_total")] = jump
             continue
         replay = replayed_channel(study, row, signals, references[row])
@@ -217,7 +239,11 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
     end = log.start + (samples - 1) * loop.sample_time
-    return SampledLog(outputs, offsets, commands, held, tuple(replayed), jumps, log_gaps(log, needed, end))
+    taken, *others = reconstructions(list(commands))
+    gaps = log_gaps(log, needed, end)
+    return SampledLog(
+        outputs, offsets, taken.commands, held, tuple(replayed), jumps, gaps, tuple(rare), taken.text, tuple(others)
+    )
 
 
 def largest_jump(command: np.ndarray) -> float:
@@ -232,9 +258,9 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
     found = []
     for name, jump in log.jumps.items():
         text = (
-            f"{name} changes by {jump:.3g} where the log lacks it, and the last value is held until then: estimates of "
-            "lags, delays, masses and gains may be wrong by more than their intervals. Log every command, with a time "
-            "stamp of its own"
+            f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
+            "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
+            "with a time stamp of its own"
         )
         found.append(Doubt(name, text))
     if log.gaps:
@@ -247,11 +273,12 @@ def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
 
 def wind_doubts(study: Study) -> tuple[Doubt, ...]:
     """That a vehicle which begins in the air in wind begins without the tilt that the wind asks of it."""
-    if not begins_in_air(study) or kind_in(study.config, "wind") == "none":
+    if not begins_in_air(study) or not begins_level(study) or kind_in(study.config, "wind") == "none":
         return ()
     text = (
         "the study begins in the air, level and without body rates, and a vehicle in wind is tilted: estimates of "
-        "wind, drag and integrals may be wrong by more than their intervals. Begin at the take-off"
+        "wind, drag and integrals may be wrong by more than their intervals. Set plant.inner_loop.start = 'settled', "
+        "which is the equilibrium in the wind, or plant.roll, plant.pitch and plant.body_rate, or begin at the take-off"
     )
     return (Doubt("", text),)
 
@@ -290,9 +317,21 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
 
 
 def fitted_minimum(
-    problem: FitProblem, search: MinimumSearch, kept: dict[str, float], covariance_by_kept: np.ndarray
+    problem: FitProblem,
+    search: MinimumSearch,
+    kept: dict[str, float],
+    covariance_by_kept: np.ndarray,
+    moves: np.ndarray,
 ) -> Fitted:
-    """The estimate at the best minimum, with its covariance, if it passes all checks."""
+    """The estimate at the best minimum, with its covariance, if it passes all checks.
+
+    Args:
+        problem: The problem.
+        search: Its minima.
+        kept: Numbers that keep their laws.
+        covariance_by_kept: What they add to the covariance, shape (p, p).
+        moves: How far other commands that may have flown move the coordinates, shape (k, p).
+    """
     study = problem.study
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
@@ -302,8 +341,14 @@ def fitted_minimum(
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
     covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
+    rare = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
+    growth = widest_growth(covariance, covariance + moves.T @ moves)
+    covariance = covariance + moves.T @ moves
     information = np.linalg.inv(covariance)
-    require_identifiable(problem.names, information)
+    try:
+        require_identifiable(problem.names, information)
+    except NotIdentifiable as refusal:
+        raise refusal.because(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
@@ -321,11 +366,12 @@ def fitted_minimum(
         sum(len(readings.values) for readings in problem.readings),
         problem.log.outputs.shape[1],
         problem.log.held,
+        problem.log.between,
         problem.log.replayed,
         search.starts,
         search.best.starts,
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        (*doubts(problem, x, results), *held_doubts(problem.log), *wind_doubts(study), *roughness_doubts(rough)),
+        (*doubts(problem, x, results), *held_doubts(problem.log), *rare, *wind_doubts(study), *roughness_doubts(rough)),
     )

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from dssc_jax.flight_logs.gaps import Gap
 from dssc_jax.flight_logs.prediction import Prediction
+from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
 from dssc_jax.statistics.noise_posterior import NoiseSearch, Posterior
@@ -60,18 +60,6 @@ def prior_width(law: Law) -> float:
     """Standard deviation, on the scale of the fit, of a normal law with the same quantiles of 5 and 95 %."""
     low, high = fit_scale(law, law.quantile(np.array([0.05, 0.95])))
     return float(high - low) / (2.0 * NORMAL_90)
-
-
-class SampledLog(NamedTuple):
-    """A log at the study's samples; arrays of shape (channels, samples)."""
-
-    outputs: np.ndarray  # measured outputs, NaN where missing
-    offsets: np.ndarray  # their times less the sample instants, in samples
-    commands: np.ndarray
-    held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
-    replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
-    jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
-    gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
 
 
 class Readings(NamedTuple):
@@ -153,10 +141,13 @@ class FitProblem:
         medians = {name: law.median for name, law in self.study.laws.items()}
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 
-    def columns(self, x: np.ndarray) -> list[np.ndarray]:
-        """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p)."""
+    def columns(self, x: np.ndarray, commands: np.ndarray | None = None) -> list[np.ndarray]:
+        """Residual r and slopes J at coordinates, for each channel with readings, shape (n, 1 + p).
+
+        The commands are those of the log, or others.
+        """
         values = self.values(x)
-        predicted, slopes = self.predict(values, self.log.commands)
+        predicted, slopes = self.predict(values, self.log.commands if commands is None else commands)
         chain = self.widths * [value if law.logarithmic else 1.0 for law, value in zip(self.laws, values, strict=True)]
         columns = []
         for readings in self.readings:
@@ -165,13 +156,13 @@ class FitProblem:
             columns.append(np.vstack([residual, slope]).T)
         return columns
 
-    def normal_equations(self, x: np.ndarray) -> NormalEquations:
+    def normal_equations(self, x: np.ndarray, commands: np.ndarray | None = None) -> NormalEquations:
         """The normal equations at coordinates; infinite cost where the simulated output diverges."""
         self.count.add()
         size = len(self.names)
         products = np.zeros((1 + size, 1 + size))
         for readings, noise, variance, columns in zip(
-            self.readings, self.noises, self.variances, self.columns(x), strict=True
+            self.readings, self.noises, self.variances, self.columns(x, commands), strict=True
         ):
             if not np.isfinite(columns).all():
                 return NormalEquations(math.inf, np.zeros(size), np.eye(size))

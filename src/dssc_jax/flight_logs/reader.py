@@ -10,7 +10,7 @@ import numpy as np
 from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
 from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight_logs.clocks import sound_rows
-from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, column_map
+from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, TimeSource, column_map
 from dssc_jax.flight_logs.frames import PX4_COLUMNS, derived_fields, field_values
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
@@ -58,6 +58,7 @@ class FlightLog(NamedTuple):
         airborne: When the vehicle was in the air, as far as the file tells.
         file: The file.
         dropped: Number of rows that are left out because their times fall, by signal.
+        clock: The column of times of a CSV or Parquet file.
     """
 
     name: str
@@ -67,6 +68,7 @@ class FlightLog(NamedTuple):
     airborne: tuple[Segment, ...] = ()
     file: Path | None = None
     dropped: Mapping[str, int] = MappingProxyType({})
+    clock: TimeSource = TimeSource()
 
     def is_cut(self) -> bool:
         """Whether its file ends within a message; reads the file once more."""
@@ -137,7 +139,7 @@ def read_log(
                 dropped[name] = count
     first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
     start = first if columns.start is None else columns.start
-    return FlightLog(file.name, converted, start, damaged, airborne, file, dropped)
+    return FlightLog(file.name, converted, start, damaged, airborne, file, dropped, columns.time)
 
 
 def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:

@@ -41,12 +41,18 @@ class NotIdentifiable(FitRefused):
         message: The reason.
         number: The number with the largest part in it; None: all of them.
         width: The standard deviation along that combination over that of the laws.
+        reasons: What made it wide, and what to do, which the message ends with.
     """
 
-    def __init__(self, message: str, number: str | None = None, width: float = math.inf) -> None:
-        super().__init__(message)
+    def __init__(self, message: str, number: str | None = None, width: float = math.inf, reasons: str = "") -> None:
+        super().__init__(f"{message}. {reasons}" if reasons else message)
         self.number = number
         self.width = width
+        self.reasons = reasons
+
+    def because(self, reasons: str) -> "NotIdentifiable":
+        """The same with reasons."""
+        return NotIdentifiable(str(self), self.number, self.width, reasons)
 
 
 class Unexplained(FitRefused):

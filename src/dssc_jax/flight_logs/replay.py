@@ -19,6 +19,7 @@ from dssc_jax.engine import kernels
 from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
+from dssc_jax.flight_logs.attitudes import attitude_hints
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
 from dssc_jax.flight_logs.reader import (
@@ -267,7 +268,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-    hints = LogHints(conversions, compared.shifts, compared.slopes, start_hints(study, log))
+    hints = LogHints(
+        conversions, compared.shifts, compared.slopes, start_hints(study, log) | attitude_hints(study, log)
+    )
     differences = compared.differences
     dropped = dict(log.dropped)
     return LogReplay(samples, logged, replays, held, not_replayed, differences, compared.rates, hints, dropped)

@@ -37,6 +37,15 @@ def begins_in_air(study: Study) -> bool:
     return software.settled(study.template.plant) or any(fixed.values()) or len(fixed) < len(names)
 
 
+def begins_level(study: Study) -> bool:
+    """Whether a vehicle begins without a tilt, whatever the wind."""
+    software = study.loop.mimo_plant.software
+    if software is None or software.settled(study.template.plant):
+        return False
+    given = [study.numbers.get(f"plant.{name}") for name in ("roll", "pitch")]
+    return all(number is None or number.value == 0.0 for number in given)
+
+
 def start_remedy(name: str) -> str:
     """What to do about integrals that start elsewhere.
 
@@ -45,8 +54,9 @@ def start_remedy(name: str) -> str:
     """
     section, field, _ = name.rsplit(".", 2)
     return (
-        f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air, or give the "
-        f"integrals laws, such as {field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}], which a fit estimates"
+        f"Begin at the take-off, set {section}.start = 'settled' for a vehicle that hovers in still air or in a steady "
+        f"wind, or give the integrals laws, such as {field} = [0.0, 0.0, {{ normal = [0.0, 1.0] }}] in [{section}], "
+        "which a fit estimates"
     )
 
 

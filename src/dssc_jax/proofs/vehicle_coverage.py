@@ -111,6 +111,9 @@ def require_loop(study: Study) -> None:
     loop = study.loop
     if study.config.event:
         raise NotCovered("[[event]] changes the loop at a time")
+    plant: UavParams = study.template.plant
+    if any((plant.roll or 0.0, plant.pitch or 0.0, *plant.body_rate)):
+        raise NotCovered("plant.roll, plant.pitch or plant.body_rate is not 0: a proof starts level and does not turn")
     if loop.reference not in (HOVER, WHOLE_MISSION):
         raise NotCovered("a proof of the vehicle takes reference.kind = 'hover' or 'mission'")
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:

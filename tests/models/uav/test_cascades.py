@@ -9,7 +9,8 @@ from dssc_jax.core.smoothness import declared_smoothness
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.design.certification import Ends, NotCovered
 from dssc_jax.models.uav import UAV
-from dssc_jax.models.uav.inner_loops.px4 import Px4Gains, gains_from
+from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
+from dssc_jax.models.uav.inner_loops.px4_parameters import gains_from
 from dssc_jax.models.uav.inner_loops.sampled import Readings
 from dssc_jax.proofs.vehicle_coverage import require_inner_loop
 from tests.models.uav.cascades_by_hand import Craft, Crazyflie, Px4, flight

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import dssc_jax as dj
-from dssc_jax.core.contracts import WindBounds
+from dssc_jax.core.wind import WindBounds
 from tests.models.wind.test_wind import TABLES, arrays, parsed
 from tests.tolerances import ROUNDING
 

@@ -24,7 +24,7 @@ from dssc_jax.models.uav.airframe_rotors import (
     scaled,
 )
 from dssc_jax.models.uav.desaturation import Desaturation
-from dssc_jax.models.uav.inner_loops.px4 import GAIN_PARAMETERS, gains_from
+from dssc_jax.models.uav.inner_loops.px4_parameters import GAIN_PARAMETERS, gains_from
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import GRAVITY
 

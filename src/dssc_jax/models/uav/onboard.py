@@ -13,9 +13,10 @@ from dssc_jax.models.uav.estimators import Estimator, NoEstimator
 from dssc_jax.models.uav.estimators.sensors import Motion, Random
 from dssc_jax.models.uav.inner_loops import SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
-from dssc_jax.models.uav.inner_loops.sampled import Readings, allocated_moment, conjugate, product
+from dssc_jax.models.uav.inner_loops.sampled import Readings, Trim, allocated_moment, conjugate, product
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.parameters import UavParams
+from dssc_jax.models.uav.trim import trim
 
 
 class HeldLoop(NamedTuple):
@@ -83,10 +84,23 @@ def required_loop(params: UavParams) -> SampledInnerLoop:
     return loop
 
 
-def software_start(params: UavParams, state: UavState) -> HeldLoop:
-    """A sampled inner loop in hover."""
-    software = required_loop(params).init(params.craft, readings_of(state), params.first_carrying)
-    return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
+def trim_of(params: UavParams, wind: Vec3 | None) -> Trim | None:
+    """The equilibrium in which the integrals start; None: that of still air, or none."""
+    return trim(params, wind) if wind is not None and starts_settled(params) else None
+
+
+def software_start(params: UavParams, state: UavState, wind: Vec3 | None) -> HeldLoop:
+    """A sampled inner loop at the start in a wind [m/s]; None: there is none."""
+    return held_start(params, state, trim_of(params, wind))
+
+
+def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> HeldLoop:
+    """A sampled inner loop in a trim; None: in hover in still air."""
+    loop = required_loop(params)
+    software = loop.init(params.craft, readings_of(state), params.first_carrying)
+    if trimmed is None:
+        return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
+    return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, 0.0)
 
 
 def first_integrals(params: UavParams) -> tuple[str, ...]:

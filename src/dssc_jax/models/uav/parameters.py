@@ -43,6 +43,9 @@ class InnerModel(NamedTuple):
 class UavParams(NamedTuple):
     """Parameters of the UAV.
 
+    The attitude at the start is R_z(yaw) R_y(pitch) R_x(roll). Absent roll and pitch are 0, or those of the equilibrium
+    in the wind if the integrals start settled.
+
     The fields after ``battery`` follow from the vehicle's nominal values before tracing: ``allocation``, rows
     (f, M) -> f_i; ``moments``, rows f_i -> M; ``hover_shares``, each rotor's share of the weight in hover, of rotors on
     a circle only where they differ; ``believed_rotors``, the nominal k_T of rotors anywhere, while those on a circle
@@ -55,6 +58,13 @@ class UavParams(NamedTuple):
     position: Annotated[tuple[Scalar, ...], Quantity("m", "initial position")] = (0.0, 0.0, 0.0)
     velocity: Annotated[tuple[Scalar, ...], Quantity("m/s", "initial velocity")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "initial yaw psi")] = 0.0
+    roll: Annotated[Scalar | None, Quantity("rad", "initial roll phi")] = None
+    pitch: Annotated[Scalar | None, Quantity("rad", "initial pitch theta")] = None
+    body_rate: Annotated[tuple[Scalar, ...], Quantity("rad/s", "initial body rate, about body x, y, z")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     estimator: Annotated[NoEstimator | Estimator, Slot(ESTIMATORS, default="none")] = NoEstimator()
     desaturation: Desaturation = Desaturation.CLIP
     ground: Ground | None = None
@@ -130,7 +140,7 @@ def prepare(params: UavParams) -> UavParams:
         allocation = flying_allocation(vehicle)
     except ConfigError as error:
         raise error.within_path("vehicle") from None
-    for name in ("position", "velocity"):
+    for name in ("position", "velocity", "body_rate"):
         if len(getattr(params, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
     plain = vehicle._replace(

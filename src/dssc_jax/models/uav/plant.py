@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import quantities_of
 from dssc_jax.core.signals import Measurement, PlantInput, Scalar, State
 from dssc_jax.core.smoothness import Smoothness, not_smooth, piecewise
 from dssc_jax.core.units import ANGLE, POSITION
-from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
+from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.aerodynamics import drag
 from dssc_jax.models.uav.allocation import Thrusts, allocate
@@ -25,11 +25,13 @@ from dssc_jax.models.uav.estimators.sensors import rotation_vector
 from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
 from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
+from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
 from dssc_jax.models.uav.onboard import (
     EstimationError,
     UavState,
     estimator_of,
     first_integrals,
+    held_start,
     readings_of,
     renew_estimate,
     rotor_sentences,
@@ -41,6 +43,7 @@ from dssc_jax.models.uav.onboard import (
     software_tick,
     start_estimate,
     starts_settled,
+    trim_of,
     velocity_commands,
 )
 from dssc_jax.models.uav.parameters import UavParams, prepare
@@ -52,23 +55,43 @@ LEAST_UPRIGHT = math.cos(math.radians(85.0))  # cos phi cos theta below this is 
 
 
 def init(params: UavParams) -> UavState:
-    """Attitude at rest; rotors with a lag turn at the speed that the inner loop commands at first."""
-    vehicle = params.vehicle
+    """The state at the start; rotors with a lag turn at the speed that the inner loop commands at first."""
+    return start_state(params, None)
+
+
+def settle(params: UavParams, state: UavState, wind: Vec3) -> UavState:
+    """The state at the start in a wind [m/s]: in equilibrium with it if the integrals start settled."""
+    trimmed = trim_of(params, wind)
+    return state if trimmed is None else start_state(params, trimmed)
+
+
+def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
+    """The state at the start, in a trim or in hover in still air."""
     zero = Vec3(0.0, 0.0, 0.0)
     speeds = ()
-    if vehicle.motor_lag is not None:
-        first = zip(params.first_thrusts, params.believed_coefficients, strict=True)
+    if params.vehicle.motor_lag is not None:
+        thrusts = params.first_thrusts if trimmed is None else trimmed.rotor
+        first = zip(thrusts, params.believed_coefficients, strict=True)
         speeds = tuple(root_abs(f / coefficient) for f, coefficient in first)
-    attitude = quaternion_from_euler(0.0, 0.0, params.yaw)
+    level = Angles(0.0, 0.0, params.yaw) if trimmed is None else trimmed.angles
+    phi = level.phi if params.roll is None else params.roll
+    theta = level.theta if params.pitch is None else params.pitch
+    attitude = turned(Angles(phi, theta, params.yaw))
     integrals: State = ()
-    if isinstance(params.inner_loop, InnerGains):
-        integrals = Integrals(params.inner_loop.first_velocity_integral(params.craft, params.first_carrying), 0.0)
-    state = UavState(Vec3(*params.position), Vec3(*params.velocity), attitude, zero, integrals, speeds)
+    gains = params.inner_loop
+    if isinstance(gains, InnerGains):
+        if trimmed is None:
+            integrals = Integrals(gains.first_velocity_integral(params.craft, params.first_carrying), 0.0)
+        else:
+            integrals = gains.trimmed(params.craft, trimmed)
+    state = UavState(
+        Vec3(*params.position), Vec3(*params.velocity), attitude, Vec3(*params.body_rate), integrals, speeds
+    )
     if estimator_of(params) is not None:
         state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
     if params.battery is not None:
         state = state._replace(charge=params.battery.charge)
-    return state if sampled_loop(params) is None else state._replace(inner=software_start(params, state))
+    return state if sampled_loop(params) is None else state._replace(inner=held_start(params, state, trimmed))
 
 
 class RotorCommands(NamedTuple):
@@ -252,6 +275,7 @@ UAV = Plant(
     smooth=smoothness,
     info=UavInfo,
     outputs=outputs,
+    settle=settle,
     software=Onboard(
         period=software_period,
         start=software_start,

@@ -1,8 +1,9 @@
 """Registry of winds: velocity of the air in the inertial frame, z up; a family is one file."""
 
-from dssc_jax.core.contracts import NoParams, Wind, WindBounds, stateless, unchanged
+from dssc_jax.core.contracts import NoParams, stateless, unchanged
 from dssc_jax.core.registry import Registry, single
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind, WindBounds
 from dssc_jax.models.wind.bounded import BOUNDED_WIND
 from dssc_jax.models.wind.dryden import DRYDEN
 from dssc_jax.models.wind.prescribed import CONSTANT_WIND, GUST, PIECEWISE, SPLINE_WIND

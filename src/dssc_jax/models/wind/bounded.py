@@ -6,11 +6,11 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Wind, WindBounds
 from dssc_jax.core.numerics import uniforms
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind, WindBounds
 
 VERTICAL_SHARE = 0.5  # default bound of |w_z| relative to that of the horizontal wind (assumed)
 
@@ -101,4 +101,11 @@ def bounded_value(params: BoundedWindParams, state: BoundedWindState, t: Scalar)
     return towards(state.wind, state.target, params.rate * (t - state.since))
 
 
-BOUNDED_WIND = Wind(BoundedWindParams, bounded_init, bounded_step, bounded_value, bounds=bounded_limits)
+def bounded_mean(params: BoundedWindParams, dt: Scalar) -> Vec3:
+    """No wind: all directions are equally likely."""
+    return Vec3(0.0, 0.0, 0.0)
+
+
+BOUNDED_WIND = Wind(
+    BoundedWindParams, bounded_init, bounded_step, bounded_value, bounds=bounded_limits, mean=bounded_mean
+)

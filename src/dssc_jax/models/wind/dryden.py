@@ -11,11 +11,11 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Wind
 from dssc_jax.core.numerics import elapsed_share, standard_normals
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind
 from dssc_jax.models.wind.prescribed import START
 
 FOOT = 0.3048
@@ -172,4 +172,10 @@ def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
     return Vec3(along * c - across * s, along * s + across * c, law.sigma_w * state.w.output) * state.on
 
 
-DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value)
+def dryden_mean(params: DrydenParams, dt: Scalar) -> Vec3:
+    """The mean wind over the first sample."""
+    speed = dryden_law(params).mean * elapsed_share(params.at, 0.0, dt)
+    return Vec3(speed * jnp.cos(params.direction), speed * jnp.sin(params.direction), 0.0)
+
+
+DRYDEN = Wind(DrydenParams, dryden_init, dryden_step, dryden_value, mean=dryden_mean)

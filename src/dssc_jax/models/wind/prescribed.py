@@ -15,12 +15,13 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from dssc_jax.core.contracts import Wind, WindBounds, stateless, unchanged
+from dssc_jax.core.contracts import stateless, unchanged
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import cubic_spline, elapsed_share
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import Params, Scalar, State
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind, WindBounds
 
 X = Quantity("m/s", "wind velocity along x")
 Y = Quantity("m/s", "wind velocity along y")

@@ -4,12 +4,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.contracts import Wind, WindBounds, stateless, unchanged
+from dssc_jax.core.contracts import stateless, unchanged
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.records import TIMES, Interpolation, Pieces, Values, columns_as_pieces, piece_at
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Vec3
+from dssc_jax.core.wind import Wind, WindBounds
 from dssc_jax.models.wind.prescribed import enclosing
 
 

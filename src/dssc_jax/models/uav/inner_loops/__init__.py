@@ -11,7 +11,7 @@ from dssc_jax.core.vectors import Vec3
 from dssc_jax.models.uav.inner_loops.article import InnerGains
 from dssc_jax.models.uav.inner_loops.crazyflie import CrazyflieGains
 from dssc_jax.models.uav.inner_loops.px4 import Px4Gains
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench
 from dssc_jax.models.uav.inner_loops.start import Start
 
 S = TypeVar("S")
@@ -40,6 +40,10 @@ class SampledInnerLoop(Protocol[S]):
 
     def init(self, craft: Craft, readings: Readings, carrying: Scalar) -> S:
         """The state in hover, where the wanted thrust ``carrying`` carries the weight of the draw [N]."""
+        ...
+
+    def trimmed(self, craft: Craft, state: S, trim: Trim) -> S:
+        """The state with integrals that hold a trim, to which their numbers in the study add."""
         ...
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:

@@ -18,15 +18,18 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.numerics import is_zero
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.inner_loops.sampled import Craft, require_integral
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Trim, require_integral, turned
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.rigid_body import turning_moment
 from dssc_jax.models.uav.vehicle import GRAVITY
 
+FEED_FORWARD_ROUNDS = 12
+"""Rounds in which desired angles and their fed-forward rates agree in a trim."""
 LEAST_LIFT = 0.1 * GRAVITY  # a_z + g is bounded below by g/10
 
 
@@ -79,6 +82,36 @@ class InnerGains(NamedTuple):
         if self.start is Start.ZERO:
             return integral
         return integral._replace(z=integral.z + (carrying / craft.mass - GRAVITY) / self.kp_velocity)
+
+    def trimmed(self, craft: Craft, trim: Trim) -> "Integrals":
+        """The integrals that hold a trim; their numbers in the study add to those of velocity [m].
+
+        The attitude loops have no integral action: where the trim has a moment, the desired angles differ from the
+        angles.
+        """
+        rotation = turned(trim.angles).matrix()
+        at = trig_of(rotation)
+        wanted = euler_rates(at, trim.moment.over(craft.inertia))
+        share = trim.thrust / craft.mass
+        surplus = trim.upward * share - Vec3(0.0, 0.0, GRAVITY)
+        feeds = self.attitude is AttitudeReference.RATE_FEED_FORWARD
+        turning = (0.0, 0.0)
+        desired = Vec3(0.0, 0.0, GRAVITY)
+        for _ in range(FEED_FORWARD_ROUNDS if feeds else 1):
+            phi = trim.angles.phi + (wanted.phi - self.kd_attitude * turning[0]) / self.kp_attitude
+            theta = trim.angles.theta + (wanted.theta - self.kd_attitude * turning[1]) / self.kp_attitude
+            by_norm = self.thrust is ThrustRule.NORM
+            up = share * (jnp.cos(phi) * jnp.cos(theta) if by_norm else rotation.c.z)
+            forward = up * jnp.tan(theta)
+            left = up * jnp.tan(phi) / jnp.cos(theta)
+            desired = Vec3(forward * at.cpsi + left * at.spsi, forward * at.spsi - left * at.cpsi, up)
+            if feeds:
+                heading = (at.cpsi, at.spsi)
+                moving = (surplus * -self.kd_velocity, (jnp.zeros_like(at.cpsi), jnp.zeros_like(at.spsi)))
+                turning = jax.jvp(desired_tilt, (desired, heading), moving)[1]
+        held = (desired - Vec3(0.0, 0.0, GRAVITY)) / self.kp_velocity
+        yaw = 0.0 if is_zero(self.kp_yaw) else wanted.psi / self.kp_yaw
+        return Integrals(Vec3(*self.velocity_integral) + held, yaw)
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
         """The wanted thrust at the start without an error of velocity [N]."""

@@ -20,12 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import clip, wrap_angle
+from dssc_jax.core.numerics import clip, is_zero, wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Wrench, limited, require_integral
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench, limited, require_integral
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.vehicle import GRAVITY
 
@@ -157,6 +157,25 @@ class CrazyflieGains(NamedTuple):
         lacking = (carrying - self.hover_thrust(craft)) / craft.full_thrust
         return integral._replace(z=integral.z + lacking / self.climb_i)
 
+    def trimmed(self, craft: Craft, state: "CrazyflieState", trim: Trim) -> "CrazyflieState":
+        """The state whose integrals hold a trim; their numbers in the study add to it.
+
+        An integral without a gain stays as it is: then nothing holds that part of the trim.
+        """
+        lacking = (trim.thrust - self.hover_thrust(craft)) / craft.full_thrust
+        held = Vec3(
+            over_gain(trim.angles.theta, self.velocity_i),
+            over_gain(-trim.angles.phi, self.velocity_i),
+            over_gain(lacking, self.climb_i),
+        )
+        torque = trim.moment.over(torque_units(craft))
+        rates = Vec3(*(over_gain(value, gain) for value, gain in zip(torque, self.rate_i, strict=True)))
+        return state._replace(
+            velocity=state.velocity._replace(integral=Vec3(*self.velocity_integral) + held),
+            rate=state.rate._replace(integral=Vec3(*self.rate_integral) + rates),
+            thrust=trim.thrust / craft.full_thrust,
+        )
+
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
         """The wanted thrust at the start without an error of velocity [N]."""
         climb = self.climb_i * self.first_velocity_integral(craft, carrying).z
@@ -264,6 +283,11 @@ def pid(
     integral = limited(state.integral + error * dt, integral_max)
     output = error.scale(proportional) + integral.scale(integral_gain) - slope.scale(derivative)
     return Pid(integral, measured), output
+
+
+def over_gain(value: Scalar, gain: Scalar) -> Scalar:
+    """The integral that gives a value; 0 where its gain is known to be 0."""
+    return 0.0 if is_zero(gain) else value / gain
 
 
 def angles_of(rotation: Mat3) -> Vec3:

@@ -16,9 +16,7 @@ References:
     L. Rundqwist, Anti-reset windup for PID controllers (1990).
 """
 
-import itertools
 import math
-from collections.abc import Mapping
 from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
@@ -27,7 +25,6 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, root_abs
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.toml import TomlTable
 from dssc_jax.core.vectors import Quaternion, Vec3
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.desaturation import scales_of
@@ -35,6 +32,7 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     Craft,
     LowPass,
     Readings,
+    Trim,
     Wrench,
     blend,
     canonical,
@@ -149,6 +147,17 @@ class Px4Gains(NamedTuple):
         if self.start is Start.ZERO:
             return integral
         return integral._replace(z=integral.z + GRAVITY * (carrying / self.hover_thrust(craft) - 1.0))
+
+    def trimmed(self, craft: Craft, state: "Px4State", trim: Trim) -> "Px4State":
+        """The state whose integrals hold a trim; their numbers in the study add to it."""
+        upward = trim.upward
+        lift = GRAVITY * (trim.thrust * upward.z / self.hover_thrust(craft) - 1.0)
+        held = Vec3(GRAVITY * upward.x / upward.z, GRAVITY * upward.y / upward.z, lift)
+        return state._replace(
+            velocity_integral=Vec3(*self.velocity_integral) + held,
+            thrust=upward * (trim.thrust / craft.full_thrust),
+            rate_integral=Vec3(*self.rate_integral) + trim.moment.over(torque_units(craft)),
+        )
 
     def first_thrust(self, craft: Craft, carrying: Scalar) -> Scalar:
         """The wanted thrust at the start without an error of velocity [N]."""
@@ -337,58 +346,3 @@ def attitude_of(thrust: Vec3, present: Quaternion) -> Quaternion:
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
-
-
-PARAMETERS = {
-    "velocity_p_xy": "MPC_XY_VEL_P_ACC",
-    "velocity_i_xy": "MPC_XY_VEL_I_ACC",
-    "velocity_d_xy": "MPC_XY_VEL_D_ACC",
-    "velocity_p_z": "MPC_Z_VEL_P_ACC",
-    "velocity_i_z": "MPC_Z_VEL_I_ACC",
-    "velocity_d_z": "MPC_Z_VEL_D_ACC",
-    "thrust_min": "MPC_THR_MIN",
-    "thrust_max": "MPC_THR_MAX",
-    "thrust_margin": "MPC_THR_XY_MARG",
-    "thrust_hover": "MPC_THR_HOVER",
-    "yaw_weight": "MC_YAW_WEIGHT",
-    "gyro_cutoff": "IMU_GYRO_CUTOFF",
-    "derivative_cutoff": "IMU_DGYRO_CUTOFF",
-}
-"""PX4's parameters of the fields that are single numbers in the same units."""
-TRIPLES = {
-    "attitude_p": ("MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P"),
-    "rate_i": ("MC_ROLLRATE_I", "MC_PITCHRATE_I", "MC_YAWRATE_I"),
-    "rate_p": ("MC_ROLLRATE_P", "MC_PITCHRATE_P", "MC_YAWRATE_P"),
-    "rate_d": ("MC_ROLLRATE_D", "MC_PITCHRATE_D", "MC_YAWRATE_D"),
-    "rate_ff": ("MC_ROLLRATE_FF", "MC_PITCHRATE_FF", "MC_YAWRATE_FF"),
-    "rate_integral_max": ("MC_RR_INT_LIM", "MC_PR_INT_LIM", "MC_YR_INT_LIM"),
-}
-DEGREES = {"rate_max": ("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX")}
-FACTORS = ("MC_ROLLRATE_K", "MC_PITCHRATE_K", "MC_YAWRATE_K")
-"""PX4's factors of the gains P, I and D of the rate loops."""
-FACTORED = ("rate_p", "rate_i", "rate_d")
-TILT = "MPC_TILTMAX_AIR"
-GAIN_PARAMETERS = (*PARAMETERS.values(), *itertools.chain(*(TRIPLES | DEGREES).values()), *FACTORS, TILT)
-"""All parameters of PX4 that :func:`gains_from` takes."""
-
-
-def gains_from(parameters: Mapping[str, float]) -> TomlTable:
-    """The table ``[plant.inner_loop]`` of PX4's parameters, MC_ and MPC_; what they do not set has its default."""
-    table: TomlTable = {"kind": "px4"}
-    for field, name in PARAMETERS.items():
-        if name in parameters:
-            table[field] = parameters[name]
-    for field, names in (TRIPLES | DEGREES).items():
-        involved = names + FACTORS if field in FACTORED else names
-        if not any(name in parameters for name in involved):
-            continue
-        values = []
-        for place, name in enumerate(names):
-            default = Px4Gains._field_defaults[field][place]
-            value = parameters.get(name, math.degrees(default) if field in DEGREES else default)
-            value = math.radians(value) if field in DEGREES else value
-            values.append(value * parameters.get(FACTORS[place], 1.0) if field in FACTORED else value)
-        table[field] = values
-    if TILT in parameters:
-        table["tilt_max"] = math.radians(parameters[TILT])
-    return table

@@ -6,10 +6,11 @@ from typing import NamedTuple, Protocol
 import jax.numpy as jnp
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.numerics import clip, dot
+from dssc_jax.core.numerics import clip, dot, root_abs
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Quaternion, Vec3
+from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
+from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.inner_loops.start import Start
 
 
@@ -49,6 +50,50 @@ class Wrench(NamedTuple):
 
     thrust: Scalar
     moment: Vec3
+
+
+class Angles(NamedTuple):
+    """Roll phi, pitch theta and yaw psi [rad] of R_z(psi) R_y(theta) R_x(phi)."""
+
+    phi: Scalar
+    theta: Scalar
+    psi: Scalar
+
+
+class Trim(NamedTuple):
+    """The equilibrium that an inner loop has to hold.
+
+    Args:
+        angles: The attitude.
+        thrust: Wanted net thrust [N].
+        moment: Wanted moment, body frame [N m].
+        rotor: Commanded thrusts of the rotors [N].
+    """
+
+    angles: Angles
+    thrust: Scalar
+    moment: Vec3
+    rotor: tuple[Scalar, ...]
+
+    @property
+    def upward(self) -> Vec3:
+        """Body z, inertial."""
+        rotation = turned(self.angles).matrix()
+        return Vec3(rotation.a.z, rotation.b.z, rotation.c.z)
+
+
+def turned(angles: Angles) -> Quaternion:
+    """The attitude of angles."""
+    return quaternion_from_euler(*angles)
+
+
+def body_angles(upward: Vec3, psi: Scalar) -> Angles:
+    """The angles at which body z points along a vector of length 1, at a yaw [rad]."""
+    cosine = jnp.cos(psi)
+    sine = jnp.sin(psi)
+    forward = upward.x * cosine + upward.y * sine
+    left = upward.y * cosine - upward.x * sine
+    return Angles(atan2(-left, root_abs(forward * forward + upward.z * upward.z)), atan2(forward, upward.z), psi)
 
 
 class StartsSettled(Protocol):

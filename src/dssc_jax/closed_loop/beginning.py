@@ -1,0 +1,37 @@
+"""The states of plant and controllers before the first sample."""
+
+import jax
+import jax.numpy as jnp
+
+from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.core.numerics import as_arrays
+from dssc_jax.core.signals import State
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.wind import NO_WIND
+
+
+def first_wind(loop: Loop, params: LoopParams) -> Vec3 | None:
+    """The mean wind at the start [m/s]; None: the study has no wind."""
+    return None if loop.wind is NO_WIND else loop.wind.at_start(params.wind, loop.sample_time)
+
+
+def begin_plant(loop: Loop, params: LoopParams, key: jax.Array) -> State:
+    """The plant's state at t = 0; what it keeps outside of JAX begins."""
+    state = loop.plant.init(params.plant)
+    wind = first_wind(loop, params)
+    if loop.plant.settle is not None and wind is not None:
+        state = loop.plant.settle(params.plant, state, wind)
+    state = as_arrays(state)
+    if loop.plant.begin is None:
+        return state
+    lane = jax.random.bits(loop.key(key, "plant"), dtype=jnp.uint32)
+    return as_arrays(loop.plant.begin(params.plant, state, lane, loop.steps * loop.substeps))
+
+
+def begin_controller(loop: Loop, params: LoopParams, key: jax.Array, i: int, state: State) -> State:
+    """The state of the controller of channel i before its first step; what it keeps outside of JAX begins."""
+    begin = loop.controller[i].begin
+    if begin is None:
+        return state
+    lane = jax.random.bits(loop.key(key, "controller", loop.channels[i]), dtype=jnp.uint32)
+    return begin(params.controller[i], state, lane, loop.steps)

@@ -1,0 +1,54 @@
+"""The contract that models of wind implement."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+
+from dssc_jax.core.contracts import as_given
+from dssc_jax.core.signals import Params, Scalar, State
+from dssc_jax.core.vectors import Vec3
+
+
+class WindBounds(NamedTuple):
+    """Bounds that every wind of a kind keeps at all times, whatever its random numbers.
+
+    Args:
+        speed: Bound of the norm of the horizontal wind [m/s].
+        vertical: Bound of the vertical wind |w_z| [m/s].
+        rate: Bound of |w'| of the horizontal vector, and of the vertical component [m/s^2]; None: the wind may jump.
+    """
+
+    speed: Scalar
+    vertical: Scalar
+    rate: Scalar | None
+
+
+class Wind(NamedTuple):
+    """Wind velocity in the inertial frame, z up [m/s].
+
+    Args:
+        params: NamedTuple type of the parameters.
+        init: ``(params, key) -> state``.
+        step: ``(params, state, key, t, dt) -> state`` at each sample: what is held over [t, t + dt).
+        value: ``(params, state, t) -> Vec3``, evaluated in every stage of the integrator.
+        prepare: As in :class:`Plant`.
+        bounds: ``(params) -> WindBounds`` of prepared parameters without laws; None: no bound is known.
+        mean: ``(params, dt) -> Vec3``: the mean of the wind over the first sample, of length dt; None: its value, which
+            is the mean of a wind without random numbers.
+    """
+
+    params: type
+    init: Callable[[Params, jax.Array], State]
+    step: Callable[[Params, State, jax.Array, Scalar, Scalar], State]
+    value: Callable[[Params, State, Scalar], Vec3]
+    prepare: Callable[[Params], Params] = as_given
+    bounds: Callable[[Params], WindBounds] | None = None
+    mean: Callable[[Params, Scalar], Vec3] | None = None
+
+    def at_start(self, params: Params, dt: Scalar) -> Vec3:
+        """The mean wind over the first sample, of length dt."""
+        if self.mean is not None:
+            return self.mean(params, dt)
+        key = jax.random.key(0)
+        return self.value(params, self.step(params, self.init(params, key), key, 0.0, dt), 0.0)

@@ -1,0 +1,160 @@
+"""Commands that are logged more rarely than the controller gives them.
+
+What flew between two logged commands is not known: the last one was held, or a controller of twice the rate gave one in
+between. The flight tells which. Each reconstruction of the commands is compared by the sum of squares that it leaves:
+the best one counts, and those that describe the flight as well widen the intervals by how far they move the estimates.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum
+from dssc_jax.flight_logs.reader import forward_filled
+from dssc_jax.flight_logs.refusals import Doubt
+from dssc_jax.flight_logs.sampled_log import Reconstruction, SampledLog
+
+LACKING = 0.25  # of the samples: a command that lacks more is logged more rarely than it is given
+STAIRCASE = 0.2  # of the logged values that repeat the one before: the controller itself is as slow
+REGULAR = 2.5  # of the median gap: over longer gaps a command is held
+JUMP = 5.0  # of the changes before and after: a larger change is a jump, and no straight line
+LEVEL = 0.95  # of chi squared, below which two reconstructions describe a flight equally well
+TOLD = 0.5  # of a standard deviation: a reconstruction that moves an estimate by less is not told
+
+HELD = "its last value is held"
+LATE = "it follows straight lines, and jumps with the next logged value"
+EARLY = "it follows straight lines, and jumps right after the last logged value"
+
+
+def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...]:
+    """Commands at all samples, by the reconstructions that are possible; the first one is the likeliest.
+
+    Args:
+        commands: Of each channel, NaN where the log lacks it, shape (samples,).
+    """
+    held = np.array([forward_filled(command) for command in commands])
+    if not any(is_rare(command) for command in commands):
+        return (Reconstruction(HELD, held),)
+    found: list[Reconstruction] = []
+    for text, early in ((LATE, False), (EARLY, True)):
+        rows = []
+        for command, row in zip(commands, held, strict=True):
+            rows.append(along_lines(command, early) if is_rare(command) else row)
+        found.append(Reconstruction(text, np.array(rows)))
+    found.append(Reconstruction(HELD, held))
+    different = [found[0]]
+    for other in found[1:]:
+        if not any(np.array_equal(other.commands, known.commands) for known in different):
+            different.append(other)
+    return tuple(different)
+
+
+def is_rare(command: np.ndarray) -> bool:
+    """Whether a command is logged more rarely than it is given: it lacks many samples, and hardly repeats a value."""
+    values = command[np.isfinite(command)]
+    if len(values) < 3 or np.mean(np.isnan(command)) < LACKING or np.ptp(values) == 0.0:
+        return False
+    return float(np.mean(np.diff(values) == 0.0)) < STAIRCASE
+
+
+def along_lines(command: np.ndarray, early: bool) -> np.ndarray:
+    """A command that follows straight lines between its values; it is held over long gaps.
+
+    Where it jumps, it keeps the last value until the next one is logged, or has the next one at once, if ``early``.
+    """
+    known = np.flatnonzero(np.isfinite(command))
+    values = command[known]
+    gaps = np.diff(known)
+    changes = np.abs(np.diff(values))
+    before = np.concatenate([[0.0], changes[:-1]])
+    after = np.concatenate([changes[1:], [0.0]])
+    jumps = changes > JUMP * np.maximum(before, after)
+    filled = forward_filled(command)
+    lines = np.interp(np.arange(len(command)), known, values)
+    for begin, end, value, is_jump, gap in zip(known[:-1], known[1:], values[1:], jumps, gaps, strict=True):
+        if gap > REGULAR * np.median(gaps):
+            continue
+        if not is_jump:
+            filled[begin:end] = lines[begin:end]
+        elif early:
+            filled[begin + 1 : end] = value
+    return filled
+
+
+class ComparedCommands(NamedTuple):
+    """Another reconstruction beside that of the fit: its sum of squares, and how far it moves the coordinates."""
+
+    other: Reconstruction
+    cost: float
+    move: np.ndarray
+
+
+def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
+    """The other reconstructions of a log's commands, each after one step of Gauss and Newton from a minimum."""
+    found = []
+    for other in problem.log.others:
+        equations = problem.normal_equations(minimum.x, other.commands)
+        diagonal = np.diag(np.maximum(np.diag(equations.information), TINY))
+        move = np.linalg.lstsq(equations.information + 1e-9 * diagonal, equations.gradient, rcond=None)[0]
+        x = minimum.x + move
+        cost = equations.cost
+        if problem.is_admissible(problem.values(x)):
+            cost = min(cost, problem.normal_equations(x, other.commands).cost)
+        found.append(ComparedCommands(other, cost, move))
+    return found
+
+
+def allowed_difference(problem: FitProblem) -> float:
+    """Difference of two weighted sums of squares below which both describe the flight equally well."""
+    return float(stats.chi2.ppf(LEVEL, len(problem.names)))
+
+
+def better_commands(
+    problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]
+) -> Reconstruction | None:
+    """The reconstruction that describes the flight best; None if it is that of the fit."""
+    best = min(compared, key=lambda each: each.cost, default=None)
+    if best is None or not best.cost < minimum.cost - allowed_difference(problem):
+        return None
+    return best.other
+
+
+def with_commands(log: SampledLog, taken: Reconstruction) -> SampledLog:
+    """The log with other commands; those before count no more."""
+    others = tuple(other for other in log.others if other is not taken)
+    return log._replace(commands=taken.commands, between=taken.text, others=others)
+
+
+def command_moves(problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]) -> np.ndarray:
+    """How far reconstructions that describe the flight as well move the coordinates, shape (k, p)."""
+    most = minimum.cost + allowed_difference(problem)
+    moves = [each.move for each in compared if each.cost <= most]
+    return np.array(moves).reshape(len(moves), len(problem.names))
+
+
+def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[Doubt, ...]:
+    """What is told of commands that are logged more rarely than they are given.
+
+    Args:
+        problem: The problem.
+        moves: Of :func:`command_moves`.
+        deviations: Standard deviations of the coordinates without them, shape (p,).
+    """
+    log = problem.log
+    if not log.rare:
+        return ()
+    moved = []
+    if len(moves):
+        sizes = np.sqrt(np.sum(moves**2, axis=0))
+        for name, size, deviation in zip(problem.names, sizes, deviations, strict=True):
+            if size > TOLD * deviation:
+                moved.append(f"{name} by {size / deviation:.2g} standard deviations")
+    text = (
+        f"the study's controller gives commands more often than the log has them ({', '.join(log.rare)}). Between two "
+        f"values of a command {log.between}, which describes the flight best"
+    )
+    if moved:
+        text += f". Another course describes it as well, and moves {', '.join(moved)}: intervals are wider by that"
+    return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)

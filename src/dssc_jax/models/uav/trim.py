@@ -1,0 +1,77 @@
+"""Equilibrium of a vehicle that holds its place in a steady wind: tilt, thrust, moment and speeds of the rotors.
+
+At rest in the wind w the forces and the moments are in balance,
+
+    R (f_across + f e3) + F_drag(-w) = M g e3,   M_rotors + tau_drag(-w) = 0,
+
+where drag and thrust depend on the attitude R and on the speeds of the rotors. The balance is solved by substitution:
+each round turns body z along the force that is needed, and corrects thrust and moment by what is lacking.
+"""
+
+from typing import NamedTuple
+
+import jax
+
+from dssc_jax.core.numerics import as_arrays, dot, root_abs
+from dssc_jax.core.signals import Scalar
+from dssc_jax.core.vectors import Vec3
+from dssc_jax.models.uav.aerodynamics import drag
+from dssc_jax.models.uav.ground import lift_factor
+from dssc_jax.models.uav.inner_loops.sampled import Trim, body_angles, turned
+from dssc_jax.models.uav.parameters import UavParams
+from dssc_jax.models.uav.rotors import wrench
+from dssc_jax.models.uav.vehicle import GRAVITY
+
+ROUNDS = 24
+"""Rounds of the substitution, each of which lessens the error by the square of the tilt at least."""
+
+
+class Guess(NamedTuple):
+    """Unknowns of the balance: the direction of body z, and the wanted thrust [N] and moment [N m]."""
+
+    upward: Vec3
+    thrust: Scalar
+    moment: Vec3
+
+
+def trim(params: UavParams, wind: Vec3) -> Trim:
+    """The equilibrium of a draw at its place in a steady wind, at its initial yaw.
+
+    Args:
+        params: The prepared parameters.
+        wind: Velocity of the air, inertial [m/s].
+    """
+
+    def nearer(_: Scalar, guess: Guess) -> Guess:
+        return as_arrays(balanced(params, wind, guess))
+
+    weight = params.inner_model.mass * GRAVITY
+    first = Guess(Vec3(0.0, 0.0, 1.0), weight, Vec3(0.0, 0.0, 0.0))
+    guess = jax.lax.fori_loop(0, ROUNDS, nearer, as_arrays(first))
+    thrusts = commanded_thrusts(params, guess)
+    return Trim(body_angles(guess.upward, params.yaw), guess.thrust, guess.moment, thrusts)
+
+
+def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
+    """Thrusts of the rotors that the inner loop commands, without their limits [N]."""
+    return tuple(dot(row, (guess.thrust, *guess.moment)) for row in params.allocation)
+
+
+def balanced(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
+    """A guess that is nearer to the balance."""
+    vehicle = params.vehicle
+    rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
+    speeds = tuple(root_abs(f / believed) for f, believed in rotors)
+    lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
+    if params.ground is not None and params.ground.rotor_radius is not None:
+        factor = lift_factor(params.ground, params.position[2])
+        lift = tuple(factor * f for f in lift)
+    thrust, moment, across = wrench(vehicle, lift)
+    rotation = turned(body_angles(guess.upward, params.yaw)).matrix()
+    air = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
+    needed = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - air.force
+    if across:
+        needed = needed - rotation @ Vec3(across[0], across[1], 0.0)
+    size = root_abs(needed.dot(needed))
+    share = guess.thrust / thrust
+    return Guess(needed / size, share * size, guess.moment - (moment + air.torque) * share)
