@@ -5,6 +5,7 @@ from functools import partial
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.flight_logs.clocks import ClockStep
 from dssc_jax.flight_logs.contents import FieldValues, LogContents
+from dssc_jax.flight_logs.resets import reset_list
 from dssc_jax.flight_logs.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
@@ -35,6 +36,10 @@ def show_log(log: LogContents) -> None:
     for step in log.gaps:
         usual = f"where {step.rate:.3g} a second are usual (messages are missing, or the clock jumps)"
         say(f"no message {span(step)}, {usual}: {', '.join(step.topics)}")
+    for label in dict.fromkeys(reset.label for reset in log.resets):
+        say(f"reset of the estimator {reset_list([reset for reset in log.resets if reset.label == label])}: {label}")
+    for invalid in log.invalid:
+        say(f"invalid: {', '.join(invalid.fields)}, as {invalid.text()}")
     if log.topics and not log.fields:
         head = ("topic", "messages", "a second", "first [s]", "last [s]")
         show_table(head, [topic_row(topic) for topic in log.topics])

@@ -172,13 +172,15 @@ class LogHints(NamedTuple):
         shifts: References that are the study's at another time.
         slopes: Rates that are not the slope of the study's reference.
         starts: Numbers at which the study starts while the flight cannot have.
+        estimator: Counters of resets of the estimator, and flags that call its values invalid.
     """
 
     conversions: Mapping[str, str]
     shifts: Mapping[str, str]
     slopes: Mapping[str, str] = MappingProxyType({})
     starts: Mapping[str, str] = MappingProxyType({})
+    estimator: Mapping[str, str] = MappingProxyType({})
 
     def all(self) -> dict[str, str]:
         """All of them, by signal or number."""
-        return {**self.conversions, **self.shifts, **self.slopes, **self.starts}
+        return {**self.conversions, **self.shifts, **self.slopes, **self.starts, **self.estimator}

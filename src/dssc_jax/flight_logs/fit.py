@@ -56,6 +56,7 @@ from dssc_jax.flight_logs.replay import (
     replayed_channel,
     require_same_signals,
 )
+from dssc_jax.flight_logs.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
 from dssc_jax.flight_logs.starts import begins_in_air, fixed_integrals
@@ -91,8 +92,8 @@ def fit_log(
         progress: Called with the simulations done, and their largest number.
 
     Raises:
-        ConfigError: a name or the log is not suitable; the log has lost messages; a signal of it is the study's in
-            another unit, sign or column.
+        ConfigError: a name or the log is not suitable; the log has lost messages, or a jump of the estimator; a signal
+            of it is the study's in another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
         StartsElsewhere: the integrals of an inner loop were others at the first sample.
@@ -113,6 +114,8 @@ def fit_log(
             "is damaged: messages are lost, and commands are held where the flight had others. "
             "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
         )
+    if not allow_damaged:
+        require_no_jumps(study, log)
     count = SearchCount(limits, progress)
     known: list[Minimum] = []
     study = study.without_sweep()

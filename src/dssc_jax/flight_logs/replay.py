@@ -30,6 +30,7 @@ from dssc_jax.flight_logs.reader import (
     signal_name,
 )
 from dssc_jax.flight_logs.references import compared_references, median_values, study_references
+from dssc_jax.flight_logs.reset_hints import reset_hints
 from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
@@ -267,7 +268,8 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-    hints = LogHints(conversions, compared.shifts, compared.slopes, start_hints(study, log))
+    starts, estimator = start_hints(study, log), reset_hints(study, log)
+    hints = LogHints(conversions, compared.shifts, compared.slopes, starts, estimator)
     differences = compared.differences
     dropped = dict(log.dropped)
     return LogReplay(samples, logged, replays, held, not_replayed, differences, compared.rates, hints, dropped)
