@@ -20,6 +20,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
+from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
@@ -304,6 +305,7 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
+    late = delay_doubts(problem, search.best)
     covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
     information = np.linalg.inv(covariance)
     require_identifiable(problem.names, information)
@@ -330,5 +332,5 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        (*doubts(problem, x, results), *held_doubts(problem.log), *wind_doubts(study), *roughness_doubts(rough)),
+        (*doubts(problem, x, results), *late, *held_doubts(problem.log), *wind_doubts(study), *roughness_doubts(rough)),
     )
