@@ -23,6 +23,10 @@ def show_log(log: LogContents) -> None:
         say(f"{segment.name}: {segment.begin:.4g} s to {segment.end:.4g} s")
     if log.topics and not log.segments:
         say("never armed, as far as the log tells")
+    if not log.topics and not log.fields:
+        say("it holds no message, and no column of numbers")
+    for message in log.late:
+        say(f"late: the last message of {message.topic} is at {message.time:.4g} s, long after those of all others")
     count, lost = log.dropouts
     if count:
         say(f"{count} dropouts of together {lost:.3g} s")

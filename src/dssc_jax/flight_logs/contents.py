@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
-from dssc_jax.flight_logs.clocks import ClockStep, falls_of, gaps_of
+from dssc_jax.flight_logs.clocks import ClockStep, LateMessage, column_clock, falls_of, gaps_of
 from dssc_jax.flight_logs.frames import derived_fields, field_values
 from dssc_jax.flight_logs.resets import (
     ATTITUDE,
@@ -39,6 +39,8 @@ from dssc_jax.flight_logs.ulog import (
 from dssc_jax.flight_logs.ulog_scan import LogTopic
 from dssc_jax.study.recorded import TIME, recorded_frame
 
+TIME_NAMES = ("time", "stamp", "seconds")
+"""Beginnings of the names that columns of times usually have."""
 ESTIMATES = (POSITION, ATTITUDE)
 
 
@@ -78,6 +80,8 @@ class LogContents:
         fields: Fields of the chosen topics, or the columns of a table.
         resets: Resets of the estimator, of position, velocity and attitude.
         invalid: When the estimator called position or velocity invalid.
+        late: Last messages of topics long after the span.
+        clock: The times of a table.
     """
 
     name: str
@@ -93,16 +97,23 @@ class LogContents:
     fields: tuple[FieldValues, ...]
     resets: tuple[Reset, ...] = ()
     invalid: tuple[InvalidSpan, ...] = ()
+    late: tuple[LateMessage, ...] = ()
+    clock: LogTopic | None = None
+
+    @property
+    def clocks(self) -> tuple[LogTopic, ...]:
+        """The times that may fall or jump: those of the topics, or of a table's column."""
+        return self.topics if self.clock is None else (self.clock,)
 
     @property
     def falls(self) -> list[ClockStep]:
         """Where time stamps fall."""
-        return falls_of(self.topics)
+        return falls_of(self.clocks)
 
     @property
     def gaps(self) -> list[ClockStep]:
         """Where messages are missing, or the clock jumps."""
-        return gaps_of(self.topics)
+        return gaps_of(self.clocks)
 
     def summary(self) -> dict[str, object]:
         """The same as plain data."""
@@ -118,7 +129,10 @@ class LogContents:
             resets[-1] |= {"size": reset.size, "unit": reset.counter.unit, "stated": reset.known}
         invalid = [span._asdict() for span in self.invalid]
         lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
-        return {**vars(self), **lists, "resets": resets, "invalid": invalid}
+        late = [message._asdict() for message in self.late]
+        whole = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
+        del whole["clock"]
+        return whole
 
 
 def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
@@ -158,6 +172,7 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             tuple(fields),
             tuple(resets_of(data, begin)),
             tuple(invalid_spans(data, begin, listed.duration)),
+            listed.late,
         )
 
 
@@ -187,13 +202,21 @@ def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldV
 
 
 def table_contents(path: Path) -> LogContents:
-    """The columns of a CSV or Parquet file that hold numbers; the span of its column t."""
+    """The columns of a CSV or Parquet file that hold numbers; the span, falls and gaps of its times.
+
+    Its times are in the column t, or in the first one whose name begins with another word for them.
+    """
     frame = recorded_frame(path).select_dtypes("number")
     columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
-    time = columns.get(TIME, np.zeros(1))
-    span = float(np.nanmax(time) - np.nanmin(time))
-    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields)
+    names = [name for name in columns if name.strip().lower().startswith(TIME_NAMES)]
+    name = TIME if TIME in columns else next(iter(names), None)
+    if name is None:
+        return LogContents(path.name, {}, 0.0, (), (), (0, 0.0), None, 0, 0, False, fields)
+    clock = column_clock(name, columns[name])
+    known = columns[name][np.isfinite(columns[name])]
+    span = float(np.ptp(known)) if known.size else 0.0
+    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock)
 
 
 def topic_table(

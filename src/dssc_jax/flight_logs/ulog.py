@@ -18,14 +18,15 @@ import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.clocks import LateMessage, span_of
 from dssc_jax.flight_logs.frames import MICROSECOND
 from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedPart
+from dssc_jax.study.recorded import ULOG
 
 if TYPE_CHECKING:
     from pyulog import ULog
 
 HEADER = struct.Struct("<7sBQ")
-MAGIC = b"ULog\x01\x12\x35"
 ARMED = 2  # of vehicle_status.arming_state
 SEGMENTS = ("armed", "airborne")
 SEGMENT_TOPICS = ("actuator_armed", "vehicle_status", "vehicle_land_detected")
@@ -53,13 +54,14 @@ class LogTopics(NamedTuple):
 
     Args:
         system: What it says of its system: hardware, software and so on, by PX4's names.
-        duration: From its beginning to its last stamp [s].
+        duration: From its beginning to its last stamp, without late ones [s].
         topics: Its topics, by name.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message; None: there is none.
         damages: Number of places with such bytes.
         lost: Number of such bytes.
         cut: Whether the file ends within a message.
+        late: Last messages of topics long after the span.
     """
 
     system: dict[str, str]
@@ -70,6 +72,7 @@ class LogTopics(NamedTuple):
     damages: int
     lost: int
     cut: bool
+    late: tuple[LateMessage, ...]
 
 
 class LogWarning(UserWarning):
@@ -77,8 +80,8 @@ class LogWarning(UserWarning):
 
 
 def is_ulog(path: Path) -> bool:
-    """Whether a file is a ULog, by the end of its name."""
-    return path.suffix.lower() == ".ulg"
+    """Whether a file is a ULog, by the end of its name or by its first bytes."""
+    return path.suffix.lower() == ".ulg" or (path.is_file() and files.read_bytes(path, len(ULOG)) == ULOG)
 
 
 def topic_place(name: str) -> tuple[str, str]:
@@ -193,10 +196,10 @@ def list_topics(path: Path) -> LogTopics:
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
-    duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
+    duration, late = span_of(topics)
     damaged = scan.damages[0].begin if scan.damages else None
     lost = sum(damage.end - damage.begin for damage in scan.damages)
-    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut)
+    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut, tuple(late))
 
 
 def is_cut(path: Path) -> bool:
@@ -217,7 +220,7 @@ def log_begin(file: BinaryIO) -> int:
     head = file.read(HEADER.size)
     if not head:
         raise ConfigError("", "is no ULog: the file is empty")
-    if len(head) < HEADER.size or head[: len(MAGIC)] != MAGIC:
+    if len(head) < HEADER.size or head[: len(ULOG)] != ULOG:
         raise ConfigError("", "is no ULog: its first bytes are others")
     return HEADER.unpack(head)[2]
 
