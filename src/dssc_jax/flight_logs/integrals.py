@@ -1,7 +1,7 @@
 """Whether a logged output is the integral of its logged derivative: another factor is another unit, sign or clock.
 
 With X the integral of y' and the output y = a + b t + s X, the factor s is 1. A noise of y' and a drift of its bias are
-part of the residual, whose correlation widens the interval of s.
+part of the residual. Batches of it, as long as its correlation, tell the deviation of s.
 """
 
 from typing import NamedTuple
@@ -16,6 +16,9 @@ from dssc_jax.study import Study
 LEAST_VALUES = 20
 LEAST_DIFFERENCE = 0.015  # of the factor from 1
 DEVIATIONS = 5.0  # of the factor from 1, in its standard deviations
+BATCHES = 10  # of the residual: a drift by noise in y' has hardly a correlation from one to another
+DRIFT = 10.0  # of the variance by white noise: the least that a drift is taken to add
+FITTED = 3  # numbers of the regression
 SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
@@ -64,9 +67,9 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
     coarse = float(parts[:, 2] @ parts[:, 1]) / size
     residual = parts[:, 0] - factor * parts[:, 1]
     square = float(residual @ residual)
-    correlation = float(residual[1:] @ residual[:-1]) / max(square, 1e-300)
-    spread = (1.0 + correlation) / max(1.0 - correlation, 1.0 / len(time))
-    deviation = float(np.sqrt(square / len(time) / size * max(spread, 1.0)))
+    sums = np.array([part.sum() for part in np.array_split(residual * parts[:, 1], BATCHES)])
+    white = square * size / len(time)
+    deviation = float(np.sqrt(max(sums @ sums * BATCHES / (BATCHES - FITTED), DRIFT * white))) / size
     error = max(abs(coarse - 1.0), square / size / max(factor**2, 1e-300))
     scale = sizes[0] / sizes[1]
     factor, deviation = scale * factor, scale * deviation
