@@ -8,6 +8,7 @@ from dssc_jax.flight_logs.late_outputs import late_output
 from dssc_jax.flight_logs.least_squares import FitProblem, Minimum
 from dssc_jax.flight_logs.prediction import prediction
 from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.refusals import Unexplained
 from tests.flight_logs.test_fit import DT, linear, output
 
 SAMPLES = 400
@@ -85,3 +86,15 @@ def test_a_short_log_asks_for_no_shift(predictions):
     short = FitProblem(study, NAMES, prediction(study, NAMES, 22), sampled_log(study, log))
     x = np.zeros(2)
     assert late_output(short, Minimum(x, short.normal_equations(x), 1)) is None
+
+
+def test_a_refusal_tells_the_delay(predictions):
+    """A fifth of the command's period: no numbers within reach explain it, and the shift does."""
+    time = DT * np.arange(SAMPLES)
+    y = output(1.1, 0.8, 6.0 * np.sin(4.0 * time)) + 0.005 * np.random.default_rng(1).normal(size=SAMPLES)
+    late = np.interp(time - 0.3, time, y)
+    columns = {"y": Column(time, late), "u_total": Column(time, 6.0 * np.sin(4.0 * time))}
+    laws = {"k_p": {"uniform": [1.05, 1.15]}, "a_p": {"truncated_normal": [0.8, 0.05, 0.6, 1.0]}}
+    narrow = linear(plant={"kind": "normal_form", "initial": [0.5, 0.0], **laws})
+    with pytest.raises(Unexplained, match=r"at most 10 % is accepted.* y is 0\.(29|30?)\d* .*s later than the study"):
+        fit_log(narrow, FlightLog("flight", columns, 0.0), NAMES, predictions)

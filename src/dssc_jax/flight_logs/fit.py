@@ -46,6 +46,7 @@ from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
     Doubt,
     NotIdentifiable,
+    Unexplained,
     doubts,
     require_description,
     require_identifiable,
@@ -300,7 +301,11 @@ def fitted_minimum(
     study = problem.study
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
-    results = require_description(problem, x)
+    try:
+        results = require_description(problem, x)
+    except Unexplained as refusal:
+        reasons = "".join(f". {doubt.text}" for doubt in delay_doubts(problem, search.best))
+        raise Unexplained(f"{refusal}{reasons}") from None
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]

@@ -31,7 +31,6 @@ MOST_SHIFTS = 25  # on either side
 LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
-CLIMBS = 6  # from the shift that the linear problem prefers
 
 
 class LateOutput(NamedTuple):
@@ -117,17 +116,21 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     channels, shift = screened_shift(shifts, own, margin)
     if shift == 0:
         return None
-    found = climbed_shift(shifts, own, channels, shift, margin)
-    if found is None:
+    shift, end = climbed_shift(shifts, own, own, channels, shift, margin)
+    if shift == 0 or not end.cost < own.cost:
         return None
-    shift, end = found
+    late = shifts.at(channels, shift)
+    end = reweighted_minimum(late, end)
+    shifts.noises, shifts.variances = late.noises, late.variances
+    shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), own.x), channels, shift, margin)
+    if shift == 0:
+        return None
     late = shifts.at(channels, shift)
     end = reweighted_minimum(late, end)
     null = shifts.at((), 0)
     own = reweighted_minimum(null, own)
     gain = 2.0 * (log_likelihood(late, end.x) - log_likelihood(null, own.x))
     p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
-    shifts.noises, shifts.variances = late.noises, late.variances
     distance, deviation = refinement(shifts, end, channels, shift, margin)
     delay = sample_time * (shift + distance)
     deviations = np.sqrt(np.diag(np.linalg.pinv(own.equations.information)))
@@ -180,24 +183,32 @@ def linear_cost(products: np.ndarray) -> float:
 
 
 def climbed_shift(
-    shifts: ShiftedProblems, own: Minimum, channels: Sequence[int], shift: int, margin: int
-) -> tuple[int, Minimum] | None:
-    """The shift near a first one whose fit leaves least, and the end of that fit; None if none is better than 0."""
+    shifts: ShiftedProblems, near: Minimum, own: Minimum, channels: Sequence[int], shift: int, margin: int
+) -> tuple[int, Minimum]:
+    """The shift next to which none leaves less, from a first one on, and the end of the fit there.
+
+    Args:
+        shifts: The problems.
+        near: The minimum from which fits start.
+        own: That without a shift.
+        channels: Those that are shifted.
+        shift: The first shift.
+        margin: The longest one.
+    """
     ends = {0: own}
 
     def cost(place: int) -> float:
         if abs(place) > margin:
             return math.inf
         if place not in ends:
-            ends[place] = minimise(shifts.at(channels, place), own.x)
+            ends[place] = minimise(shifts.at(channels, place), near.x)
         return ends[place].cost
 
-    for _ in range(CLIMBS):
+    while True:
         better = min((shift, shift - 1, shift + 1), key=cost)
         if better == shift:
-            break
+            return shift, ends[shift]
         shift = better
-    return (shift, ends[shift]) if shift != 0 and ends[shift].cost < own.cost else None
 
 
 def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
@@ -255,9 +266,10 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         else "Log the time of the command at which the vehicle gets it, and look for a delay in the study that the "
         "vehicle does not have"
     )
+    about = f" ± {found.deviation:.2g}" if math.isfinite(found.deviation) else ""
     verb = "are" if len(names) > 1 else "is"
     text = (
-        f"{' and '.join(names)} {verb} {abs(found.delay):.3g} ± {found.deviation:.2g} s {side} than the study predicts "
+        f"{', '.join(names)} {verb} {abs(found.delay):.3g}{about} s {side} than the study predicts "
         f"(p = {found.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
         f"{found.values[number]:.4g} in place of {own:.4g}. {late}"
     )
