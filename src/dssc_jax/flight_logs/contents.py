@@ -281,7 +281,9 @@ def flown_signals(path: Path, topic: str, data: TopicData, begin: float, part: S
     changed = [name for name, values in signals.items() if not np.array_equal(values, data[key][name], equal_nan=True)]
     if changed:
         removed = [reset for reset in resets if reset.is_taken_out]
-        jumps = f", jumps {reset_list(removed)} are taken out" if removed else ""
-        text = f"{path.name}: {topic} is not as logged in {', '.join(changed)}: invalid values are left out{jumps}"
+        reasons = [f"jumps {reset_list(removed)} are taken out"] if removed else []
+        if any(np.isnan(signals[name]).sum() > np.isnan(data[key][name]).sum() for name in changed):
+            reasons.append("invalid values are left out")
+        text = f"{path.name}: {topic} is not as logged in {', '.join(changed)}: {' and '.join(reasons)}"
         warnings.warn(text, LogWarning, stacklevel=3)
     return signals

@@ -264,12 +264,12 @@ def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
             jumps = dict(zip(reset.counter.fields, reset.jump, strict=True))
             for name, jump in jumps.items():
                 fields[name] = shifted(fields[name], reset.row, jump)
-        estimate = topics[f"{reset.counter.topic}:0"]["timestamp"]
+        before, after = event_span(reset, resets, topics)
         for topic, names in SETPOINTS.items():
             setpoint = changed.get(f"{topic}:0", {})
             moved = {name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint}
             if moved:
-                row = following_row(setpoint, moved, estimate, reset.row)
+                row = following_row(setpoint, moved, before, after)
                 for name, jump in moved.items():
                     setpoint[name] = shifted(setpoint[name], row, jump)
     return changed
@@ -282,9 +282,22 @@ def shifted(values: np.ndarray, row: int, jump: float) -> np.ndarray:
     return changed
 
 
-def following_row(
-    setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], estimate: np.ndarray, row: int
-) -> int:
+def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
+    """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
+
+    def stamps_of(one: Reset) -> tuple[float, float]:
+        published = topics[f"{one.counter.topic}:0"]["timestamp"]
+        return float(published[one.row - 1]), float(published[one.row])
+
+    before, after = stamps_of(reset)
+    if reset.counter.fields == ("heading",):
+        for other in resets:
+            if other.counter.topic == ATTITUDE and before < stamps_of(other)[1] <= after:
+                return stamps_of(other)
+    return before, after
+
+
+def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], before: float, after: float) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
     That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.
@@ -292,12 +305,12 @@ def following_row(
     Args:
         setpoint: The fields of its topic.
         jumps: The change of the frame along some of them.
-        estimate: The stamps of the estimate [us].
-        row: The first message of the estimate after the reset.
+        before: The stamp of the estimate's last message before the reset [us].
+        after: That of the first message after it [us].
     """
     time = setpoint["timestamp"].astype(float)
-    late = float(estimate[row]) + SETPOINT_DELAY / MICROSECOND
-    near = np.flatnonzero((time[1:] > float(estimate[row - 1])) & (time[1:] <= late)) + 1
+    late = after + SETPOINT_DELAY / MICROSECOND
+    near = np.flatnonzero((time[1:] > before) & (time[1:] <= late)) + 1
     squares = np.zeros(len(near))
     for name, jump in jumps.items():
         values = setpoint[name].astype(float)
@@ -306,7 +319,7 @@ def following_row(
     known = np.flatnonzero(np.isfinite(squares))
     if known.size and np.sqrt(squares[known].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
         return int(near[known[np.argmin(squares[known])]])
-    return int(np.searchsorted(time, float(estimate[row])))
+    return int(np.searchsorted(time, after))
 
 
 def needed_fields(topic: str, name: str, topics: TopicData) -> tuple[str, ...]:
