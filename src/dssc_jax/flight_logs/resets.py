@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight_logs.frames import MICROSECOND, derived_fields
 from dssc_jax.flight_logs.ulog import TopicData, log_end, stamps
 
@@ -166,12 +165,12 @@ def resets_of(topics: TopicData, begin: float) -> list[Reset]:
             continue
         counts = fields[counter.name].astype(int)
         time = stamps(fields, begin)
-        for row in np.flatnonzero(np.diff(counts)) + 1:
+        for row in (np.flatnonzero(np.diff(counts)) + 1).tolist():
             if not was_valid(fields, counter, row - 1):
                 continue
             known = (counts[row] - counts[row - 1]) % 256 == 1 and set(counter.deltas) <= set(fields)
             jump = stated_jump(fields, counter, row) if known else seen_jump(fields, counter, row)
-            found.append(Reset(counter, int(row), float(time[row]), jump, known))
+            found.append(Reset(counter, row, float(time[row]), jump, known))
     return sorted(found, key=lambda reset: reset.time)
 
 
@@ -315,7 +314,7 @@ def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float]
     for name, jump in jumps.items():
         values = setpoint[name].astype(float)
         excess = values[near] - values[near - 1] - jump
-        squares += (np.asarray(wrap_angle(excess)) if name == "yaw" else excess) ** 2
+        squares += (np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi if name == "yaw" else excess) ** 2
     known = np.flatnonzero(np.isfinite(squares))
     if known.size and np.sqrt(squares[known].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
         return int(near[known[np.argmin(squares[known])]])
