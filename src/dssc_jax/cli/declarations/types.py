@@ -100,7 +100,7 @@ class LogOptions:
         bool,
         typer.Option(
             "--allow-damaged",
-            help="Leave out rows whose times fall, and fit a log with lost messages or jumps of the estimator; refused else.",
+            help="Leave out rows whose times fall; fit a log with lost messages or jumps of the estimator.",
         ),
     ] = False
 
