@@ -136,6 +136,8 @@ def test_a_log_of_a_header_alone_is_told(tmp_path, capsys):
     (tmp_path / "head.ulg").write_bytes(log_head([], [])[:16])
     assert guarded(["log", str(tmp_path / "head.ulg")]) == 0
     assert "head.ulg: 0 s\nit holds no message" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="the log has no values of trajectory_setpoint, vehicle_local_position"):
+        dj.read_log(tmp_path / "head.ulg", ("x",))
 
 
 def test_times_in_milliseconds(tmp_path):

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import tomli_w
 
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.integrals import integral_factor, unit_text
@@ -72,3 +74,19 @@ def test_a_clock_that_runs_too_fast_is_told():
     assert hints.factors["y"].startswith("changes by 0.97")
     assert "the log's clock is 1.028 times too fast" in hints.factors["y"]
     assert not hints.conversions
+
+
+def test_several_logs_are_warned_of_one_by_one(tmp_path, capsys):
+    paths = []
+    for name, clock in (("right", 1.0), ("fast", 1.03)):
+        y, rate = flight(clock=clock)
+        rows = "\n".join(f"{t},{a},{b}" for t, a, b in zip(y.time, y.value, rate.value, strict=True))
+        paths.append(tmp_path / f"{name}.csv")
+        paths[-1].write_text(f"t,y,y_dot\n{rows}\n")
+    study = tmp_path / "s.toml"
+    study.write_text(tomli_w.dumps(linear(draws=19).table))
+    out = str(tmp_path / "o")
+    assert guarded(["compare-log", str(study), *map(str, paths), "--probability", "0.4", "--out", out]) == 0
+    told = capsys.readouterr().err
+    assert "warning: fast.csv: y changes by 0.97" in told
+    assert "right.csv: y changes" not in told

@@ -78,6 +78,16 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
         assert guarded(["log", str(path)]) == 0
 
 
+def test_a_spreadsheets_words_for_no_number_are_empty_cells(tmp_path):
+    """They begin as a comment does; what follows them in the row counts."""
+    path = tmp_path / "log.csv"
+    path.write_text("t,y,u_total\n0,1,2\n1,#N/A,3\n2,#DIV/0!,4 # a comment\n3,5,6\n")
+    log = dj.read_log(path)
+    np.testing.assert_array_equal(log.columns["y"].value, [1.0, 5.0])
+    np.testing.assert_array_equal(log.columns["u_total"].value, [2.0, 3.0, 4.0, 6.0])
+    assert recorded_columns(path, ["t", "y"]) == [[0.0, 3.0], [1.0, 5.0]]
+
+
 def test_quoted_cells():
     """A separator or a line break within quotes is none of the table's."""
     content = b't,y,name\n0,1,"a, b"\n1,2,c\n'

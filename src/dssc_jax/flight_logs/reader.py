@@ -231,6 +231,9 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> L
         found = [column for column in choices if has_column(valid, column)]
         if columns.signals or found:
             chosen[name] = found[0] if found else choices[0]
+    if not chosen:
+        topics = ", ".join(sorted(names))
+        raise ConfigError("signals", f"the log has no values of {topics}; `dssc-jax log FILE` lists its topics")
     places = [column_place(column) for column in chosen.values()]
     pairs = [(place.topic, place.field) for place in places if place.label == f"{place.topic}:0"]
     start = columns.start if columns.start is not None else (segment.begin if segment else -np.inf)

@@ -14,6 +14,8 @@ SEPARATORS = (b",", b";", b"\t")
 QUOTED = re.compile(rb'"[^"]*"')
 DECIMAL_COMMA = re.compile(rb"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
+NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
+"""What spreadsheets write in place of a number; the rest of such a line is no comment."""
 FIRST_LINES = 100
 """Lines that tell the form."""
 
@@ -47,7 +49,7 @@ def csv_lines(content: bytes) -> Iterator[CsvLine]:
     """The header and the rows of a CSV file."""
     begin = 0
     for number, line in enumerate(io.BytesIO(content), start=1):
-        text = line.partition(b"#")[0].rstrip(b"\r\n")
+        text = NO_NUMBERS.sub(b"", line).partition(b"#")[0].rstrip(b"\r\n")
         if text.strip():
             yield CsvLine(number, begin, text)
         begin += len(line)
@@ -140,7 +142,7 @@ def uneven(path: Path, line: CsvLine, form: CsvForm, expected: int) -> ConfigErr
     if expected == 1:
         reason = "its first line is no header"
     elif count < expected:
-        reason = "the row is cut off"
+        reason = "the row is cut off, or goes on behind a #, where comments begin"
     elif form.separator == ",":
         reason = "it ends with a separator, or commas are its decimal signs"
     else:

@@ -14,7 +14,7 @@ import numpy as np
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
-from dssc_jax.study.csv_files import csv_form, csv_header, csv_lines, whole_rows
+from dssc_jax.study.csv_files import NO_NUMBERS, csv_form, csv_header, csv_lines, whole_rows
 
 FIELDS = ("file", "column", "columns", "time_column", "rate_file", "rate_column")
 SLOTS = ("reference", "disturbance", "wind", "sensor")
@@ -245,7 +245,7 @@ def recorded_frame(path: Path) -> Any:
             return pd.read_parquet(io.BytesIO(content))
         form = csv_form(path, content)
         require_few_columns(path, csv_header(content).count(form.separator.encode()) + 1)
-        table = io.BytesIO(whole_rows(path, content, form))
+        table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
         return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
     except ImportError as error:
         raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
