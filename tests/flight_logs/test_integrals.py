@@ -84,7 +84,7 @@ def test_several_logs_are_warned_of_one_by_one(tmp_path, capsys):
         paths.append(tmp_path / f"{name}.csv")
         paths[-1].write_text(f"t,y,y_dot\n{rows}\n")
     study = tmp_path / "s.toml"
-    study.write_text(tomli_w.dumps(linear(draws=19).table))
+    study.write_text(tomli_w.dumps(linear(draws=39).table))
     out = str(tmp_path / "o")
     assert guarded(["compare-log", str(study), *map(str, paths), "--probability", "0.4", "--out", out]) == 0
     told = capsys.readouterr().err
