@@ -48,7 +48,7 @@ def table() -> str:
 def part() -> str:
     """The part of the page."""
     language = int(ptx.FEATURES.removeprefix("+ptx")) / 10
-    return f"""The same loops as [kernels of one thread a draw](gpu.md), as NVIDIA's assembler translates them, which needs
+    return f"""The same loops as [kernels of one thread a draw](gpu.md), as NVIDIA's assembler translates them. It needs
 no GPU. A register has 32 bits, and a thread has at most 255. `python -m benchmarks.gpu` regenerates the table.
 
 {table()}

@@ -97,6 +97,49 @@ def test_a_hole_is_told_for_all_topics_that_have_it(tmp_path, capsys):
     assert gaps_of(flight) == falls_of(flight) == []
 
 
+def test_the_clock_of_a_table_is_told(tmp_path, capsys):
+    """Where NumPy sees the first fall and the longest gap, also of a column that is not called t."""
+    time = np.where(RATE < 1.2, RATE, RATE - 0.6)
+    rows = "\n".join(f"{row},{1e6 * value:.0f}" for row, value in enumerate(time))
+    (tmp_path / "back.csv").write_text(f"y,Timestamp [us]\n{rows}\n")
+    (fall,) = log_contents(tmp_path / "back.csv").falls
+    first = int(np.argmax(np.diff(time) < 0))
+    assert fall.stamps == pytest.approx((1e6 * time[first], 1e6 * time[first + 1]))
+    assert fall.topics == ("Timestamp [us]",)
+    jump = np.where(RATE < 0.5, RATE, RATE + 2.0)
+    (tmp_path / "jump.csv").write_text("t,y\n" + "\n".join(f"{value},{row}" for row, value in enumerate(jump)))
+    assert guarded(["log", str(tmp_path / "jump.csv")]) == 0
+    assert "no message from 0.480 s to 2.500 s, where 50 a second are usual" in capsys.readouterr().out
+    (tmp_path / "even.csv").write_text("t,y\n" + "\n".join(f"{value},{row}" for row, value in enumerate(RATE)))
+    even = log_contents(tmp_path / "even.csv")
+    assert even.falls == even.gaps == []
+    assert even.duration == pytest.approx(1.98)
+    (tmp_path / "none.csv").write_text("name\na\n")
+    assert guarded(["log", str(tmp_path / "none.csv")]) == 0
+    assert "holds no message, and no column of numbers" in capsys.readouterr().out
+
+
+def test_a_late_message_is_no_part_of_the_span(tmp_path, capsys):
+    """One of a topic with a single message, and the last one of a topic with many."""
+    assert log_contents(ulog(tmp_path / "a.ulg", [1174.0])).duration == pytest.approx(1.98)
+    assert guarded(["log", str(tmp_path / "a.ulg")]) == 0
+    printed = capsys.readouterr().out
+    assert "a.ulg: 1.98 s" in printed
+    assert "late: the last message of rate is at 1174 s, long after those of all others" in printed
+    stray = log_contents(ulog(tmp_path / "b.ulg", [*RATE, 500.0]))
+    assert (stray.duration, [message.topic for message in stray.late]) == (pytest.approx(1.98), ["rate"])
+    slow = log_contents(ulog(tmp_path / "c.ulg", [0.0, 5.0]))  # sent at a change, a little after the others
+    assert (slow.duration, slow.late) == (pytest.approx(5.0), ())
+
+
+def test_a_log_of_a_header_alone_is_told(tmp_path, capsys):
+    (tmp_path / "head.ulg").write_bytes(log_head([], [])[:16])
+    assert guarded(["log", str(tmp_path / "head.ulg")]) == 0
+    assert "head.ulg: 0 s\nit holds no message" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="the log has no values of trajectory_setpoint, vehicle_local_position"):
+        dj.read_log(tmp_path / "head.ulg", ("x",))
+
+
 def test_times_in_milliseconds(tmp_path):
     rows = "\n".join(f"{1000 * t:.0f},{t}" for t in RATE)
     (tmp_path / "ms.csv").write_text(f"stamp,y\n{rows}\n")

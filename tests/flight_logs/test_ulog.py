@@ -184,6 +184,42 @@ def test_segments():
         dj.read_log("a.csv", table={"segment": "armed"})
 
 
+def changes(name, pairs):
+    """A topic that is sent at a change only, with its times [s] and states."""
+    times, states = zip(*pairs, strict=True)
+    return {"timestamp": np.array([round(1e6 * (time + 10.0)) for time in times]), name: np.array(states)}
+
+
+@pytest.mark.parametrize(
+    ("armed", "landed", "expected"),
+    [
+        ([(0.0, 1)], [(0.0, 0)], [Segment("armed", 0.0, 20.0), Segment("airborne", 0.0, 20.0)]),
+        (
+            [(-1.0, 0), (2.0, 1), (18.0, 0)],
+            [(-1.0, 1), (5.0, 0)],
+            [Segment("armed", 2.0, 18.0), Segment("airborne", 5.0, 18.0)],
+        ),
+        ([(2.0, 1), (18.0, 0)], [(-1.0, 1)], [Segment("armed", 2.0, 18.0)]),
+        (
+            [(2.0, 1)],
+            [(6.0, 0), (7.0, 1), (9.0, 0)],
+            [Segment("armed", 2.0, 20.0), Segment("airborne", 6.0, 7.0), Segment("airborne", 9.0, 20.0)],
+        ),
+        ([(20.0, 1)], [(0.0, 0)], []),
+    ],
+)
+def test_a_state_holds_after_its_last_message(armed, landed, expected):
+    """PX4 sends these topics at a change only; the log ends with the last stamp of any topic."""
+    topics = {
+        "actuator_armed:0": changes("armed", armed),
+        "vehicle_land_detected:0": changes("landed", landed),
+        "vehicle_attitude:0": changes("value", [(0.0, 0), (20.0, 0)]),
+    }
+    assert segments_of(topics, 1e7) == expected
+    del topics["vehicle_attitude:0"]
+    assert segments_of(topics, 1e7, 20.0) == expected
+
+
 PEAK = """
 import resource, sys
 from pathlib import Path

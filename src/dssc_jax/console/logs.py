@@ -5,6 +5,7 @@ from functools import partial
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.flight_logs.clocks import ClockStep
 from dssc_jax.flight_logs.contents import FieldValues, LogContents
+from dssc_jax.flight_logs.resets import reset_list
 from dssc_jax.flight_logs.ulog_scan import LogTopic
 
 SYSTEM = ("sys_name", "ver_hw", "ver_sw")
@@ -22,6 +23,10 @@ def show_log(log: LogContents) -> None:
         say(f"{segment.name}: {segment.begin:.4g} s to {segment.end:.4g} s")
     if log.topics and not log.segments:
         say("never armed, as far as the log tells")
+    if not log.topics and not log.fields:
+        say("it holds no message, and no column of numbers")
+    for message in log.late:
+        say(f"late: the last message of {message.topic} is at {message.time:.4g} s, long after those of all others")
     count, lost = log.dropouts
     if count:
         say(f"{count} dropouts of together {lost:.3g} s")
@@ -35,6 +40,10 @@ def show_log(log: LogContents) -> None:
     for step in log.gaps:
         usual = f"where {step.rate:.3g} a second are usual (messages are missing, or the clock jumps)"
         say(f"no message {span(step)}, {usual}: {', '.join(step.topics)}")
+    for label in dict.fromkeys(reset.label for reset in log.resets):
+        say(f"reset of the estimator {reset_list([reset for reset in log.resets if reset.label == label])}: {label}")
+    for invalid in log.invalid:
+        say(f"invalid: {', '.join(invalid.fields)}, as {invalid.text()}")
     if log.topics and not log.fields:
         head = ("topic", "messages", "a second", "first [s]", "last [s]")
         show_table(head, [topic_row(topic) for topic in log.topics])

@@ -14,6 +14,8 @@ MOST_DROPPED = 0.05
 LONG_GAP = 10.0
 """Of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
+LATE = 10.0
+"""Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
 SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
 
 
@@ -46,6 +48,47 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
         if topic.messages >= LEAST_MESSAGES and length * topic.usual > LONG_GAP:
             unusual.append((topic, topic.gap))
     return grouped(unusual)
+
+
+class LateMessage(NamedTuple):
+    """The last message of a topic long after the end of all others: its time [s]."""
+
+    topic: str
+    time: float
+
+
+def span_of(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
+    """The end of a log's messages from its beginning [s], and the last messages that are long after it.
+
+    Topics with many messages tell the end; of these, a single message after a long gap counts as stray.
+    """
+    known = [topic for topic in topics if np.isfinite(topic.last)]
+    ends = []
+    for topic in known:
+        if topic.messages >= LEAST_MESSAGES:
+            length = topic.gap.late - topic.gap.early
+            stray = topic.gap.late == topic.last and length * topic.usual > LONG_GAP
+            ends.append(topic.gap.early if stray else topic.last)
+    end = max(ends or [topic.last for topic in known], default=0.0)
+    limit = end + max(LATE, end / LATE)
+    late = [LateMessage(topic.name, topic.last) for topic in known if topic.last > limit]
+    return max((topic.last for topic in known if topic.last <= limit), default=end), late
+
+
+def column_clock(name: str, time: np.ndarray) -> LogTopic:
+    """The times of a table's column as those of a topic, one message a row; rows without a time are left out."""
+    known = time[np.isfinite(time)]
+    steps = np.diff(known)
+    if not steps.size:
+        only = float(known[0]) if known.size else np.nan
+        return LogTopic(name, len(known), only, only)
+    falls = np.flatnonzero(steps < 0.0)
+    fall = Stamps(float(known[falls[0]]), float(known[falls[0] + 1])) if falls.size else Stamps()
+    longest = int(np.argmax(steps))
+    gap = Stamps(float(known[longest]), float(known[longest + 1]))
+    rising = steps[steps > 0.0]
+    usual = float(1.0 / np.median(rising)) if rising.size else np.nan
+    return LogTopic(name, len(known), float(known[0]), float(known[-1]), len(falls), fall, usual, gap)
 
 
 def grouped(found: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:

@@ -1,5 +1,6 @@
 """What a log holds: its topics or columns, its segments, and the values of chosen topics."""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +9,23 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError, errors_in_file, nearest
-from dssc_jax.flight_logs.clocks import ClockStep, falls_of, gaps_of
+from dssc_jax.flight_logs.clocks import ClockStep, LateMessage, column_clock, falls_of, gaps_of
 from dssc_jax.flight_logs.frames import derived_fields, field_values
+from dssc_jax.flight_logs.resets import (
+    ATTITUDE,
+    POSITION,
+    InvalidSpan,
+    Reset,
+    estimate_topics,
+    invalid_spans,
+    reset_list,
+    resets_of,
+    without_invalid,
+    without_jumps,
+)
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
+    LogWarning,
     Segment,
     TopicData,
     chosen_segment,
@@ -24,6 +38,10 @@ from dssc_jax.flight_logs.ulog import (
 )
 from dssc_jax.flight_logs.ulog_scan import LogTopic
 from dssc_jax.study.recorded import TIME, recorded_frame
+
+TIME_NAMES = ("time", "stamp", "seconds")
+"""Beginnings of the names that columns of times usually have."""
+ESTIMATES = (POSITION, ATTITUDE)
 
 
 class FieldValues(NamedTuple):
@@ -60,6 +78,10 @@ class LogContents:
         damaged: Position of the first byte that is no message.
         cut: Whether the file ends within a message, as where the power failed while it was written.
         fields: Fields of the chosen topics, or the columns of a table.
+        resets: Resets of the estimator, of position, velocity and attitude.
+        invalid: When the estimator called position or velocity invalid.
+        late: Last messages of topics long after the span.
+        clock: The times of a table.
     """
 
     name: str
@@ -73,16 +95,25 @@ class LogContents:
     lost: int
     cut: bool
     fields: tuple[FieldValues, ...]
+    resets: tuple[Reset, ...] = ()
+    invalid: tuple[InvalidSpan, ...] = ()
+    late: tuple[LateMessage, ...] = ()
+    clock: LogTopic | None = None
+
+    @property
+    def clocks(self) -> tuple[LogTopic, ...]:
+        """The times that may fall or jump: those of the topics, or of a table's column."""
+        return self.topics if self.clock is None else (self.clock,)
 
     @property
     def falls(self) -> list[ClockStep]:
         """Where time stamps fall."""
-        return falls_of(self.topics)
+        return falls_of(self.clocks)
 
     @property
     def gaps(self) -> list[ClockStep]:
         """Where messages are missing, or the clock jumps."""
-        return gaps_of(self.topics)
+        return gaps_of(self.clocks)
 
     def summary(self) -> dict[str, object]:
         """The same as plain data."""
@@ -91,8 +122,17 @@ class LogContents:
         fields = [field._asdict() for field in self.fields]
         falls = [step._asdict() for step in self.falls]
         gaps = [step._asdict() for step in self.gaps]
+        resets = []
+        for reset in self.resets:
+            names = reset.counter.fields
+            resets.append({"counter": reset.label, "time": reset.time, "fields": names, "jump": reset.jump})
+            resets[-1] |= {"size": reset.size, "unit": reset.counter.unit, "stated": reset.known}
+        invalid = [span._asdict() for span in self.invalid]
         lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
-        return {**vars(self), **lists}
+        late = [message._asdict() for message in self.late]
+        whole = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
+        del whole["clock"]
+        return whole
 
 
 def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
@@ -116,20 +156,23 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             if name.removesuffix(":0") not in known:
                 raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, known)}")
         names = [topic_place(name)[0] for name in topics]
-        data, begin, _ = read_topics(path, [*names, *SEGMENT_TOPICS])
+        data, begin, _ = read_topics(path, [*names, *SEGMENT_TOPICS, *ESTIMATES])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
             path.name,
             listed.system,
             listed.duration,
             listed.topics,
-            tuple(segments_of(data, begin)),
+            tuple(segments_of(data, begin, listed.duration)),
             listed.dropouts,
             listed.damaged,
             listed.damages,
             listed.lost,
             listed.cut,
             tuple(fields),
+            tuple(resets_of(data, begin)),
+            tuple(invalid_spans(data, begin, listed.duration)),
+            listed.late,
         )
 
 
@@ -159,13 +202,21 @@ def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldV
 
 
 def table_contents(path: Path) -> LogContents:
-    """The columns of a CSV or Parquet file that hold numbers; the span of its column t."""
+    """The columns of a CSV or Parquet file that hold numbers; the span, falls and gaps of its times.
+
+    Its times are in the column t, or in the first one whose name begins with another word for them.
+    """
     frame = recorded_frame(path).select_dtypes("number")
     columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
-    time = columns.get(TIME, np.zeros(1))
-    span = float(np.nanmax(time) - np.nanmin(time))
-    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields)
+    names = [name for name in columns if name.strip().lower().startswith(TIME_NAMES)]
+    name = TIME if TIME in columns else next(iter(names), None)
+    if name is None:
+        return LogContents(path.name, {}, 0.0, (), (), (0, 0.0), None, 0, 0, False, fields)
+    clock = column_clock(name, columns[name])
+    known = columns[name][np.isfinite(columns[name])]
+    span = float(np.ptp(known)) if known.size else 0.0
+    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock)
 
 
 def topic_table(
@@ -174,7 +225,8 @@ def topic_table(
     """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
 
     Messages without a stamp, or from before the start, are left out, but for the last one before it: with its negative
-    time a record has a value at 0, too.
+    time a record has a value at 0, too. Jumps of the estimator after the start are taken out, and values that it calls
+    invalid are NaN, as a comparison reads them.
 
     Args:
         path: A ULog of PX4.
@@ -184,10 +236,13 @@ def topic_table(
 
     Raises:
         ConfigError: the file cannot be read, or it lacks the topic or the segment.
+
+    Warns:
+        LogWarning: The log is damaged, or the table differs from the log because of its estimator.
     """
     with errors_in_file(str(path)):
         name, key = topic_place(topic)
-        data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS])
+        data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS, *estimate_topics([name])])
         signals = data.get(key)
         if signals is None:
             known = [topic.name for topic in list_topics(path).topics]
@@ -197,6 +252,7 @@ def topic_table(
         log_span = Segment("whole", 0.0, np.inf)
         part = log_span if segment is None else chosen_segment(segment, segments_of(data, begin))
         origin = part.begin if start is None else start
+        signals = flown_signals(path, topic, data, begin, Segment("part", origin, part.end))
         inside = (time >= max(part.begin, origin)) & (time <= part.end)
         if not inside.any():
             has = (
@@ -215,3 +271,19 @@ def topic_table(
             if values is not None and not field.startswith("timestamp"):
                 table[field] = values[inside]
         return table
+
+
+def flown_signals(path: Path, topic: str, data: TopicData, begin: float, part: Segment) -> dict[str, np.ndarray]:
+    """The fields of a topic without jumps of the estimator in a part of the log, and without invalid values."""
+    _, key = topic_place(topic)
+    resets = [reset for reset in resets_of(data, begin) if part.begin < reset.time <= part.end]
+    signals = without_jumps(without_invalid(data), resets)[key]
+    changed = [name for name, values in signals.items() if not np.array_equal(values, data[key][name], equal_nan=True)]
+    if changed:
+        removed = [reset for reset in resets if reset.is_taken_out]
+        reasons = [f"jumps {reset_list(removed)} are taken out"] if removed else []
+        if any(np.isnan(signals[name]).sum() > np.isnan(data[key][name]).sum() for name in changed):
+            reasons.append("invalid values are left out")
+        text = f"{path.name}: {topic} is not as logged in {', '.join(changed)}: {' and '.join(reasons)}"
+        warnings.warn(text, LogWarning, stacklevel=3)
+    return signals

@@ -173,6 +173,8 @@ class LogHints(NamedTuple):
         slopes: Rates that are not the slope of the study's reference.
         starts: Numbers at which the study starts while the flight cannot have.
         attitudes: Numbers of the attitude at which the study starts while the log has another.
+        estimator: Counters of resets of the estimator, and flags that call its values invalid.
+        factors: Outputs that are not the integrals of their derivatives, by a factor that names no unit.
     """
 
     conversions: Mapping[str, str]
@@ -180,7 +182,11 @@ class LogHints(NamedTuple):
     slopes: Mapping[str, str] = MappingProxyType({})
     starts: Mapping[str, str] = MappingProxyType({})
     attitudes: Mapping[str, str] = MappingProxyType({})
+    estimator: Mapping[str, str] = MappingProxyType({})
+    factors: Mapping[str, str] = MappingProxyType({})
 
     def all(self) -> dict[str, str]:
         """All of them, by signal or number."""
-        return {**self.conversions, **self.shifts, **self.slopes, **self.starts, **self.attitudes}
+        numbers = (self.starts, self.attitudes)
+        parts = (self.factors, self.conversions, self.shifts, self.slopes, *numbers, self.estimator)
+        return {name: text for part in parts for name, text in part.items()}

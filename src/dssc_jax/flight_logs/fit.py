@@ -29,6 +29,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
+from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
     TINY,
@@ -52,6 +53,7 @@ from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
     Doubt,
     NotIdentifiable,
+    Unexplained,
     doubts,
     require_description,
     require_identifiable,
@@ -63,6 +65,7 @@ from dssc_jax.flight_logs.replay import (
     replayed_channel,
     require_same_signals,
 )
+from dssc_jax.flight_logs.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
@@ -100,8 +103,8 @@ def fit_log(
         progress: Called with the simulations done, and their largest number.
 
     Raises:
-        ConfigError: a name or the log is not suitable; the log has lost messages; a signal of it is the study's in
-            another unit, sign or column.
+        ConfigError: a name or the log is not suitable; the log has lost messages, or a jump of the estimator; a signal
+            of it is the study's in another unit, sign or column.
         NotIdentifiable: the flight does not identify the numbers.
         Unexplained: the residual is more than noise.
         StartsElsewhere: the integrals of an inner loop were others at the first sample.
@@ -122,6 +125,8 @@ def fit_log(
             "is damaged: messages are lost, and commands are held where the flight had others. "
             "Take another log, or a part before the damage; `allow_damaged` fits it all the same",
         )
+    if not allow_damaged:
+        require_no_jumps(study, log)
     count = SearchCount(limits, progress)
     known: list[Minimum] = []
     study = study.without_sweep()
@@ -335,11 +340,16 @@ def fitted_minimum(
     study = problem.study
     x = search.best.x
     channels = [study.loop.channels[readings.channel] for readings in problem.readings]
-    results = require_description(problem, x)
+    try:
+        results = require_description(problem, x)
+    except Unexplained as refusal:
+        reasons = "".join(f". {doubt.text}" for doubt in delay_doubts(problem, search.best))
+        raise Unexplained(f"{refusal}{reasons}") from None
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
+    late = delay_doubts(problem, search.best)
     covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
     rare = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
     growth = widest_growth(covariance, covariance + moves.T @ moves)
@@ -373,5 +383,12 @@ def fitted_minimum(
         tuple(rivals),
         problem.count.simulations,
         problem.count.reason,
-        (*doubts(problem, x, results), *held_doubts(problem.log), *rare, *wind_doubts(study), *roughness_doubts(rough)),
+        (
+            *doubts(problem, x, results),
+            *late,
+            *held_doubts(problem.log),
+            *rare,
+            *wind_doubts(study),
+            *roughness_doubts(rough),
+        ),
     )

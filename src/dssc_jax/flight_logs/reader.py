@@ -12,6 +12,15 @@ from dssc_jax.core.numerics import wrap_angle
 from dssc_jax.flight_logs.clocks import sound_rows
 from dssc_jax.flight_logs.columns import ColumnMap, SignalSource, TimeSource, column_map
 from dssc_jax.flight_logs.frames import PX4_COLUMNS, derived_fields, field_values
+from dssc_jax.flight_logs.resets import (
+    InvalidSpan,
+    Reset,
+    concerned_resets,
+    concerned_spans,
+    estimate_topics,
+    without_invalid,
+    without_jumps,
+)
 from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
     Segment,
@@ -59,6 +68,8 @@ class FlightLog(NamedTuple):
         file: The file.
         dropped: Number of rows that are left out because their times fall, by signal.
         clock: The column of times of a CSV or Parquet file.
+        resets: Resets of the estimator that the signals show after the start; known jumps of positions are taken out.
+        invalid: Spans in which the estimator calls the signals invalid; their values are left out.
     """
 
     name: str
@@ -69,6 +80,8 @@ class FlightLog(NamedTuple):
     file: Path | None = None
     dropped: Mapping[str, int] = MappingProxyType({})
     clock: TimeSource = TimeSource()
+    resets: tuple[Reset, ...] = ()
+    invalid: tuple[InvalidSpan, ...] = ()
 
     def is_cut(self) -> bool:
         """Whether its file ends within a message; reads the file once more."""
@@ -120,34 +133,39 @@ def read_log(
         logged = is_ulog(file)
         if columns.segment is not None and not logged:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
-        begin = None
-        damaged = False
-        airborne: tuple[Segment, ...] = ()
-        if logged:
-            raw, begin, damaged, airborne = ulog_columns(file, columns, channels)
-        else:
-            raw = table_columns(file, columns, channels)
+        found = (ulog_columns if logged else table_columns)(file, columns, channels)
+        raw = found.columns
         if not any(name.endswith(("y", "u_total")) for name in raw):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
-            raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}")
+            raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}{found.reason}")
         converted = {}
         dropped = {}
         for name, column in raw.items():
             source = columns.signals.get(name, SignalSource(name))
+            if not (np.isfinite(column.time) & np.isfinite(column.value)).any():
+                raise ConfigError(name, f"has no finite value in the log{found.reason}")
             converted[name], count = converted_column(name, column, source, allow_damaged)
             if count:
                 dropped[name] = count
-    first = min(float(column.time[0]) for column in converted.values()) if begin is None else begin
+    first = min(float(column.time[0]) for column in converted.values()) if found.begin is None else found.begin
     start = first if columns.start is None else columns.start
-    return FlightLog(file.name, converted, start, damaged, airborne, file, dropped, columns.time)
+    return FlightLog(
+        file.name,
+        converted,
+        start,
+        found.damaged,
+        found.airborne,
+        file,
+        dropped,
+        columns.time,
+        found.resets,
+        found.invalid,
+    )
 
 
 def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:
     """The finite values of a column in the study's unit, and the number of rows left out because their times fall."""
-    finite = np.isfinite(column.time) & np.isfinite(column.value)
-    if not finite.any():
-        raise ConfigError(name, "has no finite value in the log")
-    rows = np.flatnonzero(finite)
+    rows = np.flatnonzero(np.isfinite(column.time) & np.isfinite(column.value))
     kept = rows[sound_rows(name, column.time[rows], rows, allow_damaged)]
     time = column.time[kept]
     with np.errstate(over="ignore"):
@@ -161,7 +179,32 @@ def converted_column(name: str, column: Column, source: SignalSource, allow_dama
     return Column(time, value), len(rows) - len(kept)
 
 
-def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> dict[str, Column]:
+class LogColumns(NamedTuple):
+    """Columns of a log by the signals' names, and what a ULog tells beside them.
+
+    Args:
+        columns: The columns.
+        begin: The segment's beginning [s]; None without a segment.
+        damaged: Whether messages are lost.
+        airborne: When the vehicle was in the air.
+        resets: Resets of the estimator after the start.
+        invalid: Spans in which the estimator calls values invalid.
+    """
+
+    columns: dict[str, Column]
+    begin: float | None = None
+    damaged: bool = False
+    airborne: tuple[Segment, ...] = ()
+    resets: tuple[Reset, ...] = ()
+    invalid: tuple[InvalidSpan, ...] = ()
+
+    @property
+    def reason(self) -> str:
+        """Why values may be missing: what is invalid, in words; empty if nothing is."""
+        return "".join(f"; {span.text()}" for span in self.invalid)
+
+
+def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
     """The columns of a CSV or Parquet file by the signals' names."""
     frame = recorded_frame(path)
     present = [str(name) for name in frame.columns]
@@ -174,42 +217,44 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
             raise ConfigError(field, rule)
     try:
         time = columns.time.scale * frame[columns.time.column].to_numpy(float)
-        return {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
+        found = {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
     except (TypeError, ValueError) as error:
         raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
+    return LogColumns(found)
 
 
-class UlogColumns(NamedTuple):
-    """Columns of a ULog by the signals' names, the segment's beginning [s], lost messages, and times in the air."""
-
-    columns: dict[str, Column]
-    begin: float | None
-    damaged: bool
-    airborne: tuple[Segment, ...]
-
-
-def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> UlogColumns:
+def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
     """The fields of a ULog's topics by the signals' names; without a segment there is no beginning.
 
-    Times count from the beginning of the log.
+    Times count from the beginning of the log. Known jumps of the estimator after the start are taken out.
     """
     sources = {name: (source.column,) for name, source in columns.signals.items()} or vehicle_columns(channels)
     if not sources:
         raise ConfigError("signals", "a log of PX4 needs a table of columns, such as y = 'topic.field'")
     names = {column_place(column).topic for choices in sources.values() for column in choices}
-    topics, begin, damaged = read_topics(path, {*names, *SEGMENT_TOPICS})
-    segments = segments_of(topics, begin)
+    logged, begin, damaged = read_topics(path, {*names, *SEGMENT_TOPICS, *estimate_topics(names)})
+    valid = without_invalid(logged)
+    segments = segments_of(logged, begin)
     airborne = tuple(segment for segment in segments if segment.name == "airborne")
-    raw = {}
+    segment = None if columns.segment is None else chosen_segment(columns.segment, segments)
+    chosen = {}
     for name, choices in sources.items():
-        found = [column for column in choices if has_column(topics, column)]
+        found = [column for column in choices if has_column(valid, column)]
         if columns.signals or found:
-            raw[name] = ulog_column(topics, begin, name, found[0] if found else choices[0])
-    if columns.segment is None:
-        return UlogColumns(raw, None, damaged, airborne)
-    segment = chosen_segment(columns.segment, segments)
-    within = {name: within_segment(name, column, segment) for name, column in raw.items()}
-    return UlogColumns(within, segment.begin, damaged, airborne)
+            chosen[name] = found[0] if found else choices[0]
+    if not chosen:
+        topics = ", ".join(sorted(names))
+        raise ConfigError("signals", f"the log has no values of {topics}; `dssc-jax log FILE` lists its topics")
+    places = [column_place(column) for column in chosen.values()]
+    pairs = [(place.topic, place.field) for place in places if place.label == f"{place.topic}:0"]
+    start = columns.start if columns.start is not None else (segment.begin if segment else -np.inf)
+    resets = concerned_resets(logged, begin, pairs, start)
+    topics = without_jumps(valid, resets)
+    raw = {name: ulog_column(topics, begin, name, column) for name, column in chosen.items()}
+    if segment is not None:
+        raw = {name: within_segment(name, column, segment) for name, column in raw.items()}
+    invalid = concerned_spans(logged, begin, pairs)
+    return LogColumns(raw, segment.begin if segment else None, damaged, airborne, resets, invalid)
 
 
 class ColumnPlace(NamedTuple):

@@ -22,6 +22,7 @@ from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
+from dssc_jax.flight_logs.integrals import integral_hints
 from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
@@ -31,6 +32,7 @@ from dssc_jax.flight_logs.reader import (
     signal_name,
 )
 from dssc_jax.flight_logs.references import compared_references, median_values, study_references
+from dssc_jax.flight_logs.reset_hints import reset_hints
 from dssc_jax.flight_logs.starts import start_hints
 from dssc_jax.study import Study
 
@@ -251,7 +253,8 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     not_replayed: dict[str, str] = {}
     channels = [channel_signals(study, log, index, references[index, 0]) for index in range(len(loop.channels))]
     compared = compared_references(study, log, channels, references)
-    conversions = compared.conversions
+    integrals = integral_hints(study, log)
+    conversions = integrals.units | compared.conversions
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         if not commands:
@@ -269,7 +272,13 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
     hints = LogHints(
-        conversions, compared.shifts, compared.slopes, start_hints(study, log) | attitude_hints(study, log)
+        conversions,
+        compared.shifts,
+        compared.slopes,
+        start_hints(study, log),
+        attitude_hints(study, log),
+        reset_hints(study, log),
+        integrals.factors,
     )
     differences = compared.differences
     dropped = dict(log.dropped)

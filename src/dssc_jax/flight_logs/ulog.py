@@ -18,14 +18,15 @@ import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.clocks import LateMessage, span_of
 from dssc_jax.flight_logs.frames import MICROSECOND
 from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedPart
+from dssc_jax.study.recorded import ULOG
 
 if TYPE_CHECKING:
     from pyulog import ULog
 
 HEADER = struct.Struct("<7sBQ")
-MAGIC = b"ULog\x01\x12\x35"
 ARMED = 2  # of vehicle_status.arming_state
 SEGMENTS = ("armed", "airborne")
 SEGMENT_TOPICS = ("actuator_armed", "vehicle_status", "vehicle_land_detected")
@@ -53,13 +54,14 @@ class LogTopics(NamedTuple):
 
     Args:
         system: What it says of its system: hardware, software and so on, by PX4's names.
-        duration: From its beginning to its last stamp [s].
+        duration: From its beginning to its last stamp, without late ones [s].
         topics: Its topics, by name.
         dropouts: Number of gaps in writing, and their sum [s].
         damaged: Position of the first byte that is no message; None: there is none.
         damages: Number of places with such bytes.
         lost: Number of such bytes.
         cut: Whether the file ends within a message.
+        late: Last messages of topics long after the span.
     """
 
     system: dict[str, str]
@@ -70,6 +72,7 @@ class LogTopics(NamedTuple):
     damages: int
     lost: int
     cut: bool
+    late: tuple[LateMessage, ...]
 
 
 class LogWarning(UserWarning):
@@ -77,8 +80,8 @@ class LogWarning(UserWarning):
 
 
 def is_ulog(path: Path) -> bool:
-    """Whether a file is a ULog, by the end of its name."""
-    return path.suffix.lower() == ".ulg"
+    """Whether a file is a ULog, by the end of its name or by its first bytes."""
+    return path.suffix.lower() == ".ulg" or (path.is_file() and files.read_bytes(path, len(ULOG)) == ULOG)
 
 
 def topic_place(name: str) -> tuple[str, str]:
@@ -193,10 +196,10 @@ def list_topics(path: Path) -> LogTopics:
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
-    duration = max((topic.last for topic in topics if np.isfinite(topic.last)), default=0.0)
+    duration, late = span_of(topics)
     damaged = scan.damages[0].begin if scan.damages else None
     lost = sum(damage.end - damage.begin for damage in scan.damages)
-    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut)
+    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut, tuple(late))
 
 
 def is_cut(path: Path) -> bool:
@@ -217,48 +220,61 @@ def log_begin(file: BinaryIO) -> int:
     head = file.read(HEADER.size)
     if not head:
         raise ConfigError("", "is no ULog: the file is empty")
-    if len(head) < HEADER.size or head[: len(MAGIC)] != MAGIC:
+    if len(head) < HEADER.size or head[: len(ULOG)] != ULOG:
         raise ConfigError("", "is no ULog: its first bytes are others")
     return HEADER.unpack(head)[2]
 
 
-def segments_of(topics: TopicData, begin: float) -> list[Segment]:
+def log_end(topics: TopicData, begin: float) -> float:
+    """The last stamp of some topics, from the beginning of the log [s]; 0 if there is none."""
+    times = [stamps(fields, begin) for fields in topics.values()]
+    return max((float(time[np.isfinite(time)].max(initial=0.0)) for time in times), default=0.0)
+
+
+def segments_of(topics: TopicData, begin: float, end: float | None = None) -> list[Segment]:
     """When a vehicle was armed and in the air.
 
     Armed: ``actuator_armed.armed``, or ``vehicle_status.arming_state`` is 2. Airborne: armed and not
-    ``vehicle_land_detected.landed``. A state holds until the topic's next message.
+    ``vehicle_land_detected.landed``. A state holds until the topic's next message, the last one until the end of the
+    log: some of these topics are sent at a change only. Before the first message it is unknown, and counts as no.
 
     Args:
-        topics: The topics of :data:`SEGMENT_TOPICS`, as far as the log has them.
+        topics: The topics of the log that are read; those of :data:`SEGMENT_TOPICS`, as far as the log has them.
         begin: The time at which the log begins [us].
+        end: Its end [s]; None: the last stamp of the topics.
     """
-    armed = spans_of(topics, "actuator_armed:0", "armed", lambda values: values > 0, begin)
+    end = log_end(topics, begin) if end is None else end
+    armed = spans_of(topics, "actuator_armed:0", "armed", lambda values: values > 0, begin, end)
     if armed is None:
-        armed = spans_of(topics, "vehicle_status:0", "arming_state", lambda values: values == ARMED, begin)
+        armed = spans_of(topics, "vehicle_status:0", "arming_state", lambda values: values == ARMED, begin, end)
     if armed is None:
         return []
     segments = [Segment("armed", *span) for span in armed]
-    in_air = spans_of(topics, "vehicle_land_detected:0", "landed", lambda values: values == 0, begin) or []
+    in_air = spans_of(topics, "vehicle_land_detected:0", "landed", lambda values: values == 0, begin, end) or []
     for low, high in in_air:
-        for start, end in armed:
-            if max(low, start) < min(high, end):
-                segments.append(Segment("airborne", max(low, start), min(high, end)))
+        for start, stop in armed:
+            if max(low, start) < min(high, stop):
+                segments.append(Segment("airborne", max(low, start), min(high, stop)))
     return segments
 
 
 def spans_of(
-    topics: TopicData, topic: str, field: str, holds: Callable[[np.ndarray], np.ndarray], begin: float
+    topics: TopicData,
+    topic: str,
+    field: str,
+    holds: Callable[[np.ndarray], np.ndarray],
+    begin: float,
+    end: float,
 ) -> list[tuple[float, float]] | None:
     """The spans of time in which a field has a property; None if the log does not have it."""
     fields = topics.get(topic)
     if fields is None or field not in fields:
         return None
     time = MICROSECOND * (fields["timestamp"].astype(float) - begin)
-    held = np.concatenate([[False], holds(fields[field]), [False]])
-    edges = np.diff(held.astype(int))
-    starts = np.flatnonzero(edges == 1)
-    ends = np.minimum(np.flatnonzero(edges == -1), len(time) - 1)
-    return [(float(time[start]), float(time[end])) for start, end in zip(starts, ends, strict=True)]
+    bounds = np.append(time, max(end, float(time[-1])))
+    edges = np.diff(np.concatenate([[False], holds(fields[field]), [False]]).astype(int))
+    pairs = zip(bounds[edges == 1].tolist(), bounds[edges == -1].tolist(), strict=True)
+    return [(low, high) for low, high in pairs if low < high]
 
 
 def chosen_segment(text: str, segments: Sequence[Segment]) -> Segment:

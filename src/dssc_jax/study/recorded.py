@@ -14,6 +14,7 @@ import numpy as np
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
 from dssc_jax.core.toml import TomlTable
+from dssc_jax.study.csv_files import NO_NUMBERS, csv_form, csv_header, csv_lines, whole_rows
 
 FIELDS = ("file", "column", "columns", "time_column", "rate_file", "rate_column")
 SLOTS = ("reference", "disturbance", "wind", "sensor")
@@ -24,6 +25,8 @@ RATED = "reference"
 """The slot whose record may have the rate of its values."""
 TIME = "t"
 PARQUET = (".parquet", ".pq")
+ULOG = b"ULog\x01\x12\x35"
+"""First bytes of a log of PX4."""
 LARGEST_RECORD = 2**27  # bytes of a file
 MOST_COLUMNS = 10_000
 """Columns of a file; a table of more takes minutes to read."""
@@ -152,19 +155,12 @@ def numbers_of(column: Any, path: Path, field: str) -> list[float]:
     return numbers
 
 
-def data_lines(path: Path) -> list[int]:
-    """The line of each row of a CSV file, counted from 1; its header, comments and empty lines have none."""
-    lines = record_content(path).decode(errors="replace").splitlines()
-    filled = [number for number, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
-    return filled[1:]
-
-
 def place_of(path: Path, row: int) -> str:
     """Where a row stands in a file, in words."""
     if path.suffix.lower() in PARQUET:
         return f"row {row + 1}"
-    lines = data_lines(path)
-    return f"line {lines[row]}" if row < len(lines) else f"row {row + 1}"
+    lines = list(csv_lines(record_content(path)))[1:]
+    return f"line {lines[row].number}" if row < len(lines) else f"row {row + 1}"
 
 
 def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -> None:
@@ -181,15 +177,17 @@ def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -
     """
     if path.suffix.lower() in PARQUET or not rows.size:
         return
-    lines = data_lines(path)
-    if len(lines) != count:  # a quoted cell spans several lines
+    content = record_content(path)
+    form = csv_form(path, content)
+    lines = list(csv_lines(content))[1:]
+    if len(lines) not in (count, count + 1):  # a quoted cell spans several lines; the last row may be cut off
         return
-    texts = record_content(path).decode(errors="replace").splitlines()
     for row in rows:
-        cells = [cell.strip().strip('"') for cell in texts[lines[row] - 1].split(",")]
+        texts = lines[row].text.decode(errors="replace").split(form.separator)
+        found = [text.strip().strip('"').replace(form.decimal, ".") for text in texts]
         for place in places:
-            if place < len(cells) and cells[place] and not is_number(cells[place]):
-                text = f"'{path.name}' must hold numbers or empty cells; line {lines[row]} has {cells[place]!r}"
+            if place < len(found) and found[place] and not is_number(found[place]):
+                text = f"'{path.name}' must hold numbers or empty cells; line {lines[row].number} has {found[place]!r}"
                 raise ConfigError("column", text)
 
 
@@ -214,24 +212,17 @@ def record_content(path: Path) -> bytes:
     return content
 
 
-def csv_columns(content: bytes) -> int:
-    """The number of columns of a CSV file: the separators of its first line that is no comment, and one more."""
-    start = 0
-    while start < len(content):
-        end = content.find(b"\n", start)
-        end = len(content) if end < 0 else end
-        line = content[start:end].strip()
-        if line and not line.startswith(b"#"):
-            return line.count(b",") + 1
-        start = end + 1
-    return 0
-
-
 def parquet_columns(content: bytes) -> int:
     """The number of columns of a Parquet file."""
     from pyarrow import parquet
 
     return parquet.ParquetFile(io.BytesIO(content)).metadata.num_columns
+
+
+def require_few_columns(path: Path, count: int) -> None:
+    """Require that a file has no more columns than a record can have; raises ConfigError."""
+    if count > MOST_COLUMNS:
+        raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
 
 
 def recorded_frame(path: Path) -> Any:
@@ -247,11 +238,15 @@ def recorded_frame(path: Path) -> Any:
         if not path.is_file():
             raise ConfigError("file", f"'{path}' cannot be read: it is no file")
         content = record_content(path)
-        count = parquet_columns(content) if parquet else csv_columns(content)
-        if count > MOST_COLUMNS:
-            raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
-        table = io.BytesIO(content)
-        return pd.read_parquet(table) if parquet else pd.read_csv(table, skipinitialspace=True, comment="#")
+        if content.startswith(ULOG):
+            raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
+        if parquet:
+            require_few_columns(path, parquet_columns(content))
+            return pd.read_parquet(io.BytesIO(content))
+        form = csv_form(path, content)
+        require_few_columns(path, csv_header(content).count(form.separator.encode()) + 1)
+        table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
+        return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
     except ImportError as error:
         raise ConfigError("file", "a Parquet file needs pyarrow: pip install 'dssc_jax[export]'") from error
     except ConfigError:

@@ -7,6 +7,7 @@ from dssc_jax.cli.declarations.flight import CompareLog
 from dssc_jax.cli.exit_codes import DONE, FAILS
 from dssc_jax.cli.loading import study_of
 from dssc_jax.cli.logs import logged_flight
+from dssc_jax.cli.output import say
 from dssc_jax.cli.running import require_unset
 from dssc_jax.console.flight import show_fit, show_log_comparison, show_next_flight, show_replay
 from dssc_jax.console.terminal import output, progress_bar
@@ -60,6 +61,9 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     names = [str(path) for path in options.log]
     question = (*asked(options), names, options.probability)
     folder = free_folder(study, "next-flight", "next-flight", options.out, *question)
+    for log in logs:
+        for name, text in replay_log(study, log, commands=False).hints.all().items():
+            say(f"warning: {log.name}: {name} {text}")
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         found = next_flight(study, logs, probability=probability, progress=advance)
     finish(found, folder, options, show_next_flight)

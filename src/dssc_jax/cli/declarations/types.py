@@ -99,7 +99,8 @@ class LogOptions:
     allow_damaged: Annotated[
         bool,
         typer.Option(
-            "--allow-damaged", help="Leave out rows whose times fall, and fit a log with lost messages; refused else."
+            "--allow-damaged",
+            help="Leave out rows whose times fall; fit a log with lost messages or jumps of the estimator.",
         ),
     ] = False
 

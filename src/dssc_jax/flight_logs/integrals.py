@@ -1,0 +1,138 @@
+"""Whether a logged output is the integral of its logged derivative: another factor is another unit, sign or clock.
+
+With X the integral of y' and the output y = a + b t + s X, the factor s is 1. A noise of y' and a drift of its bias are
+part of the residual. Batches of it, as long as its correlation, tell the deviation of s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from dssc_jax.flight_logs.conversions import CONVERSIONS, ONLY_WITH_UNIT, is_of
+from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
+from dssc_jax.study import Study
+
+LEAST_VALUES = 20
+LEAST_DIFFERENCE = 0.015  # of the factor from 1
+DEVIATIONS = 5.0  # of the factor from 1, in its standard deviations
+BATCHES = 10  # of the residual: a drift by noise in y' has hardly a correlation from one to another
+DRIFT = 10.0  # of the variance by white noise: the least that a drift is taken to add
+FITTED = 3  # numbers of the regression
+SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
+SAME_FACTOR = 0.02  # closer, a factor is that of another unit
+ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
+
+
+class Factor(NamedTuple):
+    """What an output changes by, over the integral of its derivative, with the standard deviation."""
+
+    value: float
+    deviation: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether it is not 1, for sure."""
+        distance = abs(self.value - 1.0)
+        known = self.deviation < ACCURATE * abs(self.value)
+        return known and distance > max(LEAST_DIFFERENCE, DEVIATIONS * self.deviation)
+
+
+def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Factor | None:
+    """The factor of an output over the integral of its rate, between two times of the log [s].
+
+    None if too few values, too rare ones, or noise leave it open.
+    """
+    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return None
+    inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
+    time, value = output.time[inside], output.value[inside]
+    if len(time) < LEAST_VALUES:
+        return None
+    sizes = float(np.abs(value).max()), float(np.abs(slope.value).max())
+    if min(sizes) == 0.0:
+        return None
+    rate = slope.value / sizes[1]
+    spline = CubicSpline(slope.time, rate).antiderivative()(time)
+    steps = 0.5 * np.diff(slope.time) * (rate[1:] + rate[:-1])
+    trapezia = np.interp(time, slope.time, np.concatenate([[0.0], np.cumsum(steps)]))
+    design = np.column_stack([np.ones(len(time)), time - time[0]])
+    parts = np.column_stack([value / sizes[0], spline, trapezia])
+    parts -= design @ np.linalg.lstsq(design, parts, rcond=None)[0]
+    size = float(parts[:, 1] @ parts[:, 1])
+    if size == 0.0:
+        return None
+    factor = float(parts[:, 0] @ parts[:, 1]) / size
+    coarse = float(parts[:, 2] @ parts[:, 1]) / size
+    residual = parts[:, 0] - factor * parts[:, 1]
+    square = float(residual @ residual)
+    sums = np.array([part.sum() for part in np.array_split(residual * parts[:, 1], BATCHES)])
+    white = square * size / len(time)
+    deviation = float(np.sqrt(max(sums @ sums * BATCHES / (BATCHES - FITTED), DRIFT * white))) / size
+    error = max(abs(coarse - 1.0), square / size / max(factor**2, 1e-300))
+    scale = sizes[0] / sizes[1]
+    factor, deviation = scale * factor, scale * deviation
+    return Factor(factor, deviation) if error < SMALL_ERROR * min(abs(factor - 1.0), 1.0) else None
+
+
+def between(column: Column, begin: float, end: float) -> Column:
+    """The values between two times, the first of several at one time."""
+    inside = np.flatnonzero((column.time >= begin) & (column.time <= end))
+    rows = inside[np.diff(column.time[inside], prepend=-np.inf) > 0.0]
+    return Column(column.time[rows], column.value[rows])
+
+
+class IntegralHints(NamedTuple):
+    """Signals that contradict each other, with the words for it.
+
+    Args:
+        units: One of them is in another unit, or has the opposite sign.
+        factors: They differ by another factor.
+    """
+
+    units: dict[str, str]
+    factors: dict[str, str]
+
+
+def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
+    """The outputs that are not the integrals of their logged derivatives.
+
+    Angles are left out, which are logged in one turn, and logs with jumps of an estimator.
+    """
+    found = IntegralHints({}, {})
+    loop = study.loop
+    end = log.start + loop.sample_time * (loop.steps - 1)
+    if any(log.start < reset.time <= end and not reset.is_taken_out for reset in log.resets):
+        return found
+    for channel, unit in zip(loop.channels, study.units, strict=True):
+        y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
+        if channel in loop.plant.angles or not {y, rate} <= set(log.columns):
+            continue
+        factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
+        if factor is None or not factor.differs:
+            continue
+        said = unit_text(factor.value, unit.output)
+        inverse = unit_text(1.0 / factor.value, unit.output)
+        if inverse and abs(factor.value) < 1.0:
+            found.units[rate] = f"is the derivative of {y} {inverse}"
+        elif said:
+            found.units[y] = f"is the integral of {rate} {said}"
+        else:
+            fast = abs(factor.value) < 1.0
+            clock = f"{1.0 / factor.value:.4g} times too fast" if fast else f"{factor.value:.4g} times too slow"
+            found.factors[y] = (
+                f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate}: the log's clock "
+                f"is {clock}, or one of both is in another unit or of another place. Compare the times with those of "
+                "another clock, and scale the times or the column"
+            )
+    return found
+
+
+def unit_text(factor: float, unit: str) -> str:
+    """The unit or sign that a factor means, in words; empty if it is none of these."""
+    for conversion in CONVERSIONS:
+        usable = conversion.unit not in ONLY_WITH_UNIT or is_of(unit, conversion.unit)
+        if usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
+            return conversion.text(unit)
+    return ""

@@ -1,0 +1,276 @@
+"""Whether logged outputs are later or earlier than the study predicts: a delay that a fit puts into other numbers.
+
+The outputs are shifted by whole samples, together and each channel alone, and the fit is repeated at the shift that
+leaves least. Both fits then have the noise of their residual, and the logarithms of their likelihoods tell whether the
+shift is needed.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from dssc_jax.flight_logs.least_squares import (
+    LEAST_SAMPLES,
+    TINY,
+    FitProblem,
+    Minimum,
+    minimise,
+    reweighted_minimum,
+)
+from dssc_jax.flight_logs.reader import signal_name
+from dssc_jax.flight_logs.refusals import Doubt
+from dssc_jax.statistics.correlated_noise import weighted_products
+
+LONGEST_SHIFT = 0.5  # s
+LONGEST_SHARE = 0.1  # of the log
+MOST_SHIFTS = 25  # on either side
+LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
+SIGNIFICANCE = 1e-4
+LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
+
+
+class LateOutput(NamedTuple):
+    """Outputs that fit better at other times.
+
+    Args:
+        channels: Positions of the channels that are shifted.
+        delay: How much later they are than predicted [s].
+        p_value: Probability of as large a gain without a delay.
+        deviation: Its standard deviation [s].
+        moves: How far the shift moves the estimates, in their standard deviations without it, by number.
+        values: The numbers with the shift.
+        before: Root mean squares of the residuals of the shifted channels without the shift.
+        after: The same with it.
+    """
+
+    channels: tuple[int, ...]
+    delay: float
+    deviation: float
+    p_value: float
+    moves: dict[str, float]
+    values: dict[str, float]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+    def matters(self, sample_time: float) -> bool:
+        """Whether the outputs are at other times for sure, and the estimates depend on it."""
+        moved = max(map(abs, self.moves.values())) > LARGE_MOVE
+        return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and moved
+
+
+class ShiftedProblems:
+    """The problem of a fit with outputs that are shifted by whole samples; all shifts have the same readings.
+
+    Args:
+        problem: The problem, with the noise of its minimum.
+        margin: The longest shift, in samples, within which no reading is at either end.
+    """
+
+    def __init__(self, problem: FitProblem, margin: int) -> None:
+        self.problem = problem
+        self.noises = problem.noises
+        self.variances = problem.variances
+        samples = problem.log.outputs.shape[1]
+        self.outputs = problem.log.outputs.copy()
+        self.outputs[:, : margin + 1] = np.nan
+        self.outputs[:, samples - margin - 1 :] = np.nan
+        for row in set(range(len(self.outputs))) - {readings.channel for readings in problem.readings}:
+            self.outputs[row] = np.nan
+
+    def sufficient(self) -> bool:
+        """Whether every channel keeps enough readings."""
+        counts = np.isfinite(self.outputs).sum(axis=1)
+        return all(counts[readings.channel] >= LEAST_SAMPLES for readings in self.problem.readings)
+
+    def at(self, channels: Sequence[int], shift: int) -> FitProblem:
+        """The problem with some channels' outputs earlier by a number of samples, with the same noise."""
+        offsets = self.problem.log.offsets.copy()
+        offsets[list(channels)] -= shift
+        shifted = replace(self.problem, log=self.problem.log._replace(outputs=self.outputs, offsets=offsets))
+        shifted.noises = list(self.noises)
+        shifted.variances = list(self.variances)
+        return shifted
+
+
+def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
+    """The shift of outputs that the residual at a minimum asks for.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+
+    Returns:
+        None if the log is too short, or no shift is better.
+    """
+    sample_time = problem.study.loop.sample_time
+    samples = problem.log.outputs.shape[1]
+    margin = int(min(LONGEST_SHIFT / sample_time, LONGEST_SHARE * samples, MOST_SHIFTS))
+    shifts = ShiftedProblems(problem, margin)
+    if margin < 1 or not shifts.sufficient():
+        return None
+    own = minimise(shifts.at((), 0), minimum.x)
+    channels, shift = screened_shift(shifts, own, margin)
+    if shift == 0:
+        return None
+    shift, end = climbed_shift(shifts, own, own, channels, shift, margin)
+    if shift == 0 or not end.cost < own.cost:
+        return None
+    late = shifts.at(channels, shift)
+    end = reweighted_minimum(late, end)
+    shifts.noises, shifts.variances = late.noises, late.variances
+    shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), own.x), channels, shift, margin)
+    if shift == 0:
+        return None
+    late = shifts.at(channels, shift)
+    end = reweighted_minimum(late, end)
+    null = shifts.at((), 0)
+    own = reweighted_minimum(null, own)
+    gain = 2.0 * (log_likelihood(late, end.x) - log_likelihood(null, own.x))
+    p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
+    distance, deviation = refinement(shifts, end, channels, shift, margin)
+    delay = sample_time * (shift + distance)
+    deviations = np.sqrt(np.diag(np.linalg.pinv(own.equations.information)))
+    moves = dict(zip(problem.names, ((end.x - own.x) / np.maximum(deviations, TINY)).tolist(), strict=True))
+    before, after = (residuals(part, channels, x) for part, x in ((null, own.x), (late, end.x)))
+    return LateOutput(
+        channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), before, after
+    )
+
+
+def screened_shift(shifts: ShiftedProblems, own: Minimum, margin: int) -> tuple[tuple[int, ...], int]:
+    """The channels and the shift that leave least where the prediction is linear in the numbers, by one simulation.
+
+    All channels together are one choice, and each of them alone is another.
+    """
+    plain = shifts.at((), 0)
+    known = plain.predict(plain.values(own.x), plain.log.commands)
+    channels = tuple(readings.channel for readings in plain.readings)
+    products = []  # by channel and shift
+    for shift in range(-margin, margin + 1):
+        moved = replace_prediction(shifts.at(channels, shift), known)
+        rows = zip(moved.readings, moved.noises, moved.variances, moved.columns(own.x), strict=True)
+        products.append([weighted_products(noise, part.times, c)[0] / variance for part, noise, variance, c in rows])
+    table = np.array(products)  # shifts, channels, 1 + p, 1 + p
+    if not np.isfinite(table).all():
+        return (), 0
+    choices = [channels, *((channel,) for channel in channels)] if len(channels) > 1 else [channels]
+    best = ((), 0)
+    least = linear_cost(table[margin].sum(axis=0))
+    for choice in choices:
+        chosen = np.isin(channels, choice)
+        for place, shift in enumerate(range(-margin, margin + 1)):
+            cost = linear_cost(table[place, chosen].sum(axis=0) + table[margin, ~chosen].sum(axis=0))
+            if cost < least:
+                least = cost
+                best = (choice, shift)
+    return best
+
+
+def replace_prediction(problem: FitProblem, known: tuple[np.ndarray, np.ndarray]) -> FitProblem:
+    """The problem with a prediction that is known, for any numbers."""
+    problem.predict = lambda values, commands: known
+    return problem
+
+
+def linear_cost(products: np.ndarray) -> float:
+    """The least weighted sum of squares by products of the residual and its slopes, shape (1 + p, 1 + p)."""
+    step = np.linalg.lstsq(products[1:, 1:], products[1:, 0], rcond=None)[0]
+    return float(products[0, 0] - products[1:, 0] @ step)
+
+
+def climbed_shift(
+    shifts: ShiftedProblems, near: Minimum, own: Minimum, channels: Sequence[int], shift: int, margin: int
+) -> tuple[int, Minimum]:
+    """The shift next to which none leaves less, from a first one on, and the end of the fit there.
+
+    Args:
+        shifts: The problems.
+        near: The minimum from which fits start.
+        own: That without a shift.
+        channels: Those that are shifted.
+        shift: The first shift.
+        margin: The longest one.
+    """
+    ends = {0: own}
+
+    def cost(place: int) -> float:
+        if abs(place) > margin:
+            return math.inf
+        if place not in ends:
+            ends[place] = minimise(shifts.at(channels, place), near.x)
+        return ends[place].cost
+
+    while True:
+        better = min((shift, shift - 1, shift + 1), key=cost)
+        if better == shift:
+            return shift, ends[shift]
+        shift = better
+
+
+def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
+    """The logarithm of the likelihood of all readings, at the likeliest variance of each channel's noise."""
+    total = 0.0
+    for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
+        products, log_det = weighted_products(noise, readings.times, columns[:, :1])
+        count = len(readings.times)
+        total -= 0.5 * (log_det + count * math.log(max(float(products[0, 0]), readings.floor * count, TINY)))
+    return total
+
+
+def refinement(
+    shifts: ShiftedProblems, end: Minimum, channels: Sequence[int], shift: int, margin: int
+) -> tuple[float, float]:
+    """The distance of the best shift from a whole one, by a parabola through three fits, and its deviation, in samples.
+
+    The deviation is infinite where they are on no parabola with a minimum.
+    """
+    if abs(shift) == margin:
+        return 0.0, math.inf
+    sides = [minimise(shifts.at(channels, shift + move), end.x).cost for move in (-1, 1)]
+    bend = sides[0] + sides[1] - 2.0 * end.cost
+    if not math.isfinite(bend) or bend <= 0.0:
+        return 0.0, math.inf
+    return float(np.clip(0.5 * (sides[0] - sides[1]) / bend, -0.5, 0.5)), math.sqrt(2.0 / bend)
+
+
+def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tuple[float, ...]:
+    """The root mean square of the residual of some channels."""
+    pairs = zip(problem.readings, problem.columns(x), strict=True)
+    return tuple(float(np.sqrt(np.mean(c[:, 0] ** 2))) for readings, c in pairs if readings.channel in channels)
+
+
+def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+    """That logged outputs are later or earlier than the study predicts, with the remedy.
+
+    The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+    """
+    study = problem.study
+    found = None if problem.count.reason else late_output(problem, minimum)
+    if found is None or not found.matters(study.loop.sample_time):
+        return ()
+    names = [signal_name(study.loop.channels[channel], "y") for channel in found.channels]
+    sizes = []
+    for name, channel, before, after in zip(names, found.channels, found.before, found.after, strict=True):
+        sizes.append(f"that of {name} from {before:.3g} to {after:.3g} {study.units[channel].output} rms")
+    side = "later" if found.delay > 0.0 else "earlier"
+    number = max(found.moves, key=lambda name: abs(found.moves[name]))
+    own = problem.named_values(minimum.x)[number]
+    late = (
+        "Log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), or give the study the "
+        "delay that the vehicle has (unmodelled, actuator)"
+        if found.delay > 0.0
+        else "Log the time of the command at which the vehicle gets it, and look for a delay in the study that the "
+        "vehicle does not have"
+    )
+    about = f" ± {found.deviation:.2g}" if math.isfinite(found.deviation) else ""
+    verb = "are" if len(names) > 1 else "is"
+    text = (
+        f"{', '.join(names)} {verb} {abs(found.delay):.3g}{about} s {side} than the study predicts "
+        f"(p = {found.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
+        f"{found.values[number]:.4g} in place of {own:.4g}. {late}"
+    )
+    return tuple(Doubt(name, text) for name in names[:1])

@@ -1,0 +1,72 @@
+"""What a comparison or a fit says of a log's estimator: its resets, and the spans in which it was invalid."""
+
+import numpy as np
+
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.resets import Reset, reset_list
+from dssc_jax.study import Study
+
+TRIFLE = 1e-3  # m, m/s or rad: a smaller jump that the log states is not told
+LARGE_SPEED = 0.1  # m/s: a larger jump of a velocity moves the vehicle, as its loops follow the estimate
+
+
+def study_end(study: Study, log: FlightLog) -> float:
+    """The time of the log at which the study ends, or the log [s]."""
+    return min(log.start + study.loop.sample_time * (study.loop.steps - 1), log.end)
+
+
+def told_resets(study: Study, log: FlightLog) -> list[Reset]:
+    """The resets within the study that are no trifles."""
+    end = study_end(study, log)
+    within = [reset for reset in log.resets if log.start < reset.time <= end]
+    return [reset for reset in within if reset.size > TRIFLE or not reset.known]
+
+
+def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
+    """The resets within the study by counter, and the invalid spans by flag, with the words for them."""
+    found: dict[str, list[Reset]] = {}
+    for reset in told_resets(study, log):
+        found.setdefault(reset.label, []).append(reset)
+    hints = {}
+    for label, resets in found.items():
+        if all(reset.is_taken_out for reset in resets):
+            text = "the jump is taken out of the estimate and its setpoints"
+        elif resets[0].is_speed:
+            text = "the flight followed a wrong velocity before it, and this jump is not taken out"
+        else:
+            text = "the log does not state the jump, which stays in the signals. Take a part before or after it"
+        hints[label] = f"tells a reset of the estimator {reset_list(resets)}: {text}"
+    end = study_end(study, log)
+    for span in log.invalid:
+        if span.begin <= end and span.end > log.start:
+            label, _, rest = span.text().partition(" ")
+            hints[label] = f"{rest}: the estimator calls {', '.join(span.fields)} invalid there, and they are left out"
+    return hints
+
+
+def require_no_jumps(study: Study, log: FlightLog) -> None:
+    """Require that no jump of the estimator is in the signals of a fit; raises ConfigError with the remedy."""
+    left = []
+    for reset in told_resets(study, log):
+        if not reset.is_taken_out and not (reset.known and reset.size < LARGE_SPEED):
+            left.append(reset)
+    if not left:
+        return
+    sample_time = study.loop.sample_time
+    bounds = [log.start, *(reset.time for reset in left), study_end(study, log)]
+    parts = []
+    if bounds[1] - log.start > sample_time:
+        duration = sample_time * np.floor((bounds[1] - log.start) / sample_time)
+        parts.append(f"the part before with loop.duration = {duration:g}")
+    longest = 1 + int(np.argmax(np.diff(bounds[1:])))
+    length = bounds[longest + 1] - bounds[longest]
+    if length > sample_time:
+        until = "" if longest == len(left) else f" and loop.duration = {length:.4g}"
+        parts.append(f"a part after with a start of {bounds[longest]:.4g} s{until}")
+    names = ", ".join(dict.fromkeys(reset.label for reset in left))
+    raise ConfigError(
+        log.name,
+        f"{names}: the estimator was reset {reset_list(left)}, and no vehicle has flown such a jump. "
+        f"Fit {' or '.join(parts) or 'another log'}; `allow_damaged` fits it all the same",
+    )

@@ -1,0 +1,362 @@
+"""Resets of PX4's estimator: jumps of position, velocity and heading that no vehicle has flown, and their removal.
+
+A counter of a topic rises at each reset, and ``delta_..`` has the jump: what the estimate is after it, less what it was
+before. Where the log has both, the jump is taken out of the estimate and of its setpoints, which are in the same frame:
+they then continue in the frame from before the reset. A velocity keeps its jump. The estimate was wrong before it and
+is right after it, and the vehicle's controllers have seen it.
+
+The topic tells at which times position and velocity are valid, too; invalid ones are left out.
+
+Sources: PX4 user guide, messages ``VehicleLocalPosition`` and ``VehicleAttitude``; PX4's EKF2, where the change of the
+quaternion is q_after q_before^-1.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.frames import MICROSECOND, derived_fields
+from dssc_jax.flight_logs.ulog import TopicData, log_end, stamps
+
+POSITION = "vehicle_local_position"
+ATTITUDE = "vehicle_attitude"
+QUATERNION = tuple(f"q[{i}]" for i in range(4))
+AXES = ("x", "y", "z")
+SETPOINTS = {
+    "vehicle_local_position_setpoint": {
+        **{axis: axis for axis in AXES},
+        **{f"v{axis}": f"v{axis}" for axis in AXES},
+        "yaw": "heading",
+    },
+    "trajectory_setpoint": {
+        **{f"position[{i}]": axis for i, axis in enumerate(AXES)},
+        **{f"velocity[{i}]": f"v{axis}" for i, axis in enumerate(AXES)},
+        "yaw": "heading",
+    },
+}
+"""Topics in the frame of the position, with the field of the position for each of theirs."""
+NAMED = 3  # resets that a message names
+SETPOINT_DELAY = 0.1  # s after the estimate's first message, within which setpoints follow it
+SAME_JUMP = 0.5  # of the estimate's jump: a step of a setpoint that is closer to it follows it
+
+
+class Counter(NamedTuple):
+    """A counter of resets.
+
+    Args:
+        topic: Its topic.
+        name: Its field.
+        deltas: The fields with the jump.
+        fields: The fields that jump.
+        unit: Of the jump.
+    """
+
+    topic: str
+    name: str
+    deltas: tuple[str, ...]
+    fields: tuple[str, ...]
+    unit: str
+
+
+COUNTERS = (
+    Counter(POSITION, "xy_reset_counter", ("delta_xy[0]", "delta_xy[1]"), ("x", "y"), "m"),
+    Counter(POSITION, "z_reset_counter", ("delta_z",), ("z",), "m"),
+    Counter(POSITION, "vxy_reset_counter", ("delta_vxy[0]", "delta_vxy[1]"), ("vx", "vy"), "m/s"),
+    Counter(POSITION, "vz_reset_counter", ("delta_vz",), ("vz",), "m/s"),
+    Counter(POSITION, "heading_reset_counter", ("delta_heading",), ("heading",), "rad"),
+    Counter(ATTITUDE, "quat_reset_counter", tuple(f"delta_q_reset[{i}]" for i in range(4)), QUATERNION, "rad"),
+)
+VALIDITY = {"xy_valid": ("x", "y"), "z_valid": ("z",), "v_xy_valid": ("vx", "vy"), "v_z_valid": ("vz",)}
+"""The flags of the position's topic, with the fields that they are of."""
+SAME_AXIS = {axis: f"v{axis}" for axis in AXES}
+
+
+class Reset(NamedTuple):
+    """A reset of the estimator.
+
+    Args:
+        counter: Its counter.
+        row: Position of the first message after it, in the topic.
+        time: Time of that message, from the beginning of the log [s].
+        jump: The change of each field of the counter; of an attitude, the quaternion q_after q_before^-1.
+        known: Whether the log states the jump; else it is the difference from the message before.
+    """
+
+    counter: Counter
+    row: int
+    time: float
+    jump: tuple[float, ...]
+    known: bool
+
+    @property
+    def label(self) -> str:
+        """The counter as a column of the log."""
+        return f"{self.counter.topic}.{self.counter.name}"
+
+    @property
+    def is_speed(self) -> bool:
+        """Whether a velocity jumps."""
+        return self.counter.unit == "m/s"
+
+    @property
+    def is_taken_out(self) -> bool:
+        """Whether the jump is taken out."""
+        return self.known and not self.is_speed
+
+    @property
+    def size(self) -> float:
+        """The length of the jump, or the angle of a rotation, in its unit."""
+        if self.counter.fields == QUATERNION:
+            return 2.0 * float(np.arctan2(np.linalg.norm(self.jump[1:]), abs(self.jump[0])))
+        return float(np.linalg.norm(self.jump))
+
+    def text(self) -> str:
+        """What jumps by how much."""
+        about = "" if self.known else "about "
+        if self.counter.fields == QUATERNION:
+            return f"attitude by {about}{self.size:.3g} rad"
+        parts = [f"{field} by {about}{value:.3g}" for field, value in zip(self.counter.fields, self.jump, strict=True)]
+        return f"{', '.join(parts)} {self.counter.unit}"
+
+
+class InvalidSpan(NamedTuple):
+    """A span in which the estimator calls a quantity invalid: its flag, its fields, and both ends [s]."""
+
+    flag: str
+    fields: tuple[str, ...]
+    begin: float
+    end: float
+
+    def text(self) -> str:
+        """Which flag calls what invalid, and when."""
+        return f"{POSITION}.{self.flag} is 0 from {self.begin:.4g} s to {self.end:.4g} s"
+
+
+def reset_list(resets: Sequence[Reset]) -> str:
+    """Times and jumps of some resets."""
+    texts = [f"at {reset.time:.4g} s ({reset.text()})" for reset in resets[:NAMED]]
+    more = f" and {len(resets) - NAMED} more" if len(resets) > NAMED else ""
+    return f"{', '.join(texts)}{more}"
+
+
+def estimate_topics(names: Iterable[str]) -> set[str]:
+    """The topics that tell the resets of some topics."""
+    found = set()
+    for name in names:
+        if name == POSITION or name in SETPOINTS:
+            found.add(POSITION)
+        if name == ATTITUDE or name in SETPOINTS:
+            found.add(ATTITUDE)
+    return found
+
+
+def resets_of(topics: TopicData, begin: float) -> list[Reset]:
+    """The resets of a log, in order of time; a first valid estimate is none.
+
+    Args:
+        topics: Of the log, as far as it has them: those of the position and of the attitude.
+        begin: The time at which it begins [us].
+    """
+    found = []
+    for counter in COUNTERS:
+        fields = topics.get(f"{counter.topic}:0", {})
+        if not {counter.name, *counter.fields} <= set(fields):
+            continue
+        counts = fields[counter.name].astype(int)
+        time = stamps(fields, begin)
+        for row in (np.flatnonzero(np.diff(counts)) + 1).tolist():
+            if not was_valid(fields, counter, row - 1):
+                continue
+            known = (counts[row] - counts[row - 1]) % 256 == 1 and set(counter.deltas) <= set(fields)
+            jump = stated_jump(fields, counter, row) if known else seen_jump(fields, counter, row)
+            found.append(Reset(counter, row, float(time[row]), jump, known))
+    return sorted(found, key=lambda reset: reset.time)
+
+
+def was_valid(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> bool:
+    """Whether a message has valid values of what a counter is of."""
+    for flag, names in VALIDITY.items():
+        if names == counter.fields and flag in fields and not fields[flag][row]:
+            return False
+    return all(np.isfinite(fields[name][row]) for name in counter.fields)
+
+
+def stated_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
+    """The jump that a message states."""
+    return tuple(float(fields[name][row]) for name in counter.deltas)
+
+
+def seen_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
+    """The jump from one message to the following one, with the motion in between."""
+    after, before = (np.array([float(fields[name][place]) for name in counter.fields]) for place in (row, row - 1))
+    jump = product(after, conjugate(before)) if counter.fields == QUATERNION else after - before
+    return tuple(map(float, jump))
+
+
+def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The product of quaternions w, x, y, z; shape (4, ...)."""
+    w, x, y, z = left
+    return np.array(
+        [
+            w * right[0] - x * right[1] - y * right[2] - z * right[3],
+            w * right[1] + x * right[0] + y * right[3] - z * right[2],
+            w * right[2] - x * right[3] + y * right[0] + z * right[1],
+            w * right[3] + x * right[2] - y * right[1] + z * right[0],
+        ]
+    )
+
+
+def conjugate(quaternion: np.ndarray) -> np.ndarray:
+    """The inverse of a unit quaternion, shape (4, ...)."""
+    return np.array([quaternion[0], *(-part for part in quaternion[1:])])
+
+
+def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSpan]:
+    """The spans in which the estimator calls position or velocity invalid, in order of their flags.
+
+    Args:
+        topics: Of the log.
+        begin: The time at which it begins [us].
+        end: Its end [s], up to which the last message holds.
+    """
+    fields = topics.get(f"{POSITION}:0", {})
+    found = []
+    for flag, names in VALIDITY.items():
+        if flag not in fields:
+            continue
+        time = stamps(fields, begin)
+        edges = np.diff(np.concatenate([[0], fields[flag] == 0, [0]]).astype(int))
+        for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            stop = float(time[last]) if last < len(time) else max(end, float(time[-1]))
+            found.append(InvalidSpan(flag, names, float(time[first]), stop))
+    return found
+
+
+def without_invalid(topics: TopicData) -> TopicData:
+    """The topics, with NaN in place of what the estimator calls invalid."""
+    fields = topics.get(f"{POSITION}:0", {})
+    changed = dict(fields)
+    for flag, names in VALIDITY.items():
+        for name in names:
+            if flag in fields and name in fields:
+                changed[name] = np.where(fields[flag] == 0, np.nan, fields[name].astype(float))
+    return {**topics, f"{POSITION}:0": changed} if fields else topics
+
+
+def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
+    """The topics, with the known jumps of position and heading taken out of the estimate and of its setpoints."""
+    changed = {name: dict(fields) for name, fields in topics.items()}
+    has_heading = "heading_reset_counter" in topics.get(f"{POSITION}:0", {})
+    for reset in reversed(resets):  # rotations do not commute: the last one goes first
+        if not reset.is_taken_out:
+            continue
+        fields = changed[f"{reset.counter.topic}:0"]
+        if reset.counter.fields == QUATERNION:
+            turned = np.array([fields[name].astype(float) for name in QUATERNION])
+            turned[:, reset.row :] = product(conjugate(np.array(reset.jump)), turned[:, reset.row :])
+            fields.update(zip(QUATERNION, turned, strict=True))
+            w, x, y, z = reset.jump
+            angle = float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+            jumps = {} if has_heading else {"heading": angle}
+        else:
+            jumps = dict(zip(reset.counter.fields, reset.jump, strict=True))
+            for name, jump in jumps.items():
+                fields[name] = shifted(fields[name], reset.row, jump)
+        before, after = event_span(reset, resets, topics)
+        for topic, names in SETPOINTS.items():
+            setpoint = changed.get(f"{topic}:0", {})
+            moved = {name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint}
+            if moved:
+                row = following_row(setpoint, moved, before, after)
+                for name, jump in moved.items():
+                    setpoint[name] = shifted(setpoint[name], row, jump)
+    return changed
+
+
+def shifted(values: np.ndarray, row: int, jump: float) -> np.ndarray:
+    """Values without a jump from a row on."""
+    changed = values.astype(float)
+    changed[row:] -= jump
+    return changed
+
+
+def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
+    """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
+
+    def stamps_of(one: Reset) -> tuple[float, float]:
+        published = topics[f"{one.counter.topic}:0"]["timestamp"]
+        return float(published[one.row - 1]), float(published[one.row])
+
+    before, after = stamps_of(reset)
+    if reset.counter.fields == ("heading",):
+        for other in resets:
+            if other.counter.topic == ATTITUDE and before < stamps_of(other)[1] <= after:
+                return stamps_of(other)
+    return before, after
+
+
+def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], before: float, after: float) -> int:
+    """The first message of a setpoint that is in the frame of the estimate after a reset.
+
+    That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.
+
+    Args:
+        setpoint: The fields of its topic.
+        jumps: The change of the frame along some of them.
+        before: The stamp of the estimate's last message before the reset [us].
+        after: That of the first message after it [us].
+    """
+    time = setpoint["timestamp"].astype(float)
+    late = after + SETPOINT_DELAY / MICROSECOND
+    near = np.flatnonzero((time[1:] > before) & (time[1:] <= late)) + 1
+    squares = np.zeros(len(near))
+    for name, jump in jumps.items():
+        values = setpoint[name].astype(float)
+        excess = values[near] - values[near - 1] - jump
+        squares += (np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi if name == "yaw" else excess) ** 2
+    known = np.flatnonzero(np.isfinite(squares))
+    if known.size and np.sqrt(squares[known].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
+        return int(near[known[np.argmin(squares[known])]])
+    return int(np.searchsorted(time, after))
+
+
+def needed_fields(topic: str, name: str, topics: TopicData) -> tuple[str, ...]:
+    """The topic's own fields that a field follows from."""
+    derived = derived_fields(topic, topics.get(f"{topic}:0", {})).get(name)
+    return (name,) if derived is None else derived.needs
+
+
+def concerns(reset: Reset, topic: str, needs: Iterable[str]) -> bool:
+    """Whether a reset changes some fields of a topic, or the velocity along their axis."""
+    jumping = set(reset.counter.fields)
+    if topic in SETPOINTS:
+        needs = [SETPOINTS[topic].get(name, "") for name in needs]
+        if reset.counter.topic == ATTITUDE:
+            return "heading" in needs
+    elif topic != reset.counter.topic:
+        return False
+    return bool(jumping & {*needs, *(SAME_AXIS.get(name, "") for name in needs)})
+
+
+def concerned_resets(
+    topics: TopicData, begin: float, columns: Sequence[tuple[str, str]], start: float
+) -> tuple[Reset, ...]:
+    """The resets of a log after a time that concern some columns.
+
+    Args:
+        topics: Of the log.
+        begin: The time at which it begins [us].
+        columns: Topic and field of each column.
+        start: From the beginning of the log [s].
+    """
+    needs = [(topic, needed_fields(topic, name, topics)) for topic, name in columns]
+    found = [reset for reset in resets_of(topics, begin) if reset.time > start]
+    return tuple(reset for reset in found if any(concerns(reset, *fields) for fields in needs))
+
+
+def concerned_spans(topics: TopicData, begin: float, columns: Sequence[tuple[str, str]]) -> tuple[InvalidSpan, ...]:
+    """The spans in which some columns, each a topic and a field, are invalid."""
+    needs = {field for topic, name in columns if topic == POSITION for field in needed_fields(topic, name, topics)}
+    spans = invalid_spans(topics, begin, log_end(topics, begin))
+    return tuple(span for span in spans if needs & set(span.fields))

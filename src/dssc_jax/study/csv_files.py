@@ -1,0 +1,151 @@
+"""The form of a CSV file: its separator, its decimal sign, and whether every row has the header's cells."""
+
+import io
+import itertools
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from dssc_jax.core.errors import ConfigError
+
+SEPARATORS = (b",", b";", b"\t")
+QUOTED = re.compile(rb'"[^"]*"')
+DECIMAL_COMMA = re.compile(rb"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+DECIMAL_POINT = re.compile(rb"\s*[+-]?\d*\.\d*([eE][+-]?\d+)?\s*")
+NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
+"""What spreadsheets write in place of a number; the rest of such a line is no comment."""
+FIRST_LINES = 100
+"""Lines that tell the form."""
+
+
+class RecordWarning(UserWarning):
+    """A row of a table is left out."""
+
+
+class CsvForm(NamedTuple):
+    """How a CSV file is written: what separates its cells, and the sign before its decimals."""
+
+    separator: str = ","
+    decimal: str = "."
+
+
+class CsvLine(NamedTuple):
+    """A line of a CSV file that is neither empty nor a comment.
+
+    Args:
+        number: Counted from 1.
+        begin: Position of its first byte.
+        text: Without a comment behind it.
+    """
+
+    number: int
+    begin: int
+    text: bytes
+
+
+def csv_lines(content: bytes) -> Iterator[CsvLine]:
+    """The header and the rows of a CSV file."""
+    begin = 0
+    for number, line in enumerate(io.BytesIO(content), start=1):
+        text = NO_NUMBERS.sub(b"", line).partition(b"#")[0].rstrip(b"\r\n")
+        if text.strip():
+            yield CsvLine(number, begin, text)
+        begin += len(line)
+
+
+def csv_header(content: bytes) -> bytes:
+    """The first line that is neither empty nor a comment; empty if there is none."""
+    return next((line.text for line in csv_lines(content)), b"")
+
+
+def cells(text: bytes, separator: bytes) -> list[bytes]:
+    """The cells of a line; a quoted one is empty."""
+    return QUOTED.sub(b"", text).split(separator)
+
+
+def csv_form(path: Path, content: bytes) -> CsvForm:
+    """The separator and the decimal sign of a file, by its first lines.
+
+    Commas separate where the header has them and no other separator, or where nothing else separates header and rows
+    alike. Cells such as 0,5 tell a decimal comma, if others separate.
+
+    Raises:
+        ConfigError: numbers have decimal commas and points.
+    """
+    header, *rows = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)] or [b""]
+    found = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
+    if len(found) > 1:
+        alike = [separator for separator in found if is_even(header, rows, separator)]
+        found = alike if len(alike) == 1 else [b","]
+    separator = found[0] if found else b","
+    if separator == b",":
+        return CsvForm()
+    commas = points = None
+    for row in rows:
+        for cell in cells(row, separator):
+            commas = commas or (cell if DECIMAL_COMMA.fullmatch(cell) else None)
+            points = points or (cell if DECIMAL_POINT.fullmatch(cell) else None)
+    if commas and points:
+        raise ConfigError(
+            "file",
+            f"'{path}' has numbers with decimal commas and with points, as {commas.decode().strip()} and "
+            f"{points.decode().strip()}: write all with points",
+        )
+    return CsvForm(separator.decode(), "," if commas else ".")
+
+
+def is_even(header: bytes, rows: list[bytes], separator: bytes) -> bool:
+    """Whether every row has as many cells as the header."""
+    count = len(cells(header, separator))
+    return all(len(cells(row, separator)) == count for row in rows)
+
+
+def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
+    """The content, without a last row that is cut off.
+
+    Args:
+        path: The file.
+        content: Its content.
+        form: Its form.
+
+    Raises:
+        ConfigError: another row has more or fewer cells than the header; the message has its line.
+
+    Warns:
+        RecordWarning: The last row is left out.
+    """
+    separator = form.separator.encode()
+    quoted = b'"' in content
+    if quoted and any(line.text.count(b'"') % 2 for line in csv_lines(content)):  # a quoted cell spans several lines
+        return content
+    expected = 0
+    cut: CsvLine | None = None
+    for line in csv_lines(content):
+        count = len(cells(line.text, separator)) if quoted else line.text.count(separator) + 1
+        expected = expected or count
+        if cut is not None:
+            raise uneven(path, cut, form, expected)
+        if count > expected:
+            raise uneven(path, line, form, expected)
+        cut = line if count < expected else None
+    if cut is None:
+        return content
+    warnings.warn(f"'{path.name}' ends within line {cut.number}, which is left out", RecordWarning, stacklevel=2)
+    return content[: cut.begin]
+
+
+def uneven(path: Path, line: CsvLine, form: CsvForm, expected: int) -> ConfigError:
+    """The error of a row that has other cells than the header."""
+    count = len(cells(line.text, form.separator.encode()))
+    if expected == 1:
+        reason = "its first line is no header"
+    elif count < expected:
+        reason = "the row is cut off, or goes on behind a #, where comments begin"
+    elif form.separator == ",":
+        reason = "it ends with a separator, or commas are its decimal signs"
+    else:
+        reason = "it ends with a separator"
+    place = f"'{path}' has {count} cells in line {line.number}, and {expected} in its header"
+    return ConfigError("file", f"{place}: {reason}")

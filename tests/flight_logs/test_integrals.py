@@ -1,0 +1,92 @@
+"""Outputs beside the integrals of their logged derivatives: units, signs and clocks."""
+
+import numpy as np
+import pytest
+import tomli_w
+
+from dssc_jax.cli.main import guarded
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.flight_logs.fit import fit_log
+from dssc_jax.flight_logs.integrals import integral_factor, unit_text
+from dssc_jax.flight_logs.reader import Column, FlightLog
+from dssc_jax.flight_logs.replay import replay_log
+from tests.flight_logs.test_fit import DT, linear
+
+TIME = DT * np.arange(400)
+
+
+def flight(seed=0, noise=0.005, y_scale=1.0, rate_scale=1.0, clock=1.0):
+    """A sum of sines and its derivative, both with noise."""
+    random = np.random.default_rng(seed)
+    y = 0.5 * np.sin(np.pi * TIME) + 0.2 * np.cos(1.3 * TIME)
+    rate = 0.5 * np.pi * np.cos(np.pi * TIME) - 0.26 * np.sin(1.3 * TIME)
+    y, rate = (values + scale * random.normal(size=400) for values, scale in ((y, noise), (rate, 4.0 * noise)))
+    return Column(clock * TIME, y_scale * y), Column(clock * TIME, rate_scale * rate)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_factor_of_a_clean_log_is_one(seed):
+    """Within the stated deviation, which is that of many logs."""
+    factor = integral_factor(*flight(seed), -1.0, 100.0)
+    assert factor is None or not factor.differs
+
+
+@pytest.mark.parametrize(("clock", "y_scale"), [(1.03, 1.0), (0.97, 1.0), (1.0, 3.28084), (1.0, -1.0), (1.0, 0.5)])
+def test_the_factor_is_that_of_unit_and_clock(clock, y_scale):
+    """By construction: the integral over a clock that runs 1.03 times as fast is 1.03 times as large."""
+    values = [integral_factor(*flight(seed, clock=clock, y_scale=y_scale), -1.0, 100.0) for seed in range(20)]
+    assert all(factor.differs for factor in values)
+    errors = np.array([(factor.value - y_scale / clock) / factor.deviation for factor in values])
+    assert 0.3 < np.sqrt(np.mean(errors**2)) < 2.0
+
+
+def test_what_leaves_the_factor_open():
+    assert integral_factor(*flight(noise=3.0, y_scale=2.0), -1.0, 100.0) is None
+    y, rate = flight(y_scale=2.0)
+    assert integral_factor(y, rate, -1.0, 0.2) is None  # too few values
+    rare = Column(rate.time[::40], rate.value[::40])
+    assert integral_factor(y, rare, -1.0, 100.0) is None
+    fast = Column(TIME, np.sin(100.0 * TIME)), Column(TIME, 100.0 * np.cos(100.0 * TIME))
+    assert integral_factor(*fast, -1.0, 100.0) is None  # three values a turn are no integral
+    assert integral_factor(y, Column(TIME, np.zeros(400)), -1.0, 100.0) is None
+
+
+def test_units_are_named_and_refuse_a_fit():
+    assert unit_text(3.281, "m") == "times 3.281 (feet in place of metres)"
+    assert unit_text(1.03, "m") == unit_text(57.3, "m") == ""
+    for y_scale, rate_scale, told in (
+        (3.28084, 1.0, "y is the integral of y_dot times 3.281"),
+        (1.0, 100.0, "y_dot is the derivative of y times 100"),
+        (-1.0, 1.0, "y is the integral of y_dot with the opposite sign"),
+    ):
+        y, rate = flight(y_scale=y_scale, rate_scale=rate_scale)
+        log = FlightLog("flight", {"y": y, "y_dot": rate, "u_total": y}, 0.0)
+        with pytest.raises(ConfigError, match=told):
+            fit_log(linear(), log)
+        assert any(
+            f"{name} {text}".startswith(told) for name, text in replay_log(linear(), log, False).hints.all().items()
+        )
+
+
+def test_a_clock_that_runs_too_fast_is_told():
+    y, rate = flight(clock=1.03)
+    hints = replay_log(linear(), FlightLog("flight", {"y": y, "y_dot": rate}, 0.0), commands=False).hints
+    assert hints.factors["y"].startswith("changes by 0.97")
+    assert "the log's clock is 1.028 times too fast" in hints.factors["y"]
+    assert not hints.conversions
+
+
+def test_several_logs_are_warned_of_one_by_one(tmp_path, capsys):
+    paths = []
+    for name, clock in (("right", 1.0), ("fast", 1.03)):
+        y, rate = flight(clock=clock)
+        rows = "\n".join(f"{t},{a},{b}" for t, a, b in zip(y.time, y.value, rate.value, strict=True))
+        paths.append(tmp_path / f"{name}.csv")
+        paths[-1].write_text(f"t,y,y_dot\n{rows}\n")
+    study = tmp_path / "s.toml"
+    study.write_text(tomli_w.dumps(linear(draws=39).table))
+    out = str(tmp_path / "o")
+    assert guarded(["compare-log", str(study), *map(str, paths), "--probability", "0.4", "--out", out]) == 0
+    told = capsys.readouterr().err
+    assert "warning: fast.csv: y changes by 0.97" in told
+    assert "right.csv: y changes" not in told
