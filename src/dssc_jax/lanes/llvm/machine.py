@@ -145,7 +145,11 @@ class LoadedCode:
         self._engine.finalize_object()
         pointer, count = ctypes.c_void_p, ctypes.c_int64
         signature = ctypes.CFUNCTYPE(None, pointer, pointer, count, count)
-        self._function = signature(self._engine.get_function_address(ENTRY_POINT))
+        self._function = signature(self.address(ENTRY_POINT))
+
+    def address(self, symbol: str) -> int:
+        """Where a function of the code lies in memory."""
+        return int(self._engine.get_function_address(symbol))
 
     def start(
         self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int, width: int, threads: int
