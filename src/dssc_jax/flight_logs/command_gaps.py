@@ -158,3 +158,21 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     if moved:
         text += f". Another course describes it as well, and moves {', '.join(moved)}: intervals are wider by that"
     return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)
+
+
+def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
+    """The commands that are held over large changes."""
+    found = []
+    for name, jump in log.jumps.items():
+        text = (
+            f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
+            "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
+            "with a time stamp of its own"
+        )
+        found.append(Doubt(name, text))
+    if log.gaps:
+        names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
+        longest = max(gap.end - gap.begin for gap in log.gaps)
+        text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
+        found.append(Doubt("", text))
+    return tuple(found)

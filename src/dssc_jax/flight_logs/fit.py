@@ -21,6 +21,7 @@ from dssc_jax.flight_logs.command_gaps import (
     command_doubts,
     command_moves,
     compared_commands,
+    held_doubts,
     is_rare,
     reconstructions,
     with_commands,
@@ -49,6 +50,7 @@ from dssc_jax.flight_logs.reader import (
     samples_within,
     signal_name,
 )
+from dssc_jax.flight_logs.reading_noise import reading_noise
 from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
     Doubt,
@@ -247,7 +249,17 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     taken, *others = reconstructions(list(commands))
     gaps = log_gaps(log, needed, end)
     return SampledLog(
-        outputs, offsets, taken.commands, held, tuple(replayed), jumps, gaps, tuple(rare), taken.text, tuple(others)
+        outputs,
+        offsets,
+        taken.commands,
+        held,
+        tuple(replayed),
+        jumps,
+        gaps,
+        tuple(rare),
+        taken.text,
+        reading_noise(study, outputs),
+        tuple(others),
     )
 
 
@@ -256,24 +268,6 @@ def largest_jump(command: np.ndarray) -> float:
     known = np.flatnonzero(np.isfinite(command))
     changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
     return float(changes.max(initial=0.0))
-
-
-def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
-    """The commands that are held over large changes."""
-    found = []
-    for name, jump in log.jumps.items():
-        text = (
-            f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
-            "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
-            "with a time stamp of its own"
-        )
-        found.append(Doubt(name, text))
-    if log.gaps:
-        names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
-        longest = max(gap.end - gap.begin for gap in log.gaps)
-        text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
-        found.append(Doubt("", text))
-    return tuple(found)
 
 
 def wind_doubts(study: Study) -> tuple[Doubt, ...]:

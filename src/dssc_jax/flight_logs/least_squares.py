@@ -71,6 +71,7 @@ class Readings(NamedTuple):
     nodes: np.ndarray  # four samples around each reading, shape (n, 4)
     weights: np.ndarray  # of the cubic polynomial through them, shape (n, 4)
     floor: float  # least variance of the noise
+    sensor: float  # variance of what the study's sensor adds to a reading
 
     @classmethod
     def of(cls, log: SampledLog, channel: int, sample_time: float) -> "Readings":
@@ -86,7 +87,8 @@ class Readings(NamedTuple):
                 if i != j:
                     weights[:, i] *= (place - nodes[:, j]) / (i - j)
         size = max(float(np.abs(values).max(initial=0.0)), TINY)
-        return cls(channel, sample_time * place, values, nodes, weights, (LEAST_NOISE * size) ** 2)
+        sensor = log.sensor_noise[channel] ** 2
+        return cls(channel, sample_time * place, values, nodes, weights, (LEAST_NOISE * size) ** 2, sensor)
 
     def interpolate(self, sampled: np.ndarray) -> np.ndarray:
         """Values at the times of the readings, shape (..., n), of a signal of shape (..., samples)."""
@@ -175,7 +177,7 @@ class FitProblem:
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
         """The search for the noise of each channel's residual at coordinates."""
         pairs = zip(self.readings, self.columns(x), strict=True)
-        return [NoiseSearch(readings.times, columns, readings.floor) for readings, columns in pairs]
+        return [NoiseSearch(readings.times, columns, readings.floor, readings.sensor) for readings, columns in pairs]
 
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""

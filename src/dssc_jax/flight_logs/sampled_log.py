@@ -26,4 +26,5 @@ class SampledLog(NamedTuple):
     gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
     rare: tuple[str, ...] = ()  # commands that are logged more rarely than the controller gives them
     between: str = ""  # what commands do between two logged values
+    sensor_noise: tuple[float, ...] = ()  # standard deviation of what the study's sensor adds to a reading, by channel
     others: tuple[Reconstruction, ...] = ()  # commands that may have flown instead

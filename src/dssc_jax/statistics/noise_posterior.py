@@ -18,7 +18,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, special, stats
 
-from dssc_jax.statistics.correlated_noise import WHITE, Drift, FirstOrder, Misfit, Noise, SecondOrder, misfit
+from dssc_jax.statistics.correlated_noise import (
+    WHITE,
+    Drift,
+    FirstOrder,
+    Misfit,
+    Noise,
+    SecondOrder,
+    misfit,
+    weighted_products,
+)
 
 WHITE_PRIOR = 0.1  # probability of white noise; the kinds of correlated noise share the rest
 SHARE_WIDTH = 2.0  # standard deviation of logit c: one deviation either side is 12 to 88 %
@@ -192,12 +201,15 @@ class NoiseSearch:
         times: Times of observation, rising [s], shape (n,).
         columns: The residual, and the slopes of the prediction by each of p numbers, shape (n, 1 + p).
         floor: Least variance.
+        least_white: Least variance of the white part, such as that of a sensor. The residual tells the noise, and this
+            only weights it: without it a smooth misfit of the model would count as readings of high precision.
     """
 
-    def __init__(self, times: np.ndarray, columns: np.ndarray, floor: float) -> None:
+    def __init__(self, times: np.ndarray, columns: np.ndarray, floor: float, least_white: float = 0.0) -> None:
         self.times = spaced(times)
         self.columns = columns
         self.floor = floor
+        self.least_white = least_white
         self.white = misfit(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
         self.kinds = NOISE_KINDS if self.white.variance > ROUNDING_VARIANCE * floor else ()
@@ -219,28 +231,37 @@ class NoiseSearch:
     def likely(self) -> tuple[Noise, Misfit]:
         """The noise at the mode of the likeliest kind, by Laplace's method."""
         share = (1.0 - WHITE_PRIOR) / len(NOISE_KINDS)
-        if not self.modes:
-            return WHITE, self.white
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
+        if not evidence or max(evidence) <= 0.0:
+            return self.whitened(WHITE, self.white)
         best = int(np.argmax(evidence))
-        if evidence[best] <= 0.0:
-            return WHITE, self.white
         kind, _ = self.kinds[best]
-        return kind(self.modes[best].point, self.scale), self.density(kind, self.modes[best].point)[1]
+        point = self.modes[best].point
+        return self.whitened(kind(point, self.scale), self.density(kind, point)[1])
+
+    def whitened(self, noise: Noise, fit: Misfit) -> tuple[Noise, Misfit]:
+        """A noise with at least the least variance of its white part, and what the residual tells by it."""
+        lacking = self.least_white - (1.0 - noise.share) * fit.variance
+        if lacking <= 0.0:
+            return noise, fit
+        variance = fit.variance + lacking
+        noise = noise._replace(share=noise.share * fit.variance / variance)
+        products = weighted_products(noise, self.times, self.columns)[0] / variance
+        return noise, fit._replace(variance=variance, information=products[1:, 1:], gradient=products[1:, 0])
 
     def posterior(self) -> Posterior:
         """All noises that the residual allows, by importance sampling around the modes."""
-        noises: list[Noise] = [WHITE]
         logs = [math.log(WHITE_PRIOR)]
-        misfits = [self.white]
+        found = [self.whitened(WHITE, self.white)]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, proposed = drawn_points(mode)
             for point, log_proposed in zip(points, proposed, strict=True):
                 log_density, fit = self.density(kind, point)
-                noises.append(kind(point, self.scale))
                 logs.append(math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / len(points)) + log_density - log_proposed)
-                misfits.append(fit)
+                found.append(self.whitened(kind(point, self.scale), fit))
         weights = np.exp(np.array(logs) - max(logs))
         weights /= weights.sum()
-        rows = zip(noises, weights.tolist(), misfits, strict=True)
-        return Posterior(*self.likely(), float(weights[0]), tuple(Candidate(*row) for row in rows))
+        candidates = [
+            Candidate(noise, weight, fit) for weight, (noise, fit) in zip(weights.tolist(), found, strict=True)
+        ]
+        return Posterior(*self.likely(), float(weights[0]), tuple(candidates))
