@@ -73,8 +73,8 @@ def test_the_delay_is_the_shift_of_least_residual(predictions):
     predicted = output(1.1, 0.8, u)
     rest = [np.sum((y[60 + shift : 340 + shift] - predicted[60:340]) ** 2) for shift in range(-20, 21)]
     assert found.delay == pytest.approx((np.argmin(rest) - 20) * DT, abs=DT)
-    assert found.after[0] < found.before[0]
-    assert found.after[0] == pytest.approx(0.005, rel=0.2)
+    assert found.shifted[0] < found.unshifted[0]
+    assert found.shifted[0] == pytest.approx(0.005, rel=0.2)
     assert found.matters(DT)
     assert not found.matters(1.0)
 

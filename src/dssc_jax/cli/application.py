@@ -46,7 +46,7 @@ def declared_commands() -> dict[str, type]:
 COMMANDS = declared_commands()
 """The options of each command, in the order of the help."""
 
-MEANT = {word: name for name, options in COMMANDS.items() for word in getattr(options, "also", ())}
+MEANT = {word: name for name, options in COMMANDS.items() for word in getattr(options, "synonyms", ())}
 """Words of other programs for what a command does, with its name."""
 
 EXTRAS = {"clarabel": "proofs", "flint": "proofs", "panel": "explore", "bokeh": "explore"}

@@ -127,8 +127,8 @@ def controller_names(text: str) -> list[str]:
     """Parse the names of ``A,B,..``, and show which code is about to run if some are of one's own."""
     names = [name.strip() for name in text.split(",")]
     if any(set(name) & set("; +&") for name in names):
-        wanted = ",".join(re.split(r"[\s,;+&]+", text.strip()))
-        raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{wanted}'?")
+        suggestion = ",".join(re.split(r"[\s,;+&]+", text.strip()))
+        raise ConfigError("--controllers", f"takes names separated by commas; did you mean '{suggestion}'?")
     show_code("command", {"names": names})
     return names
 

@@ -59,8 +59,8 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
     require_form("plant", "project", "the state", state.plant, after.plant)
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
-            before, following = (getattr(at.channels[channel], slot) for at in (state, after))
-            require_form(place_of(slot, name), "step", "the state", before, following)
+            initial, following = (getattr(at.channels[channel], slot) for at in (state, after))
+            require_form(place_of(slot, name), "step", "the state", initial, following)
     require_form("wind", "step", "the state", state.wind, after.wind)
 
 

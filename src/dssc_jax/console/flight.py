@@ -192,9 +192,9 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
         f"as much; most in {answer.decisive_signal} at {answer.decisive_time:.4g} s"
     )
     missing = answer.logged_samples < answer.samples
-    few = f", by the {answer.logged_samples} samples that it has" if missing else ""
+    sample_text = f", by the {answer.logged_samples} samples that it has" if missing else ""
     if p_value > SIGNIFICANCE:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{few}")
+        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
     if answer.least_p_value > SIGNIFICANCE:
@@ -207,8 +207,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
     if summary["held_commands"]:
-        between = summary["between_commands"]
-        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", between))
+        course = summary["between_commands"]
+        say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))
     rows = []
     for name, number in summary["numbers"].items():
         low, high = number["interval_90"]

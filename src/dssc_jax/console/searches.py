@@ -63,8 +63,8 @@ def show_verdict(verdict: Verdict, objective: ObjectiveAnswer) -> None:
     failed_at_start, failed = verdict.failures
     rows.append(("failed draws", str(failed_at_start), str(failed), ""))
     if len(verdict.requirements) > 1:
-        for text, (before, after) in verdict.requirements.items():
-            rows.append((f"  violate {text}", str(before), str(after), ""))
+        for text, (at_start, at_result) in verdict.requirements.items():
+            rows.append((f"  violate {text}", str(at_start), str(at_result), ""))
     show_table((f"on {verdict.draws} fresh draws", "start", "result", "limit"), rows)
     low, high = verdict.reduction_interval
     reduction = number_text(verdict.reduction, ".1%")

@@ -134,8 +134,8 @@ def has_free_tilt(study: Study) -> bool:
         return True
     software = study.loop.mimo_plant.software
     settled = software is not None and software.settled(study.template.plant)
-    given = study.template.plant.roll is not None and study.template.plant.pitch is not None
-    return settled and not given and any(name.startswith("wind.") for name in study.laws)
+    has_tilt = study.template.plant.roll is not None and study.template.plant.pitch is not None
+    return settled and not has_tilt and any(name.startswith("wind.") for name in study.laws)
 
 
 def tilt_degrees(angles: tuple[float, ...]) -> float:

@@ -80,8 +80,8 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
     known = time[np.isfinite(time)]
     steps = np.diff(known)
     if not steps.size:
-        only = float(known[0]) if known.size else np.nan
-        return LogTopic(name, len(known), only, only)
+        single_time = float(known[0]) if known.size else np.nan
+        return LogTopic(name, len(known), single_time, single_time)
     falls = np.flatnonzero(steps < 0.0)
     fall = Stamps(float(known[falls[0]]), float(known[falls[0] + 1])) if falls.size else Stamps()
     longest = int(np.argmax(steps))

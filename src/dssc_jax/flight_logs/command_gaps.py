@@ -45,9 +45,9 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
         found.append(Reconstruction(text, np.array(rows)))
     found.append(Reconstruction(HELD, held))
     different = [found[0]]
-    for other in found[1:]:
-        if not any(np.array_equal(other.commands, known.commands) for known in different):
-            different.append(other)
+    for candidate in found[1:]:
+        if not any(np.array_equal(candidate.commands, known.commands) for known in different):
+            different.append(candidate)
     return tuple(different)
 
 
@@ -68,9 +68,9 @@ def along_lines(command: np.ndarray, early: bool) -> np.ndarray:
     values = command[known]
     gaps = np.diff(known)
     changes = np.abs(np.diff(values))
-    before = np.concatenate([[0.0], changes[:-1]])
-    after = np.concatenate([changes[1:], [0.0]])
-    jumps = changes > JUMP * np.maximum(before, after)
+    preceding = np.concatenate([[0.0], changes[:-1]])
+    following = np.concatenate([changes[1:], [0.0]])
+    jumps = changes > JUMP * np.maximum(preceding, following)
     filled = forward_filled(command)
     lines = np.interp(np.arange(len(command)), known, values)
     for begin, end, value, is_jump, gap in zip(known[:-1], known[1:], values[1:], jumps, gaps, strict=True):
@@ -86,7 +86,7 @@ def along_lines(command: np.ndarray, early: bool) -> np.ndarray:
 class ComparedCommands(NamedTuple):
     """Another reconstruction beside that of the fit: its sum of squares, and how far it moves the coordinates."""
 
-    other: Reconstruction
+    reconstruction: Reconstruction
     cost: float
     move: np.ndarray
 
@@ -94,15 +94,15 @@ class ComparedCommands(NamedTuple):
 def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
     """The other reconstructions of a log's commands, each after one step of Gauss and Newton from a minimum."""
     found = []
-    for other in problem.log.others:
-        equations = problem.normal_equations(minimum.x, other.commands)
+    for reconstruction in problem.log.others:
+        equations = problem.normal_equations(minimum.x, reconstruction.commands)
         diagonal = np.diag(np.maximum(np.diag(equations.information), TINY))
         move = np.linalg.lstsq(equations.information + 1e-9 * diagonal, equations.gradient, rcond=None)[0]
         x = minimum.x + move
         cost = equations.cost
         if problem.is_admissible(problem.values(x)):
-            cost = min(cost, problem.normal_equations(x, other.commands).cost)
-        found.append(ComparedCommands(other, cost, move))
+            cost = min(cost, problem.normal_equations(x, reconstruction.commands).cost)
+        found.append(ComparedCommands(reconstruction, cost, move))
     return found
 
 
@@ -115,22 +115,22 @@ def better_commands(
     problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]
 ) -> Reconstruction | None:
     """The reconstruction that describes the flight best; None if it is that of the fit."""
-    best = min(compared, key=lambda each: each.cost, default=None)
+    best = min(compared, key=lambda item: item.cost, default=None)
     if best is None or not best.cost < minimum.cost - allowed_difference(problem):
         return None
-    return best.other
+    return best.reconstruction
 
 
 def with_commands(log: SampledLog, taken: Reconstruction) -> SampledLog:
     """The log with other commands; those before count no more."""
-    others = tuple(other for other in log.others if other is not taken)
+    others = tuple(reconstruction for reconstruction in log.others if reconstruction is not taken)
     return log._replace(commands=taken.commands, between=taken.text, others=others)
 
 
 def command_moves(problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]) -> np.ndarray:
     """How far reconstructions that describe the flight as well move the coordinates, shape (k, p)."""
-    most = minimum.cost + allowed_difference(problem)
-    moves = [each.move for each in compared if each.cost <= most]
+    highest_cost = minimum.cost + allowed_difference(problem)
+    moves = [item.move for item in compared if item.cost <= highest_cost]
     return np.array(moves).reshape(len(moves), len(problem.names))
 
 

@@ -130,9 +130,9 @@ class LogContents:
         invalid = [span._asdict() for span in self.invalid]
         lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
         late = [message._asdict() for message in self.late]
-        whole = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
-        del whole["clock"]
-        return whole
+        facts = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
+        del facts["clock"]
+        return facts
 
 
 def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:

@@ -142,7 +142,7 @@ def fit_log(
         )
     kept: dict[str, float] = {}
     reasons = ""
-    whole: Mapping[str, Mapping[str, float]] | None = None
+    all_information: Mapping[str, Mapping[str, float]] | None = None
     while True:
         if chosen not in predictions:
             predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1], fixed_integrals(study))
@@ -157,11 +157,11 @@ def fit_log(
             known = [search.best, *search.rivals]
             continue
         information = search.best.equations.information
-        whole = information_by_names(chosen, information) if whole is None else whole
+        all_information = information_by_names(chosen, information) if all_information is None else all_information
         unidentified = {} if names else unidentified_numbers(problem, search)
         if not unidentified:
             try:
-                by_kept = covariance_of_kept(whole, chosen, tuple(kept))
+                by_kept = covariance_of_kept(all_information, chosen, tuple(kept))
                 return fitted_minimum(problem, search, kept, by_kept, command_moves(problem, search.best, compared))
             except NotIdentifiable as refusal:
                 if names or refusal.number is None:

@@ -43,8 +43,8 @@ class LateOutput(NamedTuple):
         deviation: Its standard deviation [s].
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
         values: The numbers with the shift.
-        before: Root mean squares of the residuals of the shifted channels without the shift.
-        after: The same with it.
+        unshifted: Root mean squares of the residuals of the shifted channels without the shift.
+        shifted: The same with it.
     """
 
     channels: tuple[int, ...]
@@ -53,8 +53,8 @@ class LateOutput(NamedTuple):
     p_value: float
     moves: dict[str, float]
     values: dict[str, float]
-    before: tuple[float, ...]
-    after: tuple[float, ...]
+    unshifted: tuple[float, ...]
+    shifted: tuple[float, ...]
 
     def matters(self, sample_time: float) -> bool:
         """Whether the outputs are at other times for sure, and the estimates depend on it."""
@@ -112,47 +112,47 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     shifts = ShiftedProblems(problem, margin)
     if margin < 1 or not shifts.sufficient():
         return None
-    own = minimise(shifts.at((), 0), minimum.x)
-    channels, shift = screened_shift(shifts, own, margin)
+    unshifted_end = minimise(shifts.at((), 0), minimum.x)
+    channels, shift = screened_shift(shifts, unshifted_end, margin)
     if shift == 0:
         return None
-    shift, end = climbed_shift(shifts, own, own, channels, shift, margin)
-    if shift == 0 or not end.cost < own.cost:
+    shift, end = climbed_shift(shifts, unshifted_end, unshifted_end, channels, shift, margin)
+    if shift == 0 or not end.cost < unshifted_end.cost:
         return None
     late = shifts.at(channels, shift)
     end = reweighted_minimum(late, end)
     shifts.noises, shifts.variances = late.noises, late.variances
-    shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), own.x), channels, shift, margin)
+    shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), unshifted_end.x), channels, shift, margin)
     if shift == 0:
         return None
     late = shifts.at(channels, shift)
     end = reweighted_minimum(late, end)
     null = shifts.at((), 0)
-    own = reweighted_minimum(null, own)
-    gain = 2.0 * (log_likelihood(late, end.x) - log_likelihood(null, own.x))
+    unshifted_end = reweighted_minimum(null, unshifted_end)
+    gain = 2.0 * (log_likelihood(late, end.x) - log_likelihood(null, unshifted_end.x))
     p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
     distance, deviation = refinement(shifts, end, channels, shift, margin)
     delay = sample_time * (shift + distance)
-    deviations = np.sqrt(np.diag(np.linalg.pinv(own.equations.information)))
-    moves = dict(zip(problem.names, ((end.x - own.x) / np.maximum(deviations, TINY)).tolist(), strict=True))
-    before, after = (residuals(part, channels, x) for part, x in ((null, own.x), (late, end.x)))
+    deviations = np.sqrt(np.diag(np.linalg.pinv(unshifted_end.equations.information)))
+    moves = dict(zip(problem.names, ((end.x - unshifted_end.x) / np.maximum(deviations, TINY)).tolist(), strict=True))
+    unshifted, shifted = (residuals(part, channels, x) for part, x in ((null, unshifted_end.x), (late, end.x)))
     return LateOutput(
-        channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), before, after
+        channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), unshifted, shifted
     )
 
 
-def screened_shift(shifts: ShiftedProblems, own: Minimum, margin: int) -> tuple[tuple[int, ...], int]:
+def screened_shift(shifts: ShiftedProblems, end: Minimum, margin: int) -> tuple[tuple[int, ...], int]:
     """The channels and the shift that leave least where the prediction is linear in the numbers, by one simulation.
 
     All channels together are one choice, and each of them alone is another.
     """
     plain = shifts.at((), 0)
-    known = plain.predict(plain.values(own.x), plain.log.commands)
+    known = plain.predict(plain.values(end.x), plain.log.commands)
     channels = tuple(readings.channel for readings in plain.readings)
     products = []  # by channel and shift
     for shift in range(-margin, margin + 1):
         moved = replace_prediction(shifts.at(channels, shift), known)
-        rows = zip(moved.readings, moved.noises, moved.variances, moved.columns(own.x), strict=True)
+        rows = zip(moved.readings, moved.noises, moved.variances, moved.columns(end.x), strict=True)
         products.append([weighted_products(noise, part.times, c)[0] / variance for part, noise, variance, c in rows])
     table = np.array(products)  # shifts, channels, 1 + p, 1 + p
     if not np.isfinite(table).all():
@@ -183,25 +183,25 @@ def linear_cost(products: np.ndarray) -> float:
 
 
 def climbed_shift(
-    shifts: ShiftedProblems, near: Minimum, own: Minimum, channels: Sequence[int], shift: int, margin: int
+    shifts: ShiftedProblems, start: Minimum, unshifted_end: Minimum, channels: Sequence[int], shift: int, margin: int
 ) -> tuple[int, Minimum]:
     """The shift next to which none leaves less, from a first one on, and the end of the fit there.
 
     Args:
         shifts: The problems.
-        near: The minimum from which fits start.
-        own: That without a shift.
+        start: The minimum from which fits start.
+        unshifted_end: That without a shift.
         channels: Those that are shifted.
         shift: The first shift.
         margin: The longest one.
     """
-    ends = {0: own}
+    ends = {0: unshifted_end}
 
     def cost(place: int) -> float:
         if abs(place) > margin:
             return math.inf
         if place not in ends:
-            ends[place] = minimise(shifts.at(channels, place), near.x)
+            ends[place] = minimise(shifts.at(channels, place), start.x)
         return ends[place].cost
 
     while True:
@@ -254,11 +254,11 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         return ()
     names = [signal_name(study.loop.channels[channel], "y") for channel in found.channels]
     sizes = []
-    for name, channel, before, after in zip(names, found.channels, found.before, found.after, strict=True):
-        sizes.append(f"that of {name} from {before:.3g} to {after:.3g} {study.units[channel].output} rms")
+    for name, channel, unshifted, shifted in zip(names, found.channels, found.unshifted, found.shifted, strict=True):
+        sizes.append(f"that of {name} from {unshifted:.3g} to {shifted:.3g} {study.units[channel].output} rms")
     side = "later" if found.delay > 0.0 else "earlier"
     number = max(found.moves, key=lambda name: abs(found.moves[name]))
-    own = problem.named_values(minimum.x)[number]
+    estimate = problem.named_values(minimum.x)[number]
     late = (
         "Log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), or give the study the "
         "delay that the vehicle has (unmodelled, actuator)"
@@ -266,11 +266,11 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         else "Log the time of the command at which the vehicle gets it, and look for a delay in the study that the "
         "vehicle does not have"
     )
-    about = f" ± {found.deviation:.2g}" if math.isfinite(found.deviation) else ""
+    margin_text = f" ± {found.deviation:.2g}" if math.isfinite(found.deviation) else ""
     verb = "are" if len(names) > 1 else "is"
     text = (
-        f"{', '.join(names)} {verb} {abs(found.delay):.3g}{about} s {side} than the study predicts "
+        f"{', '.join(names)} {verb} {abs(found.delay):.3g}{margin_text} s {side} than the study predicts "
         f"(p = {found.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
-        f"{found.values[number]:.4g} in place of {own:.4g}. {late}"
+        f"{found.values[number]:.4g} in place of {estimate:.4g}. {late}"
     )
     return tuple(Doubt(name, text) for name in names[:1])

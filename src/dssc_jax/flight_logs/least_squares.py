@@ -199,15 +199,15 @@ class Minimum(NamedTuple):
         return self.equations.cost
 
 
-def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, whole: bool = False) -> Minimum:
+def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, to_end: bool = False) -> Minimum:
     """Gauss-Newton with Levenberg's damping, from coordinates on, for a number of starts.
 
-    It ends early where the search has to end, unless the ``whole`` way is wanted.
+    It ends early where the search has to end, unless ``to_end``.
     """
     damping = 1e-3
     equations = problem.normal_equations(x)
     for _ in range(ITERATIONS if math.isfinite(equations.cost) else 0):
-        if problem.count.reason and not whole:
+        if problem.count.reason and not to_end:
             break
         diagonal = np.diag(equations.information)
         floor = 1e-12 * max(float(diagonal.max()), TINY)
@@ -289,11 +289,11 @@ class MinimumSearch(NamedTuple):
 def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
     """The minimum from another one on, by the noise of its own residual; the problem then has that noise."""
     starts = minimum.starts
-    minimum = minimise(problem, minimum.x, starts, whole=True)
+    minimum = minimise(problem, minimum.x, starts, to_end=True)
     for _ in range(REWEIGHTINGS):
         problem.reweight(minimum.x)
         previous = minimum
-        minimum = minimise(problem, minimum.x, starts, whole=True)
+        minimum = minimise(problem, minimum.x, starts, to_end=True)
         precision = math.sqrt(max(float(np.diag(minimum.equations.information).max()), TINY))
         if np.abs(minimum.x - previous.x).max() <= 1e-2 / precision:
             break

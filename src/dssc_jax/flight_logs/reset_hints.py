@@ -40,8 +40,10 @@ def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
     end = study_end(study, log)
     for span in log.invalid:
         if span.begin <= end and span.end > log.start:
-            label, _, rest = span.text().partition(" ")
-            hints[label] = f"{rest}: the estimator calls {', '.join(span.fields)} invalid there, and they are left out"
+            label, _, description = span.text().partition(" ")
+            hints[label] = (
+                f"{description}: the estimator calls {', '.join(span.fields)} invalid there, and they are left out"
+            )
     return hints
 
 

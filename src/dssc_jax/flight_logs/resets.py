@@ -113,10 +113,12 @@ class Reset(NamedTuple):
 
     def text(self) -> str:
         """What jumps by how much."""
-        about = "" if self.known else "about "
+        qualifier = "" if self.known else "about "
         if self.counter.fields == QUATERNION:
-            return f"attitude by {about}{self.size:.3g} rad"
-        parts = [f"{field} by {about}{value:.3g}" for field, value in zip(self.counter.fields, self.jump, strict=True)]
+            return f"attitude by {qualifier}{self.size:.3g} rad"
+        parts = [
+            f"{field} by {qualifier}{value:.3g}" for field, value in zip(self.counter.fields, self.jump, strict=True)
+        ]
         return f"{', '.join(parts)} {self.counter.unit}"
 
 
@@ -136,8 +138,8 @@ class InvalidSpan(NamedTuple):
 def reset_list(resets: Sequence[Reset]) -> str:
     """Times and jumps of some resets."""
     texts = [f"at {reset.time:.4g} s ({reset.text()})" for reset in resets[:NAMED]]
-    more = f" and {len(resets) - NAMED} more" if len(resets) > NAMED else ""
-    return f"{', '.join(texts)}{more}"
+    remainder = f" and {len(resets) - NAMED} more" if len(resets) > NAMED else ""
+    return f"{', '.join(texts)}{remainder}"
 
 
 def estimate_topics(names: Iterable[str]) -> set[str]:
@@ -189,8 +191,10 @@ def stated_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) ->
 
 def seen_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
     """The jump from one message to the following one, with the motion in between."""
-    after, before = (np.array([float(fields[name][place]) for name in counter.fields]) for place in (row, row - 1))
-    jump = product(after, conjugate(before)) if counter.fields == QUATERNION else after - before
+    following, preceding = (
+        np.array([float(fields[name][place]) for name in counter.fields]) for place in (row, row - 1)
+    )
+    jump = product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
     return tuple(map(float, jump))
 
 
@@ -227,9 +231,9 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
             continue
         time = stamps(fields, begin)
         edges = np.diff(np.concatenate([[0], fields[flag] == 0, [0]]).astype(int))
-        for first, last in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-            stop = float(time[last]) if last < len(time) else max(end, float(time[-1]))
-            found.append(InvalidSpan(flag, names, float(time[first]), stop))
+        for begin_row, end_row in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            stop = float(time[end_row]) if end_row < len(time) else max(end, float(time[-1]))
+            found.append(InvalidSpan(flag, names, float(time[begin_row]), stop))
     return found
 
 
@@ -263,12 +267,12 @@ def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
             jumps = dict(zip(reset.counter.fields, reset.jump, strict=True))
             for name, jump in jumps.items():
                 fields[name] = shifted(fields[name], reset.row, jump)
-        before, after = event_span(reset, resets, topics)
+        begin, end = event_span(reset, resets, topics)
         for topic, names in SETPOINTS.items():
             setpoint = changed.get(f"{topic}:0", {})
             moved = {name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint}
             if moved:
-                row = following_row(setpoint, moved, before, after)
+                row = following_row(setpoint, moved, begin, end)
                 for name, jump in moved.items():
                     setpoint[name] = shifted(setpoint[name], row, jump)
     return changed
@@ -284,19 +288,19 @@ def shifted(values: np.ndarray, row: int, jump: float) -> np.ndarray:
 def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
     """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
 
-    def stamps_of(one: Reset) -> tuple[float, float]:
-        published = topics[f"{one.counter.topic}:0"]["timestamp"]
-        return float(published[one.row - 1]), float(published[one.row])
+    def stamps_of(jump: Reset) -> tuple[float, float]:
+        published = topics[f"{jump.counter.topic}:0"]["timestamp"]
+        return float(published[jump.row - 1]), float(published[jump.row])
 
-    before, after = stamps_of(reset)
+    begin, end = stamps_of(reset)
     if reset.counter.fields == ("heading",):
-        for other in resets:
-            if other.counter.topic == ATTITUDE and before < stamps_of(other)[1] <= after:
-                return stamps_of(other)
-    return before, after
+        for rotation in resets:
+            if rotation.counter.topic == ATTITUDE and begin < stamps_of(rotation)[1] <= end:
+                return stamps_of(rotation)
+    return begin, end
 
 
-def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], before: float, after: float) -> int:
+def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], begin: float, end: float) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
     That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.
@@ -304,21 +308,21 @@ def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float]
     Args:
         setpoint: The fields of its topic.
         jumps: The change of the frame along some of them.
-        before: The stamp of the estimate's last message before the reset [us].
-        after: That of the first message after it [us].
+        begin: The stamp of the estimate's last message before the reset [us].
+        end: That of the first message after it [us].
     """
     time = setpoint["timestamp"].astype(float)
-    late = after + SETPOINT_DELAY / MICROSECOND
-    near = np.flatnonzero((time[1:] > before) & (time[1:] <= late)) + 1
-    squares = np.zeros(len(near))
+    late = end + SETPOINT_DELAY / MICROSECOND
+    nearby = np.flatnonzero((time[1:] > begin) & (time[1:] <= late)) + 1
+    squares = np.zeros(len(nearby))
     for name, jump in jumps.items():
         values = setpoint[name].astype(float)
-        excess = values[near] - values[near - 1] - jump
+        excess = values[nearby] - values[nearby - 1] - jump
         squares += (np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi if name == "yaw" else excess) ** 2
     known = np.flatnonzero(np.isfinite(squares))
     if known.size and np.sqrt(squares[known].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
-        return int(near[known[np.argmin(squares[known])]])
-    return int(np.searchsorted(time, after))
+        return int(nearby[known[np.argmin(squares[known])]])
+    return int(np.searchsorted(time, end))
 
 
 def needed_fields(topic: str, name: str, topics: TopicData) -> tuple[str, ...]:

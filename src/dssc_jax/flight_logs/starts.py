@@ -42,8 +42,8 @@ def begins_level(study: Study) -> bool:
     software = study.loop.mimo_plant.software
     if software is None or software.settled(study.template.plant):
         return False
-    given = [study.numbers.get(f"plant.{name}") for name in ("roll", "pitch")]
-    return all(number is None or number.value == 0.0 for number in given)
+    tilts = [study.numbers.get(f"plant.{name}") for name in ("roll", "pitch")]
+    return all(number is None or number.value == 0.0 for number in tilts)
 
 
 def start_remedy(name: str) -> str:

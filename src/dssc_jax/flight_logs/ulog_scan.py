@@ -145,9 +145,9 @@ class TopicCount:
         def seconds(stamps: tuple[int, int] | None) -> Stamps:
             return Stamps() if stamps is None else Stamps(*(MICROSECOND * (stamp - begin) for stamp in stamps))
 
-        first, last = seconds(None if self.first is None else (self.first, self.last))
+        begin_time, last = seconds(None if self.first is None else (self.first, self.last))
         gap = seconds(self.gap if self.gap[1] else None)
-        return LogTopic(name, self.messages, first, last, self.falls, seconds(self.fall), self.usual(), gap)
+        return LogTopic(name, self.messages, begin_time, last, self.falls, seconds(self.fall), self.usual(), gap)
 
 
 class Damage(NamedTuple):

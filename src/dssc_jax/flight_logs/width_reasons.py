@@ -51,9 +51,9 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def widest_growth(before: np.ndarray, after: np.ndarray) -> float:
+def widest_growth(narrow: np.ndarray, wide: np.ndarray) -> float:
     """By how much the widest-growing standard deviation grows from one covariance to another, each of shape (p, p)."""
-    return float(np.sqrt(np.max(np.diag(after) / np.diag(before))))
+    return float(np.sqrt(np.max(np.diag(wide) / np.diag(narrow))))
 
 
 def open_numbers(kept: Mapping[str, float]) -> str:

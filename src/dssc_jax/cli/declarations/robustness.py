@@ -38,7 +38,7 @@ class Theory(OutputOptions, DrawsOptions, WalkOptions):
     all winds within the bounds, at once.
     """
 
-    also: ClassVar = ("pole", "poles", "eig", "rlocus", "root-locus")
+    synonyms: ClassVar = ("pole", "poles", "eig", "rlocus", "root-locus")
 
     prove: Prove = False
 
@@ -75,7 +75,7 @@ class Loop(OutputOptions, DrawsOptions):
     linearised along its flight with --at. The study's [sweep] is ignored.
     """
 
-    also: ClassVar = ("bode", "nyquist", "allmargin", "sigma-plot")
+    synonyms: ClassVar = ("bode", "nyquist", "allmargin", "sigma-plot")
 
     at: Annotated[
         str | None,
@@ -94,7 +94,7 @@ class WorstLoop(OutputOptions, DrawsOptions):
     them at once, unless --broken-at is given. The study's [sweep] is ignored.
     """
 
-    also: ClassVar = ("mu", "mussv", "wcgain", "wcdiskmargin", "robstab", "robgain", "diskmargin")
+    synonyms: ClassVar = ("mu", "mussv", "wcgain", "wcdiskmargin", "robstab", "robgain", "diskmargin")
 
     broken_at: Annotated[
         list[str] | None,

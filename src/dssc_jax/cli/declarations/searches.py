@@ -23,7 +23,7 @@ class Tune(DrawsOptions):
     Where [tune] asks for a proof, the folder holds the result's certificate, proof.json, which `prove` verifies.
     """
 
-    also: ClassVar = ("optimise", "optimize", "autotune")
+    synonyms: ClassVar = ("optimise", "optimize", "autotune")
 
     robust: Annotated[
         bool, typer.Option("--robust", help="Hunt the result's worst case, add it to the draws, tune again.")
@@ -47,7 +47,7 @@ class Select(OutputOptions, SeededOptions):
     study's [sweep] and number of draws are ignored.
     """
 
-    also: ClassVar = ("best", "rank", "gains")
+    synonyms: ClassVar = ("best", "rank", "gains")
 
     over: Annotated[
         list[str] | None,
@@ -75,7 +75,7 @@ class Falsify(OutputOptions, SeededOptions):
     draw (the folder witness, for `replay`).
     """
 
-    also: ClassVar = ("worst", "worst-case", "attack")
+    synonyms: ClassVar = ("worst", "worst-case", "attack")
 
     budget: Budget = BUDGET
     within_sigma: Annotated[

@@ -39,7 +39,7 @@ class Run(OutputOptions, StatedOptions, RunOptions, DrawsOptions):
     --within, --shift and --widening add an interval that holds if the laws are wrong by these amounts.
     """
 
-    also: ClassVar = ("monte-carlo", "montecarlo", "mc")
+    synonyms: ClassVar = ("monte-carlo", "montecarlo", "mc")
 
     until_width: Annotated[
         float | None, typer.Option("--until-width", metavar="W", help="Draw until the interval is no wider than W.")
@@ -93,7 +93,7 @@ class Simulate(TrajectoryOptions, SeededOptions):
     The study's [sweep] is ignored. Prints how the draw ended; --csv and --figure keep the trajectory.
     """
 
-    also: ClassVar = ("step", "lsim", "sim", "impulse")
+    synonyms: ClassVar = ("step", "lsim", "sim", "impulse")
 
     draw: Annotated[int, typer.Option("--draw", metavar="I", help="Index of the draw.")] = 0
     flight: Annotated[
