@@ -31,6 +31,7 @@ STRICT_KERNEL = Contender("strict kernel", "engine", {KERNEL_VARIABLE: Form.GPU_
 PROCESSOR = Contender("processor", "engine", every=2)
 STRICT_PROCESSOR = Contender("strict processor", "engine", {KERNEL_VARIABLE: Form.STRICT}, every=5)
 GPU_OF_JAX = {"JAX_PLATFORMS": "cuda,cpu"}
+XLA = Contender("XLA", "scan", GPU_OF_JAX, every=4)
 
 
 class Bits(NamedTuple):
@@ -63,12 +64,13 @@ def rows(cases: Sequence[Case]) -> list[str]:
     """A row of the table for each case."""
     found = []
     for case in cases:
-        fast = contest(case, [KERNEL, PROCESSOR], *SIZES[case.loop], ROUNDS)
+        fast = contest(case, [KERNEL, PROCESSOR, XLA], *SIZES[case.loop], ROUNDS)
         strict = contest(case, [STRICT_KERNEL, STRICT_PROCESSOR], *SIZES[case.loop], ROUNDS)
         same = bits(case)
-        kernel, processor = (rate(fast[contender.name]) for contender in (KERNEL, PROCESSOR))
-        cells = [f"{kernel:,.0f}", f"{rate(strict[STRICT_KERNEL.name]):,.0f}", f"{processor:,.0f}"]
-        cells += [f"{kernel / processor:.1f}", f"{fast[KERNEL.name].compile_seconds:.1f}"]
+        kernel, processor, xla = (rate(fast[contender.name]) for contender in (KERNEL, PROCESSOR, XLA))
+        cells = [f"{kernel:,.0f}", f"{rate(strict[STRICT_KERNEL.name]):,.0f}", f"{xla:,.0f}", f"{processor:,.0f}"]
+        cells += [f"{kernel / xla:.1f}", f"{kernel / processor:.1f}"]
+        cells += [f"{fast[contender.name].compile_seconds:.1f}" for contender in (KERNEL, XLA)]
         cells += [f"{same.different:,} of {same.compared:,}"]
         found.append(f"| {case.text} | {' | '.join(cells)} |")
         print(found[-1], flush=True)
@@ -93,12 +95,13 @@ def part(python: Path | None) -> str:
     sizes = " and ".join(f"{draws:,} draws of {seconds:g} s of the {loop}" for loop, (draws, seconds) in SIZES.items())
     lines = [
         f"{gpu_name(Form.GPU)}; {sizes}. Millions of lane-steps a second, with the transfer of draws and results,",
-        f"medians of {ROUNDS} turns. *Compiled* is the time [s] of trace, LLVM and driver, with empty caches. *Bits*",
-        f"counts the numbers in the results of {COMPARED:,} draws that differ between the strict kernel and strict",
-        "arithmetic on the processor. `python -m benchmarks.gpu --rates` regenerates this part where there is a GPU.",
+        f"medians of {ROUNDS} turns, of 2 for XLA. *XLA* is `jit(vmap(scan))` on the same GPU. *Compiled* is the time",
+        "[s] of trace, LLVM and driver, or of XLA, with empty caches. *Bits* counts the numbers in the results of",
+        f"{COMPARED:,} draws that differ between the strict kernel and strict arithmetic on the processor.",
+        "`python -m benchmarks.gpu --rates` regenerates this part where there is a GPU.",
         "",
-        "| | kernel | strict kernel | processor | kernel / processor | compiled | bits |",
-        "|---|---|---|---|---|---|---|",
+        "| | kernel | strict kernel | XLA | processor | / XLA | / processor | compiled | by XLA | bits |",
+        "|---|---|---|---|---|---|---|---|---|---|",
         *rows(CASES),
     ]
     if python:
