@@ -11,7 +11,7 @@ from dssc_jax.study import Study
 
 MOST_GROWTH = 4.0
 GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
-"""Factors by which the box may grow; the largest admissible one is used."""
+"""Factors by which the box may grow, largest first; the first one is used at which the loop is defined everywhere."""
 
 
 class Side(NamedTuple):
@@ -86,17 +86,19 @@ def box_of(study: Study, sigma: float) -> Box:
     return Box(tuple(sides))
 
 
-def admissible_growth(study: Study, box: Box) -> float:
-    """The largest factor of :data:`GROWTHS` by which the box may grow before the study refuses a number."""
-    for growth in GROWTHS[:-1]:
-        ends = (np.full(len(box.sides), growth), np.full(len(box.sides), -growth))
-        try:
-            for end in ends:
-                numbers = box.numbers(end)
-                study.override(numbers)
-                for name, value in numbers.items():
-                    study.override({name: value})
-        except ConfigError:
-            continue
-        return growth
-    return 1.0
+def admissible_growths(study: Study, box: Box) -> list[float]:
+    """The factors of :data:`GROWTHS` at whose corners the study accepts all numbers, largest first; always 1."""
+    return [growth for growth in GROWTHS if growth == 1.0 or admits(study, box, growth)]
+
+
+def admits(study: Study, box: Box, growth: float) -> bool:
+    """Whether a study accepts the ends of a grown box, all numbers together and each alone."""
+    try:
+        for end in (growth, -growth):
+            numbers = box.numbers(np.full(len(box.sides), end))
+            study.override(numbers)
+            for name, value in numbers.items():
+                study.override({name: value})
+    except ConfigError:
+        return False
+    return True

@@ -1,7 +1,8 @@
 """Worst case of every loop of a study over the box of its laws: found perturbations beside bounds."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINE
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
-from dssc_jax.analyses.worst_loop.box import admissible_growth, box_of
+from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
 from dssc_jax.analyses.worst_loop.joint import joint_case
@@ -182,9 +183,14 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
     drawn_margins = margins_at(drawn, common, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
     found = worst_margins(broken.at, sides, common, sample_time, family.allowance(searched))
-    growable = admissible_growth(study, broken.family.box)
-    instability = nearest_instability(broken.at, sides, growable, family.allowance(searched))
-    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, left)
+
+    def grown(growable: float) -> tuple[Instability, Bounds]:
+        instability = nearest_instability(broken.at, sides, growable, family.allowance(searched))
+        if np.isfinite(instability.growth):
+            study.override(broken.numbers(instability.point))  # a loop of undefined numbers is not unstable
+        return instability, bounds_of(broken, found, instability, growable, sample_time, cells, left)
+
+    growable, (instability, bounds) = farthest_defined(grown, admissible_growths(study, broken.family.box))
     return LoopCase(
         names=broken.names,
         drawn=worst_drawn,
@@ -197,6 +203,23 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
         growable=growable,
         cells=bounds.covered.cells,
     )
+
+
+def farthest_defined(
+    grown: Callable[[float], tuple[Instability, Bounds]], growths: Sequence[float]
+) -> tuple[float, tuple[Instability, Bounds]]:
+    """The largest growth at which the loop is defined everywhere, and what was found up to it.
+
+    Beyond the box a number may be undefined that its ends do not show, such as the root of a difference.
+
+    Raises:
+        ConfigError: A number is undefined within the smallest growth.
+    """
+    *larger, smallest = growths
+    for growth in larger:
+        with suppress(ConfigError):
+            return growth, grown(growth)
+    return smallest, grown(smallest)
 
 
 def bounds_of(
