@@ -1,5 +1,7 @@
 """First gains for plants of one's own: in their units, at the bandwidth that was asked for, and stable."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -9,6 +11,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.loop_margins.designed import designed_margins
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains, plant_at_start
+from dssc_jax.design.plant_at_start import holding_command
 from tests.engine.linearisation.test_margin_values import response_of
 from tests.study.test_signals import held
 
@@ -279,6 +282,34 @@ def test_state_feedback_of_states_that_are_not_measured_names_them():
         first_gains(buck(**table), "state_feedback", 5.0)
     found = first_gains(buck(**table, sensor={"measures": "state"}), "state_feedback", 5.0)
     assert len(found.table["signals"]) == 3
+
+
+def boost_slopes(x, duty, load):
+    """Slopes of current and voltage of an averaged boost converter of 12 V."""
+    current, voltage = x
+    return [(12.0 - 0.05 * current - (1.0 - duty) * voltage) / 5e-5, ((1.0 - duty) * current - voltage / load) / 2e-4]
+
+
+def test_a_rate_with_the_last_command_is_no_state_to_feed_back():
+    a = [[-1000.0, -10_000.0], [2500.0, -400.0]]
+    plant = {"kind": "state_space", "a": a, "b": [5e5, -2e4], "c": [0.0, 1.0]}
+    message = "shows y and y', which contain the last command, and the regulator feeds back all 2 states"
+    with pytest.raises(ConfigError, match=message):
+        first_gains(buck(plant=plant), "state_feedback", 5e3)
+
+
+def test_a_start_where_the_terms_of_the_slope_cancel_is_an_equilibrium():
+    duty, load = 0.5, 10.0
+    voltage = 12.0 / (0.5 + 0.05 / (load * 0.5))
+    start = jnp.array([voltage / (load * 0.5), voltage])
+
+    def slope(x, u):
+        return jnp.stack(boost_slopes(x, duty + u, load))
+
+    with jax.enable_x64(True):
+        assert np.max(np.abs(slope(start, 0.0))) > 0.0
+        assert holding_command(slope, start) == pytest.approx(0.0, abs=1e-12)
+        assert holding_command(slope, start * 1.001) is None
 
 
 def test_the_pid_loop_of_a_first_order_lag_cancels_it():

@@ -190,6 +190,11 @@ def test_what_is_wrong_gets_its_line(changes, message):
         ("plant.outputs.travel.inputs", {"rode": 1.0}, "plant.outputs.travel.inputs.rode: is no input"),
         ("plant.inputs.road.column", [1.0], "plant.inputs.road.column: must have 4 numbers"),
         ("plant.outputs.a__b", {"c": [1.0, 0.0, 0.0, 0.0]}, "single _"),
+        ("plant.outputs.and", {"c": [1.0, 0.0, 0.0, 0.0]}, "word of Python"),
+        ("plant.outputs.x1", {"c": [1.0, 0.0, 0.0, 0.0]}, "plant.outputs.x1: has the name of the state 1"),
+        ("plant.outputs.y", {"c": [1.0, 0.0, 0.0, 0.0]}, "plant.outputs.y: has the name of"),
+        ("plant.outputs.t", {"c": [1.0, 0.0, 0.0, 0.0]}, "reports 't', which is another signal"),
+        ("plant.outputs.u_total", {"c": [1.0, 0.0, 0.0, 0.0]}, "reports 'u_total', which is another signal"),
     ],
 )
 def test_a_wrong_plant_gets_its_line(path, value, message):

@@ -1,6 +1,6 @@
 """Metrics of any signal by its name, which is that of its column in a trajectory."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from dssc_jax.closed_loop.metrics import (
     total,
 )
 from dssc_jax.closed_loop.window import Window
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.named import NamedSignal, signals_in
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
@@ -87,6 +88,8 @@ CHANNEL_SIGNALS = {
     "u_total": Quantity("u", "command u + u_n"),
 }
 """Fields of a channel's sample that are signals."""
+TIME = "t"
+"""Name of the time in trajectories and formulas."""
 
 
 def sampled_signals(
@@ -106,8 +109,11 @@ def sampled_signals(
         reports: The quantities that each channel's controller declares.
         outputs: Those that the plant declares.
         measured: The measured signals.
+
+    Raises:
+        ConfigError: A controller or the plant reports a signal under the name of another one.
     """
-    signals = {}
+    signals: dict[str, SampledSignal] = {}
     for index, (channel, infos) in enumerate(fields.items()):
         sources = {
             "y": (Quantity("y", "output y"), of_output(index)),
@@ -117,6 +123,7 @@ def sampled_signals(
         for name, quantity in CHANNEL_SIGNALS.items():
             sources[name] = quantity, of_channel(index, name)
         for name in infos:
+            require_free("controller", name, {TIME, *sources})
             sources[name] = reports[index].get(name, Quantity("1", name)), of_controller(index, name)
         for name, (quantity, of) in sources.items():
             unit = units[index].of(quantity.unit)
@@ -127,9 +134,16 @@ def sampled_signals(
             signal.unit or "1", f"measured {signal.quantity.meaning}", of_reading(index)
         )
     for name in seen:
+        require_free("plant", name, {TIME, *signals})
         quantity = outputs.get(name, Quantity("1", name))
         signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name))
     return signals
+
+
+def require_free(part: str, name: str, taken: Collection[str]) -> None:
+    """Require that a part reports a signal under a name of its own; raises ConfigError."""
+    if name in taken:
+        raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
 def travelled(of: Callable[[Instant], Scalar]) -> Callable[[Travelled, Instant, Window], Travelled]:

@@ -1,12 +1,15 @@
 """Signals that a study names: words in a model's parameters, and the type of what a plant reports under these names."""
 
+import re
 from collections import namedtuple
 from collections.abc import Mapping
 from functools import cache
+from keyword import iskeyword
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.signals import Info
 
@@ -34,8 +37,17 @@ class NamedSignal(NamedTuple):
 
 
 REPORT = "Report"
+SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 SEPARATOR = "__"
 """Between the names of a report's fields in the name of its type; no signal has it in its name."""
+
+
+def require_signal_name(name: str) -> None:
+    """Require that a name can be that of a signal, and so that of a field of a report; raises ConfigError."""
+    if not SIGNAL_NAME.fullmatch(name):
+        raise ConfigError("", "must be named by letters and digits, with single _ between them")
+    if iskeyword(name):
+        raise ConfigError("", "has a name that is a word of Python; give it another one")
 
 
 @cache

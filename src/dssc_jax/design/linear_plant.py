@@ -207,7 +207,7 @@ def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: 
         transition,
         np.append(stepped[:, total], acting_input),
         wide(plant.c),
-        wide(plant.rate),
+        wide(plant.rate) + plant.rate_through * reaching,
         np.reshape(signals, (len(signals), total + 1)),
         sample_time,
     )

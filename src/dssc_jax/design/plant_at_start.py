@@ -20,6 +20,7 @@ from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20
 AT_REST = 1e-9  # share of the rate of change without a command that may be left
+ROUNDING = 1e-12  # share of the terms of a rate of change that may be left, where they cancel
 
 
 class Resting(NamedTuple):
@@ -37,13 +38,14 @@ class Resting(NamedTuple):
 
 
 class PlantAtStart(NamedTuple):
-    """A plant of one channel, linearised at its start: x' = A x + b u + E w, y = c x, y' = r x, s = C x + D u.
+    """A plant of one channel, linearised at its start: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
 
     Args:
         a: Shape (n, n).
         b: Shape (n,).
         c: Shape (n,).
         rate: r, shape (n,).
+        rate_through: v, which is not 0 for a plant of relative degree one.
         signals: C, a row for each measured signal, shape (m, n).
         feedthrough: D, shape (m,).
         disturbances: E, columns of the disturbance beside the command and of each named input, shape (n, q). A plant
@@ -57,6 +59,7 @@ class PlantAtStart(NamedTuple):
     b: np.ndarray
     c: np.ndarray
     rate: np.ndarray
+    rate_through: float
     signals: np.ndarray
     feedthrough: np.ndarray
     disturbances: np.ndarray
@@ -116,7 +119,8 @@ def plant_at_start(study: Study) -> PlantAtStart:
     resting = None if linear or holding is None else Resting(y, command, tuple(signals))
     held = linear or holding is not None
     names = (MATCHED, *loop.input_names)
-    return PlantAtStart(a, b, rows[0], rows[1], rows[2:], feedthrough[2:], columns, names, resting, held)
+    through = float(feedthrough[1])
+    return PlantAtStart(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, held)
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
@@ -137,5 +141,7 @@ def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.
         if not size > 0.0:
             return None
         command -= float(effect @ rate) / size
-    left = np.max(np.abs(np.asarray(rate_of(command), float)))
-    return command if left <= AT_REST * moved else None
+    left = np.abs(np.asarray(rate_of(command), float))
+    slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
+    terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
+    return command if np.all(left <= np.maximum(AT_REST * moved, ROUNDING * terms)) else None

@@ -109,11 +109,12 @@ def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
     feedback = gains[:n]
     names = tuple(signal.name for signal in study.loop.measures)
     rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
+    through = plant.feedthrough if names else np.array([0.0, plant.rate_through])[:n]
     shares = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
-    if np.any(plant.feedthrough * shares[: len(plant.feedthrough)] != 0.0) or (
-        np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback))
-    ):
+    passes = bool(np.any(through * shares[: len(through)] != 0.0))
+    if passes or np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback)):
         shown = ", ".join(names) if names else "y and y'"
+        shown += ", which contain the last command" if passes else ""
         rule = f"shows {shown}, and the regulator feeds back all {n} states"
         remedy = "add measures = \"state\" to [sensor], or ask for 'lqg', which estimates them"
         raise ConfigError(f"{study.source}: sensor", f"{rule}; {remedy}")

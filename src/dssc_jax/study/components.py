@@ -4,7 +4,6 @@ The parameter types of the models are the schema: their annotations give each fi
 """
 
 import inspect
-import re
 import types
 import typing
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, cr
 from dssc_jax.core.chains import Element
 from dssc_jax.core.contracts import Plant, Preset, as_given
 from dssc_jax.core.errors import ConfigError, errors_under, nearest
-from dssc_jax.core.named import Text
+from dssc_jax.core.named import Text, require_signal_name
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry, Registry, Slot, single
 from dssc_jax.core.toml import TomlTable
@@ -137,9 +136,6 @@ def table_model(params: type) -> type[BaseModel]:
             kind = Literal[tuple(member.value for member in spec.enum)]  # type: ignore[valid-type]
         fields[name] = (kind, ...)
     return create_model(params.__name__, __config__=ConfigDict(extra="forbid", strict=True), **fields)
-
-
-SIGNAL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", re.ASCII)
 
 
 def lookup(kind: object, registry: Registry) -> Entry:
@@ -364,8 +360,7 @@ def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tupl
     numbers: list[Number] = []
     for name, value in table.items():
         with errors_under(name):
-            if not SIGNAL_NAME.fullmatch(name):
-                raise ConfigError("", "must be named by letters and digits, with single _ between them")
+            require_signal_name(name)
             if isinstance(spec.mark, Quantity):
                 try:
                     number = parse_number(value, spec.mark)

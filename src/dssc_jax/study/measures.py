@@ -39,7 +39,11 @@ class SensorTables(NamedTuple):
 def measurable(
     plant: Plant, params: Params, outputs: Sequence[NamedSignal], channels: Sequence[str], units: Sequence[ChannelUnits]
 ) -> dict[str, NamedSignal]:
-    """Every signal that can be measured, by name: the plant's outputs, y and y', and the state if it is linear."""
+    """Every signal that can be measured, by name: the plant's outputs, y and y', and the state if it is linear.
+
+    Raises:
+        ConfigError: An output has the name of a state.
+    """
     found = {}
     if plant.linear is not None:
         for i in range(1, len(plant.linear(params).a) + 1):
@@ -49,7 +53,13 @@ def measurable(
         found[f"{prefix}y"] = NamedSignal(f"{prefix}y", named.output, named.output_meaning)
         rate = named.of("y/s")
         found[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {named.output_meaning}")
-    return found | {signal.name: signal for signal in outputs}
+    for signal in outputs:
+        if signal.name in found:
+            raise ConfigError(
+                f"plant.outputs.{signal.name}", f"has the name of the {found[signal.name].meaning}; give it another one"
+            )
+        found[signal.name] = signal
+    return found
 
 
 def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorTables:

@@ -58,6 +58,30 @@ def test_transfer_function_is_that_of_scipy():
     )
 
 
+FIRST_ORDER = [
+    {"kind": "state_space", "a": [[-20.0]], "b": [20.0], "c": [1.0], "x0": [0.3]},
+    {"kind": "transfer_function", "numerator": [20.0], "denominator": [1.0, 20.0], "x0": [0.3 / 20.0]},
+]
+
+
+@pytest.mark.parametrize("plant", FIRST_ORDER, ids=["state space", "transfer function"])
+def test_the_rate_of_a_first_order_plant_is_the_slope_of_its_output_before_the_sample(plant):
+    run = dj.simulate(study(plant, disturbance={"kind": "none"}))
+    y, u = run["y"].values, run["u_total"].values
+    slope_at_start = -20.0 * y[:-1] + 20.0 * u[:-1]  # under the held command, it decays until the next sample
+    np.testing.assert_allclose(run["y_dot"][1:], slope_at_start * np.exp(-20.0 * T_S), atol=1e-12)
+
+
+@pytest.mark.parametrize("plant", FIRST_ORDER, ids=["state space", "transfer function"])
+def test_feedback_of_this_rate_has_the_margins_of_the_loop_with_the_last_command(plant):
+    k_1, k_2, decay = 1.0, 0.02, np.exp(-20.0 * T_S)
+    z = np.exp(1j * np.geomspace(1e-3, np.pi, 20_000))
+    loop = (k_1 - 20.0 * k_2) * (1.0 - decay) / (z - decay) + 20.0 * k_2 / z
+    gains = {"kind": "state_feedback", "k_1": k_1, "k_2": k_2}
+    found = dj.loop_margins(study(plant, controller=gains)).dataset["sensitivity_peak"].sel(loop="input")
+    assert found.item() == pytest.approx(np.max(np.abs(1.0 / (1.0 + loop))), rel=1e-6)
+
+
 def test_any_entry_may_be_a_law():
     plant = SPACE | {"a": [[{"uniform": [-0.6, -0.4]}, 2.0, 0.0], A[1], A[2]], "b": [0.0, 0.0, {"normal": [1.5, 0.1]}]}
     uncertain = study(plant, draws=3)

@@ -5,8 +5,8 @@ with c A^(r-1) b not zero, or the excess of poles over zeros. It decides what th
 
 * r = 2: y' does not depend on the command, and y'' depends on it with the gain c A b. The plant is of the class
   (5)-(8) where its zeros are stable (:mod:`dssc_jax.core.normal_form`).
-* r = 1: y' jumps with the command. What is measured is its part c A x + c e d, which does not; a differentiator
-  (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
+* r = 1: y' jumps with the command. At a sample it is measured just before the jump, so that it contains the last
+  command. A differentiator (``[differentiator]``) or a controller that uses y alone (PID) does not need it.
 * r > 2: y' is exact, but sigma = e' + l_0 e does not have relative degree one.
 """
 
@@ -103,8 +103,10 @@ def state_space_dynamics(params: StateSpaceParams) -> LinearDynamics:
 
 
 def state_space_measure(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = c x, and c A x + c e d with the named inputs."""
+    """y = c x, and y' = c A x + c b u + c e d with the named inputs."""
     slope = dot(params.c, tuple(dot(row, state.x) for row in params.a))
+    if params.degree == 1:
+        slope = slope + dot(params.c, params.b) * drive.command
     if params.disturbance_degree == 1:
         slope = slope + dot(params.c, params.disturbed) * drive.disturbance
     for (_, item), value in zip(by_names(params.inputs), drive.inputs, strict=False):  # () stands for zeros
@@ -164,9 +166,9 @@ def transfer_function_dynamics(params: RationalParams) -> LinearDynamics:
 
 
 def transfer_function_measure(params: RationalParams, state: LinearState, drive: PlantInput) -> Measurement:
-    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope without the part that jumps with the command."""
+    """y = (b_0 x_1 + b_1 x_2 + ...)/a_n, and its slope."""
     rising = tuple(reversed(params.numerator))
-    slope = (*state.x[1:], last_slope(params, state) + drive.disturbance)
+    slope = (*state.x[1:], last_slope(params, state) + drive.command + drive.disturbance)
     count = len(rising)
     leading = params.denominator[0]
     return Measurement(dot(rising, state.x[:count]) / leading, dot(rising, slope[:count]) / leading)
