@@ -312,6 +312,21 @@ def test_a_start_where_the_terms_of_the_slope_cancel_is_an_equilibrium():
         assert holding_command(slope, start * 1.001) is None
 
 
+def test_a_negative_gain_is_told():
+    plant = {"kind": "transfer_function", "numerator": [-2.0], "denominator": [1.0, 1.0]}
+    table = buck(plant=plant, loop={"duration": 10.0, "sample_time": 0.01})
+    for bandwidth in (None, 0.5, 5.0):
+        with pytest.raises(ConfigError, match="plant: has a negative gain at rest"):
+            first_gains(table, "pid", bandwidth)
+
+
+def test_without_a_stated_bandwidth_none_is_blamed():
+    """The plant has settled within a sample, and no weight of LQG brings its loop to cross 1 at a bandwidth."""
+    plant = {"kind": "transfer_function", "numerator": [1e9], "denominator": [1.0, 1_001_000.0, 1e9]}
+    with pytest.raises(ConfigError, match="plant: has no gains at any bandwidth tried from"):
+        first_gains(buck(plant=plant, loop={"duration": 10.0, "sample_time": 0.01}), "lqg")
+
+
 def test_the_pid_loop_of_a_first_order_lag_cancels_it():
     """k (s + 1/tau)/s: an integrator of the bandwidth, but for the half sample of the hold."""
     tau, gain, bandwidth = 3.0, 5.0, 0.2

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import dssc_jax as dj
-from dssc_jax.cli.warnings import warn_of_signals
+from dssc_jax.cli.warnings import warn_of_signals, warn_of_times
 from dssc_jax.core.errors import ConfigError
 
 T_S = 0.005
@@ -237,3 +237,9 @@ def test_a_sensor_of_a_signal_that_the_controller_does_not_read_is_told(controll
     sensor = {"measures": ["travel"], "travel": {"kind": "noisy", "position_resolution": 0.01}}
     warn_of_signals(car(sensor=sensor, controller=controller))
     assert ("[sensor.travel] act on signals that it does not read" in capsys.readouterr().err) == warns
+
+
+@pytest.mark.parametrize(("at", "warns"), [(50.0, True), ({"uniform": [50.0, 60.0]}, True), (0.5, False)])
+def test_a_disturbance_after_the_end_is_told(at, warns, capsys):
+    warn_of_times(car(disturbance=[{**HALF, "kind": "step", "at": at}]))
+    assert ("disturbance.0.at = 50 s is not before the end" in capsys.readouterr().err) == warns

@@ -4,12 +4,18 @@ from collections.abc import Mapping
 
 from dssc_jax.cli.output import say
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.core.quantities import extent
 from dssc_jax.design import noise_warning, rate_warning
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
 from dssc_jax.study.actuators import kind_in
+
+TIMED = ("disturbance", "reference", "event")
+"""Sections with parts that begin at a time."""
+STARTS = "at"
+"""The field that has this time."""
 
 
 def warn_of_vehicle(study: Study) -> None:
@@ -48,12 +54,27 @@ def warn_of_signals(study: Study) -> None:
         )
 
 
+def warn_of_times(study: Study) -> None:
+    """Print a warning of each disturbance, reference or event that begins after the flight in every draw."""
+    if isinstance(study, Described):
+        return
+    duration = study.config.loop.duration
+    for name, number in study.numbers.items():
+        section, *_, field = name.split(".")
+        if field != STARTS or section not in TIMED or name in study.axes:
+            continue
+        earliest = extent(number.value)[0]
+        if earliest >= duration:
+            say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
+
+
 def warn_of_study(study: Study) -> None:
-    """Print a warning of unused parameters, of odd vehicles, and where noise, an exact y' or a sensor misleads."""
+    """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads."""
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_vehicle(study)
     warn_of_signals(study)
+    warn_of_times(study)
     for warning in (noise_warning, rate_warning):
         if text := warning(study):
             say(f"warning: {text}")

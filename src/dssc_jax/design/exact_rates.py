@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import LoopParams
-from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Measurement, PlantInput, ReferencePoint, Scalar, Signals
@@ -17,7 +16,7 @@ RATES = (1e-3, -1e-3, 1.0, -1.0, 1e3, -1e3)
 
 
 def exact_rates(study: Study) -> tuple[str, ...]:
-    """Channels whose y' contains the disturbance itself and reaches the controller without sensor and differentiator.
+    """Channels whose y' contains a disturbance itself and reaches the controller as it is.
 
     Args:
         study: The study; uncertain numbers have their median values.
@@ -27,24 +26,37 @@ def exact_rates(study: Study) -> tuple[str, ...]:
     channels = len(loop.channels)
     zeros: Signals = (0.0,) * channels
     plant = loop.mimo_plant
+    acting = np.array([model != NO_DISTURBANCE for model in (*loop.disturbance, *loop.inputs)])
+    if not acting.any():
+        return ()
     found = []
     with jax.enable_x64(True):
         state = plant.init(template.plant)
 
         def rates(disturbances: jax.Array) -> jax.Array:
-            drive: PlantInput[Signals] = PlantInput(
-                zeros, tuple(disturbances), None, quiet_inputs(plant, template.plant)
-            )
-            measurements = plant.measure(template.plant, state, drive)
+            matched, named = tuple(disturbances[:channels]), tuple(disturbances[channels:])
+            measurements = plant.measure(template.plant, state, PlantInput(zeros, matched, None, named))
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
 
-        slopes = jax.jacfwd(rates)(jnp.zeros(channels))
+        slopes = np.asarray(jax.jacfwd(rates)(jnp.zeros(len(acting))))
     for i, name in enumerate(loop.channels):
-        exact = not template.sensor[i] and not template.differentiator[i]
-        disturbed = [bool(slopes[i, j]) and loop.disturbance[j] != NO_DISTURBANCE for j in range(channels)]
-        if exact and any(disturbed) and takes_rate(study, template, i):
+        exact = not template.differentiator[i] and shows_rate(study, template, i)
+        if exact and np.any(slopes[i, acting] != 0.0) and takes_rate(study, template, i):
             found.append(name)
     return tuple(found)
+
+
+def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
+    """Whether a channel's sensor shows y' as it is, by trial: a jump of y' arrives at once, and as large."""
+    sensor, params = study.loop.sensor[channel], template.sensor[channel]
+    key = jax.random.key(0)
+    with arithmetic(study.config.loop.precision):
+        before = sensor.init(params, Measurement(0.0, 0.0), key)
+        for rate in RATES:
+            _, shown = sensor.step(params, before, Measurement(0.0, rate), key, 0.0, study.loop.sample_time)
+            if float(shown.y_dot) != rate:
+                return False
+    return True
 
 
 def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:

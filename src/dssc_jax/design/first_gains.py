@@ -224,8 +224,12 @@ def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
             left = FURTHER if found.sensitivity_peak <= MOST_PEAK else left
     if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
         return best_nearby(subject, kind, best, start)
-    if refusal is not None:
+    if refusal is not None and refusal.where != "`bandwidth`":
         raise refusal
+    if refusal is not None:
+        rule = f"has no gains at any bandwidth tried from {start:.4g} down to {bandwidth:.4g} rad/s"
+        remedy = f"the first one {refusal.rule}"
+        raise ConfigError(f"{subject.study.source}: plant", f"{rule}: {remedy}")
     rule = f"from {start:.4g} down to {bandwidth:.4g} rad/s gives no stable loop"
     raise ConfigError("`bandwidth`", f"{rule}; state one, or ask for another kind")
 

@@ -42,6 +42,9 @@ def pid(subject: Subject, omega: float, ratio: float) -> TomlTable:
     needed = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
     reached = PHASE_MARGIN - math.pi - phase + math.atan(min(SLOWEST, corner / omega)) <= MOST_LEAD
     if needed > MOST_LEAD + (0.0 if reached else PHASE_MARGIN - LEAST_MARGIN):
+        if falls_at_rest(plant, omega):
+            rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
+            raise ConfigError(f"{subject.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
         rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
         remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
         raise ConfigError("`bandwidth`", f"{rule} {remedy}")
@@ -68,3 +71,8 @@ def limits(subject: Subject) -> TomlTable:
 def acts_at_rest(plant: LinearPlant, omega: float) -> bool:
     """Whether the plant has a gain at rest; if it has a zero there, an integral would grow without effect."""
     return abs(plant.response(1e-6 * omega)) > 1e-3 * abs(plant.response(omega))
+
+
+def falls_at_rest(plant: LinearPlant, omega: float) -> bool:
+    """Whether a stable plant's output falls as its command rises."""
+    return bool(np.all(np.abs(np.linalg.eigvals(plant.a)) < 1.0)) and plant.response(1e-6 * omega).real < 0.0

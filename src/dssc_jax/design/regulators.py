@@ -142,7 +142,9 @@ def crossing(size: Callable[[float], float], guess: float) -> float:
         low = low if size(low) > 1.0 else 0.1 * low
         high = high if size(high) < 1.0 else 10.0 * high
     if not size(low) > 1.0 > size(high):
-        raise ConfigError("`bandwidth`", "is out of reach of every weight for this plant; ask for another one")
+        raise ConfigError(
+            "`bandwidth`", "is out of reach of every weight for this plant; ask for another one, or sample faster"
+        )
     for _ in range(80):
         middle = math.sqrt(low * high)
         if size(middle) > 1.0:

@@ -64,6 +64,9 @@ def test_an_exact_derivative_that_shows_the_disturbance_is_told():
         {"disturbance": {"kind": "none"}},
         {"differentiator": {"kind": "lead_filter", "tau_f": 1e-4}},
         {"sensor": {"kind": "noisy", "velocity_std": 1.0}},
+        {"sensor": {"kind": "noisy", "velocity_resolution": 0.3}},
+        {"sensor": {"kind": "noisy", "delay_samples": 1.0}},
+        {"sensor": {"kind": "lag", "mu": 1e-4}},
         {"plant": CONVERTER["plant"] | {"disturbance": B}},
         {"controller": {"kind": "pid", "k_p": 1e-3, "k_i": 1.0, "k_d": 1e-7}},  # it takes y alone
         {"controller": {"kind": "state_feedback", "k_1": 1e-3, "k_2": 0.0}},
@@ -73,6 +76,17 @@ def test_an_exact_derivative_that_shows_the_disturbance_is_told():
         assert rate_warning(dj.Study.from_table(CONVERTER | change)) is None
     switching = {"kind": "smc", "l0": 1e4, "gain": 0.1}
     assert rate_warning(dj.Study.from_table(CONVERTER | {"controller": switching})) is not None
+
+
+def test_a_named_input_and_noise_on_y_alone_are_told_too():
+    """The load acts at an input of its own, and the sensor leaves y' as it is."""
+    matched = {name: value for name, value in CONVERTER["plant"].items() if name != "disturbance"}
+    named = matched | {"inputs": {"load": {"column": E, "unit": "A"}}}
+    load = [{"kind": "constant", "value": LOAD, "input": "load"}]
+    assert exact_rates(dj.Study.from_table(CONVERTER | {"plant": named, "disturbance": load})) == ("",)
+    assert exact_rates(dj.Study.from_table(CONVERTER | {"plant": named, "disturbance": {"kind": "none"}})) == ()
+    noisy = {"sensor": {"kind": "noisy", "position_std": 0.1, "position_resolution": 0.01}}
+    assert exact_rates(dj.Study.from_table(CONVERTER | noisy)) == ("",)
 
 
 def test_the_column_has_a_number_for_each_state():
