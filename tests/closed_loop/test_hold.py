@@ -347,3 +347,13 @@ def test_a_changed_verdict_is_told():
     assert integration_error(halfway).verdicts == 1
     assert "1 verdicts change" in dj.run(halfway).summary()["integration"]["warning"]
     assert dj.run(halfway, check=False).summary()["integration"] is None
+
+
+@pytest.mark.parametrize(
+    ("samples", "averaged"),
+    [(2.0, False), (1.5, True), ({"uniform": [1.0, 3.0]}, True), ({"uniform": [0.0, 1.0]}, True)],
+)
+def test_the_fraction_of_a_delay_is_told(samples, averaged):
+    found = integration_error(dj.Study.from_table(loop({"kind": "delay", "samples": samples})))
+    assert found.exact
+    assert ("but for the fraction of a delay" in found.text) == averaged

@@ -189,6 +189,7 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         time_constant=time_constant_path(models),
         advance=advance if moving or (arrangement.sampled and arrangement.linear) else None,
         order=ORDER if moving else None,
+        averages=lambda params: any(model.averages(part) for model, part in zip(models, params, strict=True)),
     )
 
 

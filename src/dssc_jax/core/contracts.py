@@ -321,6 +321,11 @@ Mover: TypeAlias = Callable[[State, Scalar], tuple[State, Moments]]
 """``(state, command) -> (state, Moments)`` after a step with the command held, and of the output over it."""
 
 
+def never_averages(params: Params) -> bool:
+    """Change the output at the samples alone, or follow it between them."""
+    return False
+
+
 class Unmodelled(NamedTuple):
     """Unmodelled dynamics G_mu(mu s) in series with the plant input (Section V-A2).
 
@@ -349,6 +354,7 @@ class Unmodelled(NamedTuple):
         follow: ``(params, state, start, end, dt) -> state`` for a command straight from start to end; None: its mean.
         order: Order of the error of ``step``, ``moments`` or ``advance`` in the step; None: that of the loop's method.
         superposes: Whether ``sample`` and ``output`` are linear in state and command; ``linear`` implies it.
+        averages: ``(params) -> bool``: whether the output may change within a sample, and then acts through its mean.
     """
 
     params: type
@@ -368,3 +374,4 @@ class Unmodelled(NamedTuple):
     follow: Callable[[Params, State, Scalar, Scalar, Scalar], State] | None = None
     order: int | None = None
     superposes: bool = False
+    averages: Callable[[Params], bool] = never_averages

@@ -25,6 +25,8 @@ NEGLIGIBLE = 0.01
 
 MOST_SUBSTEPS = 1000  # that a study may have
 
+FRACTION = ", but for the fraction of a delay, which acts through the mean of its commands over the sample"
+
 
 class IntegrationError(NamedTuple):
     """The change of some draws when the steps between the samples are halved.
@@ -40,6 +42,7 @@ class IntegrationError(NamedTuple):
         verdicts: Number of draws whose outcome changes.
         remedy: Number of substeps that is expected to make the change negligible.
         order: Order of the error in the length of a substep, from which the remedy follows.
+        averaged: Whether a command that changes within a sample acts through its mean, as behind a delay of a fraction.
     """
 
     exact: bool
@@ -51,6 +54,7 @@ class IntegrationError(NamedTuple):
     verdicts: int
     remedy: int
     order: int
+    averaged: bool = False
 
     @property
     def matters(self) -> bool:
@@ -61,7 +65,7 @@ class IntegrationError(NamedTuple):
     def text(self) -> str:
         """The error in words."""
         if self.exact:
-            return "between the samples everything is held exactly"
+            return "between the samples everything is held exactly" + (FRACTION if self.averaged else "")
         size = f"{self.change:.1g}" if self.change < 1e-4 else f"{100.0 * self.change:.2g} %"
         changes = f"{self.metric} changes by at most {size} of its {self.scale}" if self.metric else "no metric changes"
         flips = "no verdict changes" if not self.verdicts else f"{self.verdicts} verdicts change"
@@ -92,7 +96,9 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     loop = study.loop
     order = order_between_samples(held_parts(loop))
     if is_exact(held_parts(loop)):
-        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order)
+        parts = zip(loop.unmodelled, study.template.unmodelled, strict=True)
+        averaged = any(model.averages(params) for model, params in parts)
+        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order, averaged)
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = int(np.prod(shape))
     picked = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))

@@ -60,6 +60,12 @@ def sample(params: DelayParams, state: DelayState, command: Scalar, key: jax.Arr
     return DelayState(commands, dot(weights, commands))
 
 
+def has_fraction(params: DelayParams) -> bool:
+    """Whether the delay may be other than a whole number of samples."""
+    shortest, longest = extent(params.samples)
+    return shortest != longest or not shortest.is_integer()
+
+
 DELAY = Unmodelled(
     DelayParams,
     init,
@@ -71,4 +77,5 @@ DELAY = Unmodelled(
     smooth=SMOOTH,
     timing=Timing.INVARIANT,
     superposes=True,
+    averages=has_fraction,
 )
