@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.analyses.falsification.conditions import without_other_margins
 from dssc_jax.analyses.falsification.falsify import hunt
 from dssc_jax.analyses.falsification.hunt import Programs
 from dssc_jax.core.errors import ConfigError
@@ -66,6 +67,15 @@ def test_only_one_requirement_counts(study):
     assert found.binding_at(found.worst) == alone.binding_at(alone.worst)
     with pytest.raises(ConfigError, match=r"'error' is not required by this study; .*error_"):
         dj.falsify(study.override({"requirement": table}), budget=64, requirement="error")
+
+
+def test_margins_that_do_not_count_are_not_computed(study):
+    table = [*study.table["requirement"], {"margin": "phase", "min": "30 deg"}]
+    both = study.override({"requirement": table})
+    label = both.requirements[0].label
+    assert [rule.label for rule in without_other_margins(both, label).requirements] == [label]
+    assert without_other_margins(both, "") is both
+    assert without_other_margins(both, both.requirements[1].label) is both
 
 
 def test_the_worst_seen_of_each_requirement_is_a_draw_of_its_own(study):

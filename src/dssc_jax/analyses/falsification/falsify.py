@@ -16,11 +16,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.defaults import BUDGET, LEAST_BUDGET, MOST_BUDGET
+from dssc_jax.analyses.defaults import BUDGET
+from dssc_jax.analyses.falsification.conditions import require_hunt, require_known, without_other_margins
 from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.requirements import Requirement, counted_places
-from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.results.analysis import Analysis
@@ -328,7 +328,8 @@ def falsify(
         seed: Seed of the search.
         within_sigma: Distance k from the median draw within which to search, in (0, 8].
         within_mass: Probability of the draws among which to search, in (0, 1); instead of ``within_sigma``.
-        requirement: Label of the only requirement that counts, as in results; empty: the worst of all counts.
+        requirement: Label of the only requirement that counts, as in results; empty: the worst of all counts. Required
+            margins are left out where they do not count.
         progress: Called with the simulations spent.
 
     Raises:
@@ -348,34 +349,9 @@ def falsify(
     study = study.without_sweep()
     require_hunt(study, budget)
     require_known(study, requirement)
+    study = without_other_margins(study, requirement)
     region = search_set(study, within_sigma, within_mass)
     return hunt(Programs.of(study, budget), budget, seed, progress, region, requirement)
-
-
-def require_hunt(study: Study, budget: int) -> None:
-    """Require uncertain numbers, requirements and an admissible budget.
-
-    Raises:
-        ConfigError: one of these is missing.
-    """
-    if not study.without_sweep().laws:
-        raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
-    if not study.requirements:
-        raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
-    if not LEAST_BUDGET <= budget <= MOST_BUDGET:
-        raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
-
-
-def require_known(study: Study, requirement: str) -> None:
-    """Require that a label, if there is one, is that of a requirement.
-
-    Raises:
-        ConfigError: It is not.
-    """
-    if not counted_places(study.requirements, requirement):
-        labels = [known.label for known in study.requirements]
-        rule = f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
-        raise ConfigError("requirement", rule)
 
 
 def hunt(

@@ -6,7 +6,8 @@ import time
 import numpy as np
 
 from dssc_jax.analyses.defaults import BUDGET, ROUNDS
-from dssc_jax.analyses.falsification.falsify import falsify, require_hunt
+from dssc_jax.analyses.falsification.conditions import require_hunt
+from dssc_jax.analyses.falsification.falsify import falsify
 from dssc_jax.analyses.tuning.derivative_free import compare_proved, evolve, optimise_proof
 from dssc_jax.analyses.tuning.descent import descend, quadratic_programming
 from dssc_jax.analyses.tuning.gradients import GradientAgreement, check_gradients

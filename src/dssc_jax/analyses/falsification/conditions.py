@@ -1,0 +1,50 @@
+"""What a study needs to be hunted, and what of it is not computed then."""
+
+from dssc_jax.analyses.defaults import LEAST_BUDGET, MOST_BUDGET
+from dssc_jax.closed_loop.requirements import counted_places
+from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.study import Study
+
+MARGIN = "margin"
+"""The field of a requirement of a margin of the linearised loop."""
+
+
+def require_hunt(study: Study, budget: int) -> None:
+    """Require uncertain numbers, requirements and an admissible budget.
+
+    Raises:
+        ConfigError: one of these is missing.
+    """
+    if not study.without_sweep().laws:
+        raise ConfigError(study.source, "no number is uncertain, so all draws are equal; give laws")
+    if not study.requirements:
+        raise ConfigError(study.source, "nothing is required, so nothing can fail; give a [[requirement]]")
+    if not LEAST_BUDGET <= budget <= MOST_BUDGET:
+        raise ConfigError("budget", f"must be in {LEAST_BUDGET} .. {MOST_BUDGET}, got {budget}")
+
+
+def require_known(study: Study, requirement: str) -> None:
+    """Require that a label, if there is one, is that of a requirement.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    if not counted_places(study.requirements, requirement):
+        labels = [known.label for known in study.requirements]
+        rule = f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
+        raise ConfigError("requirement", rule)
+
+
+def without_other_margins(study: Study, requirement: str) -> Study:
+    """The study without required margins that do not count, since a margin costs more than many flights.
+
+    Args:
+        study: The study.
+        requirement: Label of the only requirement that counts; empty: all count, and the study stays as it is.
+    """
+    counted = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
+    if any(required.measure.metric.margin is not None for required in counted):
+        return study
+    tables = study.table["requirement"]
+    kept = [table for table in tables if MARGIN not in table]
+    return study if len(kept) == len(tables) else study.override({"requirement": kept})
