@@ -1,6 +1,6 @@
 """Margins that a study requires, of the linearised loop of each lane, at any values of its uncertain numbers.
 
-Every lane is linearised at its equilibrium, in batches of one size, on a grid of frequencies of its own. So its margins
+Every lane is linearised at its equilibrium, in batches of two sizes, on a grid of frequencies of its own. So its margins
 depend on its own numbers alone, and neither on the block that it lies in nor on how many draws there are.
 """
 
@@ -23,6 +23,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 BATCH_LANES = 256  # linearised at once
+SMALL_BATCH = 32  # the same of no more lanes than these, as in a search
 STEP = 1e-4  # of a difference, relative to the number
 
 
@@ -105,9 +106,10 @@ class MarginValues:
             return {}
         names = [*self.study.axes, *self.study.laws]
         columns: dict[str, list[np.ndarray]] = {name: [] for name in self.margins}
-        for first in range(0, len(indices), BATCH_LANES):
-            lanes = np.minimum(np.arange(first, first + BATCH_LANES), len(indices) - 1)
-            count = min(BATCH_LANES, len(indices) - first)
+        size = SMALL_BATCH if len(indices) <= SMALL_BATCH else BATCH_LANES
+        for first in range(0, len(indices), size):
+            lanes = np.minimum(np.arange(first, first + size), len(indices) - 1)
+            count = min(size, len(indices) - first)
             batch = {name: np.asarray(values[name], float)[lanes] for name in names}
             for name, column in self._batch(batch, indices[lanes], count).items():
                 columns[name].append(column)

@@ -30,6 +30,8 @@ from dssc_jax.study import Study
 EQUILIBRIUM = "equilibrium"
 BATCH_LANES = 2048  # derivatives that are computed at once
 NEWTON_STEPS = 30  # towards an equilibrium
+STALLED = 1e-6  # relative change of a move below which a step brought nothing
+MOST_STALLS = 3  # such steps in a row
 EQUILIBRIUM_TOLERANCE = 1e-9  # largest change of the state by a sample, relative to 1 + |state|
 PUSH = 1e-7  # size of a test of smoothness
 PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivative, relative to the latter
@@ -246,9 +248,14 @@ class RestingLoop:
         return jax.tree.map(chosen, first, second)
 
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray) -> Resting:
-        """The equilibria to which Newton's method leads from some states, shape (n, states)."""
+        """The equilibria to which Newton's method leads from some states, shape (n, states).
+
+        It ends where steps no longer change how far the states move: there a command is at a limit.
+        """
         smooth = self.smooth(len(indices))
         trial = 0
+        stalls = np.zeros(len(indices), int)
+        last = np.full(states.shape, np.inf)
         inner = self.inner_dependence(values, indices, states)
         matrices = self.linearise(values, indices, states, 1, smooth)
         while True:
@@ -256,7 +263,10 @@ class RestingLoop:
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
             felt = inner | closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
             settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
-            moving = finite & ~settled
+            same = np.max(np.abs(move - last), axis=1) <= STALLED * np.max(np.abs(move), axis=1)
+            stalls = np.where(same, stalls + 1, 0)
+            last = move
+            moving = finite & ~settled & (stalls < MOST_STALLS)
             if not moving.any() or trial == NEWTON_STEPS:
                 return Resting(states, matrices, settled, felt)
             trial += 1
