@@ -56,7 +56,8 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
     body = "\n".join(line.split("/*")[0] for line in text.lines)
     for place, name in enumerate(software.laws):
         if re.search(rf"\b{LAW}{place}\b", body):
-            raise ConfigError(name, "has a law, and the inner loop's C has constants; give it a number")
+            rule = "has a law, and the inner loop's C has constants"
+            raise ConfigError(name, f"{rule}; give it a number, such as with --set {name}=0.0")
     read = [name for name in software.readings if re.search(rf"\bseen->{name}\b", body)]
     return Written(text.lines, read, [*text.tables, *text.notation.helpers(), *text.functions.values()])
 

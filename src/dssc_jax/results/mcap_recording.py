@@ -23,6 +23,7 @@ def write_mcap(trajectory: xr.Dataset, path: str | Path) -> None:
     try:
         from dssc_jax.results.mcap_messages import write_messages  # needs an optional extra
     except ImportError as error:
-        raise ConfigError(str(path), "an MCAP file needs mcap: pip install 'dssc_jax[mcap]'") from error
+        rule = f"an MCAP file needs {error.name or 'mcap'}: pip install 'dssc_jax[mcap]'"
+        raise ConfigError(str(path), rule) from error
     with files.replacing(Path(path)) as file:
         write_messages(trajectory, file)

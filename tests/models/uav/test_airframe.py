@@ -81,6 +81,19 @@ def test_a_ground_stations_file_gives_the_same():
     assert read_airframe(saved) == read_airframe(script)
 
 
+def test_the_desaturation_is_px4s_default_where_the_file_is_silent():
+    assert read_airframe(with_properties()).plant["desaturation"] == "airmode_disabled"
+    assert read_airframe(with_properties(), cascade=True).plant["desaturation"] == "airmode_disabled"
+    assert read_airframe(with_properties(MC_AIRMODE=2)).plant["desaturation"] == "airmode_roll_pitch_yaw"
+
+
+def test_rotors_on_servos_are_refused_before_their_number():
+    with pytest.raises(ConfigError, match="CA_SV_TL_COUNT: must be 0, got 1: the airframe has servos"):
+        read_airframe(with_properties(CA_ROTOR_COUNT=3, CA_SV_TL_COUNT=1))
+    with pytest.raises(ConfigError, match="CA_ROTOR_COUNT: .*fewer fixed rotors than 4"):
+        read_airframe(with_properties(CA_ROTOR_COUNT=3))
+
+
 def test_the_last_setting_counts_and_comments_do_not():
     assert (
         read_airframe(with_properties() + "\nparam set SIH_MASS 0.8\n# param set SIH_MASS 0.9").vehicle["mass"] == 0.8
@@ -89,11 +102,19 @@ def test_the_last_setting_counts_and_comments_do_not():
 
 def test_what_the_file_lacks_is_named():
     notes = " ".join(read_airframe(HEX, mass=2.0, arm=0.4).notes)
-    for name in ("body_inertia", "max_thrust", "motor_lag", "thrust_coefficient", "drag", "ratio"):
+    for name in (
+        "body_inertia",
+        "max_thrust",
+        "motor_lag",
+        "thrust_coefficient",
+        "drag",
+        "are ratios",
+        "MC_AIRMODE = 0",
+    ):
         assert name in notes
     own = " ".join(read_airframe(with_properties(SIH_IXY=1e-4)).notes)
     assert "SIH_MASS" not in own
-    assert "ratio" not in own
+    assert "are ratios" not in own
     assert "principal axes" in own
 
 

@@ -1,7 +1,7 @@
 """Margins that a study requires, of the linearised loop of each lane, at any values of its uncertain numbers.
 
-Every lane is linearised at its equilibrium, in batches of two sizes, on a grid of frequencies of its own. So its margins
-depend on its own numbers alone, and neither on the block that it lies in nor on how many draws there are.
+Every lane is linearised at its equilibrium, in batches of two sizes, on a grid of frequencies of its own. So its
+margins depend on its own numbers alone, and neither on the block that it lies in nor on how many draws there are.
 """
 
 from dataclasses import dataclass, field

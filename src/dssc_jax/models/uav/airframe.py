@@ -209,7 +209,7 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
 
 
 def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
-    """Desaturation from MC_AIRMODE, and gains of the inner loops from MC_ and MPC_, as far as the file sets them.
+    """Desaturation from MC_AIRMODE, by default 0, and gains of the inner loops from MC_ and MPC_ that the file sets.
 
     MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
     fast rate loop; the model's second-order loop with p = k_p/k_d and a double pole has k_d = 4 p and k_p = 4 p^2.
@@ -217,12 +217,12 @@ def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> T
     Raises:
         ConfigError: MC_AIRMODE is none of PX4's.
     """
-    control: TomlTable = {}
-    if "MC_AIRMODE" in known:
-        mode = known["MC_AIRMODE"]
-        if mode not in range(len(AIRMODES)):
-            raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
-        control["desaturation"] = AIRMODES[int(mode)].value
+    mode = known.get("MC_AIRMODE", 0.0)
+    if mode not in range(len(AIRMODES)):
+        raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
+    if "MC_AIRMODE" not in known:
+        notes.append("desaturation is that of MC_AIRMODE = 0, PX4's default: the file does not set it")
+    control: TomlTable = {"desaturation": AIRMODES[int(mode)].value}
     if cascade:
         inner = gains_from(known)
         if known.get(LOOP_RATE, 0.0) > 0.0:

@@ -63,13 +63,15 @@ def require_common(values: list[float], subject: str) -> None:
 def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors of CA_ROTOR_COUNT and CA_ROTORi_; raises ConfigError."""
     count = parameters.get("CA_ROTOR_COUNT", 0.0)
-    if count not in range(4, MOST_ROTORS + 1):
-        raise ConfigError("CA_ROTOR_COUNT", f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}")
     if parameters.get("CA_AIRFRAME", MULTIROTOR) != MULTIROTOR:
         raise ConfigError("CA_AIRFRAME", f"must be 0, a multirotor, got {parameters['CA_AIRFRAME']:g}")
     for name, reason in REFUSED.items():
         if parameters.get(name, 0.0):
             raise ConfigError(name, f"must be 0, got {parameters[name]:g}: the airframe {reason}")
+    if count not in range(4, MOST_ROTORS + 1):
+        rule = f"must be a whole number from 4 to {MOST_ROTORS}, got {count:g}"
+        reason = ": fewer fixed rotors than 4 cannot hold thrust and three moments" if count < 4 else ""
+        raise ConfigError("CA_ROTOR_COUNT", f"{rule}{reason}")
     rotors = []
     unplaced = [i for i in range(int(count)) if not {f"CA_ROTOR{i}_PX", f"CA_ROTOR{i}_PY"} & set(parameters)]
     if 0 < len(unplaced) < count:
