@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.flight_logs.fit import fit_log, sampled_log
-from dssc_jax.flight_logs.late_outputs import late_output
+from dssc_jax.flight_logs.late_outputs import choices_of, delay_doubts, late_output
 from dssc_jax.flight_logs.least_squares import FitProblem, Minimum
 from dssc_jax.flight_logs.prediction import prediction
 from dssc_jax.flight_logs.reader import Column, FlightLog
@@ -98,3 +98,28 @@ def test_a_refusal_tells_the_delay(predictions):
     narrow = linear(plant={"kind": "normal_form", "initial": [0.5, 0.0], **laws})
     with pytest.raises(Unexplained, match=r"at most 10 % is accepted.* y is 0\.(29|30?)\d* .*s later than the study"):
         fit_log(narrow, FlightLog("flight", columns, 0.0), NAMES, predictions)
+
+
+@pytest.mark.parametrize("late", [0, 6])
+def test_a_search_that_ended_early_tells_a_delay_by_one_simulation(predictions, late):
+    log = flight(4, late)
+    study = linear()
+    problem = FitProblem(study, NAMES, predictions[NAMES], sampled_log(study, log))
+    problem.count.simulations = problem.count.limits.simulations
+    x = (np.array([1.0, 0.9]) - problem.medians) / problem.widths
+    texts = [doubt.text for doubt in delay_doubts(problem, Minimum(x, problem.normal_equations(x), 1))]
+    if late == 0:
+        assert texts == []
+        return
+    (text,) = texts
+    assert text.startswith("with y ")
+    assert " s earlier, " in text
+    assert float(text.split()[2]) == pytest.approx(6 * DT, abs=2 * DT)
+    assert "the search has ended too early" in text
+
+
+def test_outputs_of_a_topic_may_be_late_together():
+    assert choices_of((0,)) == [(0,)]
+    assert choices_of((1, 3)) == [(1, 3), (1,), (3,)]
+    assert (0, 1, 2) in choices_of((0, 1, 2, 3))
+    assert len(choices_of((0, 1, 2, 3))) == 9

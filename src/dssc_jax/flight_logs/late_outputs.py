@@ -1,8 +1,9 @@
 """Whether logged outputs are later or earlier than the study predicts: a delay that a fit puts into other numbers.
 
-The outputs are shifted by whole samples, together and each channel alone, and the fit is repeated at the shift that
-leaves least. Both fits then have the noise of their residual, and the logarithms of their likelihoods tell whether the
-shift is needed.
+The outputs are shifted by whole samples: all together, all but one, as the position of a vehicle without its heading,
+and each channel alone. The fit is repeated at the shift that leaves least. Both fits then have the noise of their
+residual, and the logarithms of their likelihoods tell whether the shift is needed. Where the search has ended early, no
+fit can be repeated, and the sum of squares near its best numbers counts.
 """
 
 import math
@@ -31,6 +32,21 @@ MOST_SHIFTS = 25  # on either side
 LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
+MOST_LEFT = 0.7  # of the sum of squares that a shift may leave to be told without a fit
+
+
+class ScreenedShift(NamedTuple):
+    """The shift that leaves least where the prediction is linear in the numbers.
+
+    Args:
+        channels: Positions of the channels that are shifted.
+        shift: By how many samples they are later; 0: none is better.
+        left: Share of the weighted sum of squares that is left.
+    """
+
+    channels: tuple[int, ...]
+    shift: int
+    left: float
 
 
 class LateOutput(NamedTuple):
@@ -107,13 +123,12 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
         None if the log is too short, or no shift is better.
     """
     sample_time = problem.study.loop.sample_time
-    samples = problem.log.outputs.shape[1]
-    margin = int(min(LONGEST_SHIFT / sample_time, LONGEST_SHARE * samples, MOST_SHIFTS))
+    margin = longest_shift(problem)
     shifts = ShiftedProblems(problem, margin)
     if margin < 1 or not shifts.sufficient():
         return None
     unshifted_end = minimise(shifts.at((), 0), minimum.x)
-    channels, shift = screened_shift(shifts, unshifted_end, margin)
+    channels, shift, _ = screened_shift(shifts, unshifted_end.x, margin)
     if shift == 0:
         return None
     shift, end = climbed_shift(shifts, unshifted_end, unshifted_end, channels, shift, margin)
@@ -141,33 +156,59 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     )
 
 
-def screened_shift(shifts: ShiftedProblems, end: Minimum, margin: int) -> tuple[tuple[int, ...], int]:
+def longest_shift(problem: FitProblem) -> int:
+    """The longest shift, in samples."""
+    samples = problem.log.outputs.shape[1]
+    return int(min(LONGEST_SHIFT / problem.study.loop.sample_time, LONGEST_SHARE * samples, MOST_SHIFTS))
+
+
+def screened_shift(shifts: ShiftedProblems, x: np.ndarray, margin: int, white: bool = False) -> ScreenedShift:
     """The channels and the shift that leave least where the prediction is linear in the numbers, by one simulation.
 
-    All channels together are one choice, and each of them alone is another.
+    Args:
+        shifts: The problems.
+        x: The numbers.
+        margin: The longest shift.
+        white: Whether to take the residual of each channel for white noise: that of a poor fit is smooth for another
+            reason.
     """
     plain = shifts.at((), 0)
-    known = plain.predict(plain.values(end.x), plain.log.commands)
+    known = plain.predict(plain.values(x), plain.log.commands)
     channels = tuple(readings.channel for readings in plain.readings)
+    sizes = [float(np.mean(c[:, 0] ** 2)) + TINY for c in replace_prediction(shifts.at((), 0), known).columns(x)]
     products = []  # by channel and shift
     for shift in range(-margin, margin + 1):
         moved = replace_prediction(shifts.at(channels, shift), known)
-        rows = zip(moved.readings, moved.noises, moved.variances, moved.columns(end.x), strict=True)
+        columns = moved.columns(x)
+        if white:
+            products.append([c.T @ c / size for c, size in zip(columns, sizes, strict=True)])
+            continue
+        rows = zip(moved.readings, moved.noises, moved.variances, columns, strict=True)
         products.append([weighted_products(noise, part.times, c)[0] / variance for part, noise, variance, c in rows])
     table = np.array(products)  # shifts, channels, 1 + p, 1 + p
     if not np.isfinite(table).all():
-        return (), 0
-    choices = [channels, *((channel,) for channel in channels)] if len(channels) > 1 else [channels]
+        return ScreenedShift((), 0, 1.0)
     best = ((), 0)
-    least = linear_cost(table[margin].sum(axis=0))
-    for choice in choices:
+    unshifted = linear_cost(table[margin].sum(axis=0))
+    least = unshifted
+    for choice in choices_of(channels):
         chosen = np.isin(channels, choice)
         for place, shift in enumerate(range(-margin, margin + 1)):
             cost = linear_cost(table[place, chosen].sum(axis=0) + table[margin, ~chosen].sum(axis=0))
             if cost < least:
                 least = cost
                 best = (choice, shift)
-    return best
+    return ScreenedShift(*best, least / max(unshifted, TINY))
+
+
+def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """The channels that are shifted together: all, all but one, and each alone."""
+    choices = [channels]
+    if len(channels) > 2:
+        choices += [tuple(kept for kept in channels if kept != channel) for channel in channels]
+    if len(channels) > 1:
+        choices += [(channel,) for channel in channels]
+    return choices
 
 
 def replace_prediction(problem: FitProblem, known: tuple[np.ndarray, np.ndarray]) -> FitProblem:
@@ -249,7 +290,9 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
     """
     study = problem.study
-    found = None if problem.count.reason else late_output(problem, minimum)
+    if problem.count.reason:
+        return screened_doubts(problem, minimum)
+    found = late_output(problem, minimum)
     if found is None or not found.matters(study.loop.sample_time):
         return ()
     names = [signal_name(study.loop.channels[channel], "y") for channel in found.channels]
@@ -272,5 +315,25 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         f"{', '.join(names)} {verb} {abs(found.delay):.3g}{margin_text} s {side} than the study predicts "
         f"(p = {found.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
         f"{found.values[number]:.4g} in place of {estimate:.4g}. {late}"
+    )
+    return tuple(Doubt(name, text) for name in names[:1])
+
+
+def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+    """That a shift leaves far less near the best numbers of a search that has ended early."""
+    margin = longest_shift(problem)
+    shifts = ShiftedProblems(problem, margin)
+    if margin < 1 or not shifts.sufficient():
+        return ()
+    channels, shift, left = screened_shift(shifts, minimum.x, margin, white=True)
+    if shift == 0 or left > MOST_LEFT:
+        return ()
+    names = [signal_name(problem.study.loop.channels[channel], "y") for channel in channels]
+    delay = abs(shift) * problem.study.loop.sample_time
+    side = "earlier" if shift > 0 else "later"
+    text = (
+        f"with {', '.join(names)} {delay:.3g} s {side}, {100 * left:.2g} % of the sum of squares would be left: they "
+        "seem to be logged at other times than the study predicts, and the search has ended too early to tell by how "
+        "much and what the numbers are without it. Compare the stamps of the log's topics"
     )
     return tuple(Doubt(name, text) for name in names[:1])

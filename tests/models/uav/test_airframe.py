@@ -90,7 +90,7 @@ def test_the_desaturation_is_px4s_default_where_the_file_is_silent():
 def test_rotors_on_servos_are_refused_before_their_number():
     with pytest.raises(ConfigError, match="CA_SV_TL_COUNT: must be 0, got 1: the airframe has servos"):
         read_airframe(with_properties(CA_ROTOR_COUNT=3, CA_SV_TL_COUNT=1))
-    with pytest.raises(ConfigError, match="CA_ROTOR_COUNT: .*fewer fixed rotors than 4"):
+    with pytest.raises(ConfigError, match=r"CA_ROTOR_COUNT: .*fewer fixed rotors than 4"):
         read_airframe(with_properties(CA_ROTOR_COUNT=3))
 
 
