@@ -191,3 +191,11 @@ def test_gaps_and_rare_values_have_their_own_remedies():
     assert "at most 25 in a row (between 0.58 s and 1.1 s of the study)" in few_samples_remedy(known, 0.02)
     assert few_samples_remedy(np.arange(100) % 2 == 0, 0.02).startswith("log it as often as the controller runs")
     assert few_samples_remedy(np.zeros(100, bool), 0.02).startswith("log it as often")
+
+
+def test_a_topic_that_is_sent_in_bursts_has_no_gap(tmp_path):
+    """Five bursts of five messages a second apart, and then nothing for five seconds; a steady topic has that gap."""
+    bursts = np.concatenate([second + 0.01 * np.arange(5) for second in (0.0, 1.0, 2.0, 3.0, 4.0, 9.0)])
+    steady = np.concatenate([0.02 * np.arange(200), 9.0 + 0.02 * np.arange(50)])
+    gaps = log_contents(ulog(tmp_path / "bursts.ulg", bursts, steady)).gaps
+    assert [gap.topics for gap in gaps] == [("other",)]

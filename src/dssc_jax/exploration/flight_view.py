@@ -18,7 +18,7 @@ from bokeh.plotting import figure
 from dssc_jax.core import files
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.live import ATTITUDE, PLACE, LiveRun, recorded_signals
-from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE, RED
+from dssc_jax.plotting.style import BLUE, DARK, DRAWABLE, GREY, ORANGE
 from dssc_jax.runs.recorded_draws import SignalKey
 from dssc_jax.study import Study
 
@@ -31,7 +31,7 @@ OUTLINE = 0.02  # share of the draws, on each side, that does not set the scale
 LAYERS = ("floor", "ghosts", "points", "marks", "flown", "wanted", "craft")
 LEGEND = (
     "thin blue: draws that pass; orange: draws that fail, with a cross from the moment on at which that was certain; "
-    "red: the chosen draw, as far as it has flown; dashed: where it should fly. Drag turns the view, the wheel "
+    "black: the chosen draw, as far as it has flown; dashed grey: where it should fly. Drag turns the view, the wheel "
     "magnifies. The vehicle is drawn larger than it is: red arm forward, green up."
 )
 
@@ -72,9 +72,9 @@ class FlightView:
         shown = self.shown
         plot.multi_line("across", "upward", source=shown["floor"], color=GREY, alpha=0.25)
         plot.multi_line("across", "upward", source=shown["ghosts"], color="colour", alpha=0.3)
-        plot.line("across", "upward", source=shown["wanted"], color=DARK, line_dash="dashed", alpha=0.7)
+        plot.line("across", "upward", source=shown["wanted"], color=GREY, line_dash="dashed", line_width=2)
         plot.scatter("across", "upward", source=shown["points"], color="colour", size=5, alpha=0.8)
-        plot.line("across", "upward", source=shown["flown"], color=RED, line_width=2.5)
+        plot.line("across", "upward", source=shown["flown"], color=DARK, line_width=2.5)
         plot.scatter("across", "upward", source=shown["marks"], marker="x", color=ORANGE, size=12, line_width=3)
         plot.multi_line("across", "upward", source=shown["craft"], color="colour", line_width=3)
         return plot

@@ -14,6 +14,7 @@ MOST_DROPPED = 0.05
 LONG_GAP = 10.0
 """Of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
+STEADY = 0.5  # of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
 """Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
 SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
@@ -45,9 +46,15 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
     unusual = []
     for topic in topics:
         length = topic.gap.late - topic.gap.early
-        if topic.messages >= LEAST_MESSAGES and length * topic.usual > LONG_GAP:
+        if is_steady(topic) and length * topic.usual > LONG_GAP:
             unusual.append((topic, topic.gap))
     return grouped(unusual)
+
+
+def is_steady(topic: LogTopic) -> bool:
+    """Whether a topic has a rate: one that is sent at changes or in bursts has none, and no gap is unusual."""
+    outside = topic.last - topic.first - (topic.gap.late - topic.gap.early)
+    return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * outside * topic.usual
 
 
 class LateMessage(NamedTuple):
