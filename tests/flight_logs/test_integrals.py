@@ -7,7 +7,7 @@ import tomli_w
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.integrals import integral_factor, unit_text
+from dssc_jax.flight_logs.integrals import integral_factor, jumps_beside, unit_text
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.test_fit import DT, linear
@@ -74,6 +74,27 @@ def test_a_clock_that_runs_too_fast_is_told():
     assert hints.factors["y"].startswith("changes by 0.97")
     assert "the log's clock is 1.028 times too fast" in hints.factors["y"]
     assert not hints.conversions
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_a_jump_that_the_rate_does_not_have_is_told(noise):
+    y, rate = flight(noise=noise)
+    assert jumps_beside(y, rate, -1.0, 100.0) == []
+    shifted = Column(TIME, y.value + np.where(np.arange(400) < 150, 0.0, 0.5))
+    (jump,) = jumps_beside(shifted, rate, -1.0, 100.0)
+    assert jump.time == TIME[150]
+    assert jump.size == pytest.approx(0.5, abs=0.05)
+    hints = replay_log(linear(), FlightLog("flight", {"y": shifted, "y_dot": rate}, 0.0), commands=False).hints
+    assert f"m at {TIME[150]:.4g} s of the log, and y_dot has no such peak" in hints.all()["y"]
+    assert not hints.factors
+    kept = np.flatnonzero((TIME < 2.0) | (TIME > 4.0))  # two seconds are lost
+    assert jumps_beside(Column(TIME[kept], y.value[kept]), Column(TIME[kept], rate.value[kept]), -1.0, 100.0) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("scale", [1.0, 1000.0, -1.0])
+def test_noise_and_units_are_no_jumps(seed, scale):
+    assert jumps_beside(*flight(seed, y_scale=scale), -1.0, 100.0) == []
 
 
 def test_several_logs_are_warned_of_one_by_one(tmp_path, capsys):

@@ -175,6 +175,7 @@ class LogHints(NamedTuple):
         attitudes: Numbers of the attitude at which the study starts while the log has another.
         estimator: Counters of resets of the estimator, and flags that call its values invalid.
         factors: Outputs that are not the integrals of their derivatives, by a factor that names no unit.
+        jumps: Outputs that jump while their derivatives do not.
     """
 
     conversions: Mapping[str, str]
@@ -184,9 +185,10 @@ class LogHints(NamedTuple):
     attitudes: Mapping[str, str] = MappingProxyType({})
     estimator: Mapping[str, str] = MappingProxyType({})
     factors: Mapping[str, str] = MappingProxyType({})
+    jumps: Mapping[str, str] = MappingProxyType({})
 
     def all(self) -> dict[str, str]:
         """All of them, by signal or number."""
         numbers = (self.starts, self.attitudes)
-        parts = (self.factors, self.conversions, self.shifts, self.slopes, *numbers, self.estimator)
+        parts = (self.factors, self.jumps, self.conversions, self.shifts, self.slopes, *numbers, self.estimator)
         return {name: text for part in parts for name, text in part.items()}

@@ -22,6 +22,9 @@ FITTED = 3  # numbers of the regression
 SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
+JUMP = 20.0  # of the typical change beside the rate: a larger one is no noise
+MOST_JUMPS = 3  # of an output that has jumps, and no other error
+TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation
 
 
 class Factor(NamedTuple):
@@ -83,16 +86,44 @@ def between(column: Column, begin: float, end: float) -> Column:
     return Column(column.time[rows], column.value[rows])
 
 
+class Jump(NamedTuple):
+    """A change of an output from one value to the next that its rate does not have: the time [s], and the size."""
+
+    time: float
+    size: float
+
+
+def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jump]:
+    """The jumps of an output between two times of the log [s]; none where there are more than a few, or too few values.
+
+    A jump is far larger than what the output usually changes by beside the integral of its rate, and than what the
+    largest rate gives within the same time.
+    """
+    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return []
+    rate = np.interp(output.time, slope.time, slope.value)
+    gaps = np.diff(output.time)
+    changes = np.diff(output.value) - 0.5 * gaps * (rate[1:] + rate[:-1])
+    usual = TO_DEVIATION * float(np.median(np.abs(changes)))
+    rows = np.flatnonzero(np.abs(changes) > np.maximum(JUMP * usual, 2.0 * gaps * np.abs(slope.value).max()))
+    if len(rows) > MOST_JUMPS:
+        return []
+    return [Jump(float(output.time[row + 1]), float(changes[row])) for row in rows]
+
+
 class IntegralHints(NamedTuple):
     """Signals that contradict each other, with the words for it.
 
     Args:
         units: One of them is in another unit, or has the opposite sign.
         factors: They differ by another factor.
+        jumps: One jumps where the other has no peak.
     """
 
     units: dict[str, str]
     factors: dict[str, str]
+    jumps: dict[str, str]
 
 
 def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
@@ -100,7 +131,7 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
 
     Angles are left out, which are logged in one turn, and logs with jumps of an estimator.
     """
-    found = IntegralHints({}, {})
+    found = IntegralHints({}, {}, {})
     loop = study.loop
     end = log.start + loop.sample_time * (loop.steps - 1)
     if any(log.start < reset.time <= end and not reset.is_taken_out for reset in log.resets):
@@ -108,6 +139,14 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
         if channel in loop.plant.angles or not {y, rate} <= set(log.columns):
+            continue
+        jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
+        if jumps:
+            times = ", ".join(f"by {jump.size:.3g} {unit.output} at {jump.time:.4g} s" for jump in jumps)
+            found.jumps[y] = (
+                f"jumps {times} of the log, and {rate} has no such peak: a reset of the estimator that the log does "
+                "not count, or two flights in one log. Take the part before or after"
+            )
             continue
         factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
         if factor is None or not factor.differs:

@@ -279,6 +279,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         attitude_hints(study, log),
         reset_hints(study, log),
         integrals.factors,
+        integrals.jumps,
     )
     differences = compared.differences
     dropped = dict(log.dropped)
