@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.analyses.loop_margins.designed import designed_margins
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.design.first_gains import first_gains, plant_at_start
-from dssc_jax.design.plant_at_start import holding_command
+from dssc_jax.design.plant_at_start import equilibrium, holding_command
 from tests.engine.linearisation.test_margin_values import response_of
 from tests.study.test_signals import held
 
@@ -310,6 +310,25 @@ def test_a_start_where_the_terms_of_the_slope_cancel_is_an_equilibrium():
         assert np.max(np.abs(slope(start, 0.0))) > 0.0
         assert holding_command(slope, start) == pytest.approx(0.0, abs=1e-12)
         assert holding_command(slope, start * 1.001) is None
+
+
+def test_the_equilibrium_with_an_output_is_that_of_the_closed_form():
+    """With the duty d and no losses but those of the coil, V (1 - d + 0.05/(R (1 - d))) = 12."""
+    load = 10.0
+    start = jnp.array([1.0, 11.9])
+
+    def slope(x, u):
+        return jnp.stack(boost_slopes(x, u, load))
+
+    with jax.enable_x64(True):
+        x, duty = equilibrium(slope, lambda x, u: x[1], start, 24.0)
+        share = 0.5 * (0.5 + np.sqrt(0.25 - 4.0 * 0.05 / load))
+        assert 1.0 - duty == pytest.approx(share, rel=1e-9)
+        assert x.tolist() == pytest.approx([24.0 / (load * share), 24.0], rel=1e-9)
+        with pytest.raises(ConfigError, match="`at`: no equilibrium with the output 400 is found"):
+            equilibrium(slope, lambda x, u: x[1], start, 400.0)
+    with pytest.raises(ConfigError, match="`at`: is of a nonlinear plant"):
+        first_gains(buck(), "pid", BANDWIDTH, at=5.0)
 
 
 def test_a_negative_gain_is_told():

@@ -111,7 +111,11 @@ class FirstGains(NamedTuple):
 
 
 def first_gains(
-    study: Study, kind: str = "pid", bandwidth: float | None = None, limit: float | None = None
+    study: Study,
+    kind: str = "pid",
+    bandwidth: float | None = None,
+    limit: float | None = None,
+    at: float | None = None,
 ) -> FirstGains:
     """First gains for a study's plant.
 
@@ -123,6 +127,7 @@ def first_gains(
             three more halvings bring nothing better; else the one with the smallest peak. Then the best of that one
             and of four around it, a third of an octave apart.
         limit: Largest size of the command, in its unit; ``ssc`` needs it, the others respect it.
+        at: Output at which a nonlinear plant rests where it is linearised; None: its start.
 
     Raises:
         ConfigError: the plant has several channels, or there are no such gains for it.
@@ -136,7 +141,7 @@ def first_gains(
     if bandwidth is not None and not 0.0 < bandwidth <= MOST_SHARE * fastest:
         rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {bandwidth:.4g}"
         raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
-    plant = plant_at_start(study)
+    plant = plant_at_start(study, at)
     actuators = actuators_before(study)
     alone = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
     subject = Subject(study, plant, alone, actuators, sampled_plant(plant, actuators, sample_time), limit)

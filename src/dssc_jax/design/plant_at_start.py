@@ -1,4 +1,4 @@
-"""A study's plant, linearised at its start in continuous time, and the operating point that this is."""
+"""A study's plant, linearised in continuous time at its start or where it rests with an output, and that point."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from dssc_jax.study.fitting import MATCHED, medians
 from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20
+STEPS_TO_OUTPUT = 21  # from the output at the start to a stated one
 AT_REST = 1e-9  # share of the rate of change without a command that may be left
 ROUNDING = 1e-12  # share of the terms of a rate of change that may be left, where they cancel
 
@@ -38,7 +39,7 @@ class Resting(NamedTuple):
 
 
 class PlantAtStart(NamedTuple):
-    """A plant of one channel, linearised at its start: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
+    """A plant of one channel, linearised at a point: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
 
     Args:
         a: Shape (n, n).
@@ -52,7 +53,7 @@ class PlantAtStart(NamedTuple):
             without the former has the command's column.
         inputs: Names of these columns.
         resting: The operating point; None: a linear plant, which has 0 as one, or a start at which no command holds it.
-        held: Whether a command holds the plant at its start, or it is linear.
+        held: Whether a command holds the plant at this point, or it is linear.
     """
 
     a: np.ndarray
@@ -73,13 +74,16 @@ class PlantAtStart(NamedTuple):
         return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.feedthrough, self.inputs)
 
 
-def plant_at_start(study: Study) -> PlantAtStart:
-    """A study's plant, linearised at its start with the median in place of each law.
+def plant_at_start(study: Study, at: float | None = None) -> PlantAtStart:
+    """A study's plant, linearised with the median in place of each law.
 
-    The command is the one that keeps the plant at its start; 0 where there is none.
+    Args:
+        study: The study.
+        at: Output at which a nonlinear plant rests where it is linearised; None: its start, with the command that keeps
+            it there, or 0 where there is none.
 
     Raises:
-        ConfigError: the plant has several channels, or no derivative.
+        ConfigError: the plant has several channels, or no derivative; or no equilibrium with this output is found.
     """
     loop = study.loop
     place = f"{study.source}: plant.kind"
@@ -108,14 +112,19 @@ def plant_at_start(study: Study) -> PlantAtStart:
             names = ("y", "y_dot", *(signal.name for signal in loop.measures))
             return jnp.stack([jnp.asarray(values[name], float) for name in names])
 
-        holding = holding_command(slope, start)
+        linear = loop.plant.linear is not None and loop.plant.remainder is None
+        if at is not None and linear:
+            raise ConfigError("`at`", "is of a nonlinear plant; a linear one is the same everywhere")
+        if at is None:
+            holding = holding_command(slope, start)
+        else:
+            start, holding = equilibrium(slope, lambda x, u: measured(x, u)[0], start, at)
         command = holding or 0.0
         a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(start, command, quiet))
         rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(measured, argnums=(0, 1)))(start, command))
         y, _, *signals = np.asarray(jax.jit(measured)(start, command)).tolist()
     if not np.any(columns[:, 0]):
         columns = np.column_stack([b, columns[:, 1:]])
-    linear = loop.plant.linear is not None and loop.plant.remainder is None
     resting = None if linear or holding is None else Resting(y, command, tuple(signals))
     held = linear or holding is not None
     names = (MATCHED, *loop.input_names)
@@ -145,3 +154,46 @@ def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.
     slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
     terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
     return command if np.all(left <= np.maximum(AT_REST * moved, ROUNDING * terms)) else None
+
+
+def equilibrium(
+    slope: Callable[[jax.Array, Scalar], jax.Array],
+    output: Callable[[jax.Array, Scalar], jax.Array],
+    start: jax.Array,
+    at: float,
+) -> tuple[jax.Array, float]:
+    """The state and the command with which a plant rests at an output.
+
+    Newton's method follows the equilibria from the output at the start to this one.
+
+    Args:
+        slope: ``(x, u) -> x'``.
+        output: ``(x, u) -> y``.
+        start: The state x at the start.
+        at: The output.
+
+    Raises:
+        ConfigError: It leads to none.
+    """
+
+    @jax.jit
+    def excess(point: jax.Array, y: Scalar) -> jax.Array:
+        x, u = point[:-1], point[-1]
+        return jnp.append(slope(x, u), output(x, u) - y)
+
+    slopes = jax.jit(jax.jacfwd(excess))
+    point = np.append(np.asarray(start), holding_command(slope, start) or 0.0)
+    begin = float(output(start, point[-1]))
+    for y in np.linspace(begin, at, STEPS_TO_OUTPUT):
+        for _ in range(NEWTON_STEPS):
+            move = np.linalg.lstsq(np.asarray(slopes(point, y)), -np.asarray(excess(point, y)), rcond=None)[0]
+            point = point + move
+            if not np.all(np.isfinite(point)):
+                raise ConfigError("`at`", f"no equilibrium with the output {y:g} is found from the plant's start")
+            if np.all(np.abs(move) <= AT_REST * np.abs(point)):
+                break
+    left = np.abs(np.asarray(excess(point, at)))
+    terms = np.abs(np.asarray(slopes(point, at))) @ np.abs(point)
+    if not np.all(left <= AT_REST * np.append(terms[:-1], abs(at) + terms[-1])):
+        raise ConfigError("`at`", f"no equilibrium with the output {at:g} is found from the plant's start")
+    return jnp.asarray(point[:-1]), float(point[-1])

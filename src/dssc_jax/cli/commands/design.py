@@ -29,6 +29,7 @@ def run(options: Design) -> int:
     if is_study(options.bounds):
         return print_first_gains(options)
     options_set = {"--controller": options.controller, "--bandwidth": options.bandwidth, "--limit": options.limit}
+    options_set["--at"] = options.at
     for name, value in options_set.items():
         if value is not None:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")
@@ -53,7 +54,7 @@ def print_first_gains(options: Design) -> int:
     kind = options.controller or FirstController.PID
     if not options.as_json:
         notify(f"{study.name}: linearising the plant and designing {kind}, which takes some seconds")
-    found = first_gains(study, kind, options.bandwidth, options.limit)
+    found = first_gains(study, kind, options.bandwidth, options.limit, options.at)
     margins = designed_margins(found.loop, study.loop.sample_time)
     if options.out is not None:
         write_study(options.out, {**study.table, "controller": found.table})
@@ -92,7 +93,7 @@ def point_lines(found: FirstGains) -> list[str]:
     resting = found.plant.resting
     if not found.plant.held:
         rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
-        return [f"{rule}; start it at an equilibrium to have them about one"]
+        return [f"{rule}; state an output at which it rests, --at Y, or start it at an equilibrium"]
     if resting is None or not (resting.output or resting.command or any(resting.signals)):
         return []
     point = f"linearised where it rests: y = {resting.output:.6g}, u = {resting.command:.6g}"

@@ -56,6 +56,10 @@ class Design:
     limit: Annotated[
         float | None, typer.Option("--limit", metavar="U", help="Of a study: largest command, in its unit.")
     ] = None
+    at: Annotated[
+        float | None,
+        typer.Option("--at", metavar="Y", help="Of a nonlinear plant: output at which it rests, not its start."),
+    ] = None
     allow_local: Local = False
     allow_native: Native = False
     as_json: Json = False
