@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from dssc_jax.cli.warnings import checked_integration, warn_of_integration
+from dssc_jax.cli.warnings import checked_integration, warn_of_integration, warn_of_study
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.plotting import save_figure
@@ -84,7 +84,8 @@ def finish(
 
 
 def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
-    """Check the integration of an analysis and save it with its figure; return the figure's files."""
+    """Warn of the study, check the integration, save the analysis with its figure; return the figure's files."""
+    warn_of_study(analysis.study)
     if not options.no_check:
         analysis.integration = checked_integration(analysis.study)
         warn_of_integration(analysis.integration)

@@ -6,6 +6,7 @@ from dssc_jax.cli.output import say
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import extent
 from dssc_jax.design import noise_warning, rate_warning
+from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
@@ -75,8 +76,8 @@ def warn_of_study(study: Study) -> None:
     warn_of_vehicle(study)
     warn_of_signals(study)
     warn_of_times(study)
-    for warning in (noise_warning, rate_warning):
-        if text := warning(study):
+    for text in (noise_warning(study), rate_warning(study), *plant_warnings(study)):
+        if text:
             say(f"warning: {text}")
 
 

@@ -1,0 +1,83 @@
+"""Whether a plant of one's own is consistent: y' is the derivative of y, and every disturbance has an effect."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import PlantInput
+from dssc_jax.models.disturbances import NO_DISTURBANCE
+from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
+from dssc_jax.study.fitting import medians
+
+POINTS = 4
+NEAR = 0.05  # distance of these points from the start, relative to 0.1 + |x|
+PUSH = 0.1  # size of commands and disturbances there
+SAME_RATE = 1e-3  # relative difference of y' from the derivative of y that counts as none
+
+
+def plant_warnings(study: Study) -> list[str]:
+    """Sentences on a plant of one's own whose y' is another function, or that ignores an input with a disturbance.
+
+    Derivatives at some points near its start tell it. A plant of this package, one with a state outside of JAX, and one
+    that flies in a wind are not looked at.
+
+    Args:
+        study: The study; uncertain numbers have their median values.
+    """
+    loop = study.loop
+    plant = loop.mimo_plant
+    foreign = ":" in str(study.config.plant.get("kind", ""))
+    if not foreign or plant.begin is not None or kind_in(study.config, "wind") != "none":
+        return []
+    params = medians(study.template).plant
+    channels, named = len(loop.channels), len(loop.input_names)
+    random = np.random.default_rng(0)
+    different = np.zeros(channels, int)
+    known = np.zeros(channels, int)
+    felt = np.zeros(named, bool)
+    with arithmetic():
+        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
+
+        def drive_of(signals: jax.Array) -> PlantInput:
+            commands, matched, inputs = jnp.split(signals, [channels, 2 * channels])
+            return PlantInput(tuple(commands), tuple(matched), None, tuple(inputs))
+
+        def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
+            return ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))[0]
+
+        def shown(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
+            measurements = plant.measure(params, unravel(x), drive_of(signals))
+            return jnp.stack([jnp.asarray(m.y) for m in measurements]), jnp.stack(
+                [jnp.asarray(m.y_dot) for m in measurements]
+            )
+
+        @jax.jit
+        def at_point(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            _, along = jax.jvp(lambda state: shown(state, signals)[0], (x,), (slope(x, signals),))
+            effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(shown, 1)(x, signals)])
+            return along, shown(x, signals)[1], effects[:, 2 * channels :]
+
+        for _ in range(POINTS):
+            x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
+            along, rate, effects = map(np.asarray, at_point(x, PUSH * random.normal(size=2 * channels + named)))
+            usable = np.isfinite(along) & np.isfinite(rate)
+            known += usable
+            different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
+            felt |= np.any(effects != 0.0, axis=0)
+    found = []
+    for channel, wrong in zip(loop.channels, (known > 0) & (different == known), strict=True):
+        if wrong:
+            place = f" of {channel}" if channel else ""
+            found.append(
+                f"the plant's y'{place} is not the derivative of its y along its own slopes, so that whatever takes y' "
+                "is misled: return it from `measure`, or take a [differentiator]"
+            )
+    for name, model, acts in zip(loop.input_names, loop.inputs, felt, strict=True):
+        if model != NO_DISTURBANCE and not acts:
+            found.append(
+                f"the disturbance at the input {name} has no effect: the plant does not use it (`drive.inputs`)"
+            )
+    return found
