@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 import dssc_jax as dj
 from dssc_jax.analyses.loop_margins.designed import designed_margins
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.design.first_gains import first_gains, plant_at_start
-from dssc_jax.design.plant_at_start import equilibrium, holding_command
+from dssc_jax.design.first_gains import first_gains, linearised_plant
+from dssc_jax.design.linearised_plant import equilibrium, holding_command
 from tests.engine.linearisation.test_margin_values import response_of
 from tests.study.test_signals import held
 
@@ -49,7 +49,7 @@ def test_a_buck_converter_follows_its_reference(kind):
 def test_the_pid_loop_crosses_one_at_the_bandwidth_with_its_phase_margin():
     found = first_gains(buck(), "pid", BANDWIDTH)
     law = found.table
-    a, b, c = plant_at_start(buck())[:3]
+    a, b, c = linearised_plant(buck())[:3]
     transition, columns = held(a, b[:, None], T_S)
     z = np.exp(1j * BANDWIDTH * T_S)
     plant = c @ np.linalg.solve(z * np.eye(2) - transition, columns[:, 0])
@@ -120,7 +120,7 @@ def test_the_margins_of_a_design_are_those_of_its_frequency_response():
     found = first_gains(boost(), "pid", 3900.0)
     t_s = 1e-5
     margins = designed_margins(found.loop, t_s)
-    respond = response_of(*plant_at_start(boost())[:3], found.table, t_s)
+    respond = response_of(*linearised_plant(boost())[:3], found.table, t_s)
     grid = np.geomspace(1.0, np.pi / t_s * (1.0 - 1e-9), 20_000)
     values = np.array([respond(omega) for omega in grid])
     gain = [brentq(lambda w: abs(respond(w)) - 1.0, *grid[k : k + 2]) for k in changes(np.abs(values) - 1.0)]
@@ -189,7 +189,7 @@ def test_the_pid_loop_has_its_phase_margin_behind_lag_and_delay():
     found = first_gains(study, "pid", bandwidth)
     assert found.taken == ("lag", "delay")
     law = found.table
-    a, b, c = plant_at_start(study)[:3]
+    a, b, c = linearised_plant(study)[:3]
     whole, entry = augmented(a, b)
     row = np.append(c, np.zeros(3))
     z = np.exp(1j * bandwidth * T_S)
@@ -205,7 +205,7 @@ def test_the_poles_of_lqg_behind_actuators_are_those_of_the_loop_written_out():
     study = buck(actuator=BEHIND)
     found = first_gains(study, "lqg", 2e4)
     law = found.table
-    a, b, c = plant_at_start(study)[:3]
+    a, b, c = linearised_plant(study)[:3]
     transition, columns = held(a, b[:, None], T_S)
     column = columns[:, 0]
     extended = np.block([[transition, np.zeros((2, 1))], [T_S * c[None, :], np.ones((1, 1))]])
@@ -264,7 +264,7 @@ def test_lqg_of_several_signals_has_their_noise_in_proportion_to_their_sizes():
     study = buck(sensor={"measures": ["x1", "y"]})
     bandwidth = 2e4
     found = first_gains(study, "lqg", bandwidth)
-    a, b, _ = plant_at_start(study)[:3]
+    a, b, _ = linearised_plant(study)[:3]
     transition, columns = held(a, b[:, None], T_S)
     z = np.exp(4j * bandwidth * T_S)
     current, voltage = np.abs(np.linalg.solve(z * np.eye(2) - transition, columns[:, 0]))

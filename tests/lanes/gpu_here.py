@@ -15,4 +15,4 @@ def missing_gpu() -> str:
 
 
 MISSING = missing_gpu()
-needs_gpu = pytest.mark.skipif(bool(MISSING), reason=f"needs a GPU: {MISSING}")
+needs_gpu = pytest.mark.skipif(bool(MISSING), reason=f"compares the bits of this machine's GPU: {MISSING}")

@@ -17,7 +17,9 @@ TOOLS = ("aarch64-linux-gnu-gcc", "qemu-aarch64")
 TRIPLE = "aarch64-unknown-linux-gnu"
 PROCESSOR = "cortex-a72"
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
-needs_arm = pytest.mark.skipif(bool(MISSING), reason=f"no {MISSING}: apt-get install gcc-aarch64-linux-gnu qemu-user")
+needs_arm = pytest.mark.skipif(
+    bool(MISSING), reason=f"no {MISSING}, which pip does not have: apt-get install gcc-aarch64-linux-gnu qemu-user"
+)
 CALLER = f"""
 #include <stdio.h>
 #include <stdlib.h>

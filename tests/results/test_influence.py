@@ -17,7 +17,7 @@ LOOP = {
 }
 
 
-UNCHANGED = "no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than 1%"
+UNCHANGED = "no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than 1 %"
 
 
 def swept(axis):

@@ -13,11 +13,6 @@ from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
 from dssc_jax.study.actuators import kind_in
 
-TIMED = ("disturbance", "reference", "event")
-"""Sections with parts that begin at a time."""
-STARTS = "at"
-"""The field that has this time."""
-
 
 def warn_of_vehicle(study: Study) -> None:
     """Print a warning of a wind without effect, and for each number that multirotors usually do not have."""
@@ -56,13 +51,12 @@ def warn_of_signals(study: Study) -> None:
 
 
 def warn_of_times(study: Study) -> None:
-    """Print a warning of each disturbance, reference or event that begins after the flight in every draw."""
+    """Print a warning of everything that begins after the end of the loop in every draw."""
     if isinstance(study, Described):
         return
     duration = study.config.loop.duration
     for name, number in study.numbers.items():
-        section, *_, field = name.split(".")
-        if field != STARTS or section not in TIMED or name in study.axes:
+        if not number.quantity.begins or name in study.axes:
             continue
         earliest = extent(number.value)[0]
         if earliest >= duration:

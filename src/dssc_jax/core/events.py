@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.vectors import Vec3
 
-AT = Quantity("s", "time of the event", at_least=0.0)
+AT = Quantity("s", "time of the event", at_least=0.0, begins=True)
 UNTIL = Quantity("s", "time at which it ends; absent: never", at_least=0.0)
 
 

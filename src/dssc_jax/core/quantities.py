@@ -19,6 +19,7 @@ class Quantity:
         law: Whether a probability law may replace the number.
         data: Whether it is one of many values of a record, which have no names in the study.
         leading: Whether it is among the few numbers with which the exploration of a vehicle begins.
+        begins: Whether it is a time at which something begins, which has no effect after the end of the loop.
     """
 
     unit: str
@@ -30,6 +31,7 @@ class Quantity:
     law: bool = True
     data: bool = False
     leading: bool = False
+    begins: bool = False
 
     def violated_by(self, low: float, high: float) -> str | None:
         """Return the rule that the interval [low, high] violates, or None."""

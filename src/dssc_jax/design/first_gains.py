@@ -48,8 +48,8 @@ from dssc_jax.design.linear_plant import (
     closed,
     sampled_plant,
 )
+from dssc_jax.design.linearised_plant import LinearisedPlant, linearised_plant
 from dssc_jax.design.pid_gains import SLOWEST, pid
-from dssc_jax.design.plant_at_start import PlantAtStart, plant_at_start
 from dssc_jax.design.regulators import lqg, state_feedback
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.components import parse_component
@@ -107,7 +107,7 @@ class FirstGains(NamedTuple):
     taken: tuple[str, ...]
     left_out: tuple[str, ...]
     loop: ClosedLoop
-    plant: PlantAtStart
+    plant: LinearisedPlant
 
 
 def first_gains(
@@ -141,7 +141,7 @@ def first_gains(
     if bandwidth is not None and not 0.0 < bandwidth <= MOST_SHARE * fastest:
         rule = f"must be > 0 and <= {MOST_SHARE:g} pi/T_s = {MOST_SHARE * fastest:.4g} rad/s, got {bandwidth:.4g}"
         raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
-    plant = plant_at_start(study, at)
+    plant = linearised_plant(study, at)
     actuators = actuators_before(study)
     alone = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
     subject = Subject(study, plant, alone, actuators, sampled_plant(plant, actuators, sample_time), limit)

@@ -20,7 +20,7 @@ from dssc_jax.core.influences import closure
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.sampled_linear import LinearSystem
 from dssc_jax.core.signals import Measurement, Params, ReferencePoint, Scalar
-from dssc_jax.design.plant_at_start import PlantAtStart
+from dssc_jax.design.linearised_plant import LinearisedPlant
 from dssc_jax.models.controllers.lqg import sampled_system
 from dssc_jax.study.actuators import acting_elements
 from dssc_jax.study.components import Component
@@ -134,7 +134,7 @@ class Subject(NamedTuple):
     """
 
     study: Study
-    plant: PlantAtStart
+    plant: LinearisedPlant
     alone: LinearPlant
     actuators: ActuatorsBefore
     whole: LinearPlant
@@ -172,7 +172,7 @@ def kinds_between(study: Study) -> list[str]:
     return found
 
 
-def sampled_plant(plant: PlantAtStart, actuators: ActuatorsBefore, sample_time: float) -> LinearPlant:
+def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_time: float) -> LinearPlant:
     """The plant behind the linear actuators with the command held over a sample.
 
     The state lists that of the plant, that of the actuators, and what their part that acts at the samples gave over the

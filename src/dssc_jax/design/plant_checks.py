@@ -50,9 +50,8 @@ def plant_warnings(study: Study) -> list[str]:
 
         def shown(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
             measurements = plant.measure(params, unravel(x), drive_of(signals))
-            return jnp.stack([jnp.asarray(m.y) for m in measurements]), jnp.stack(
-                [jnp.asarray(m.y_dot) for m in measurements]
-            )
+            outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
+            return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
 
         @jax.jit
         def at_point(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -53,7 +53,9 @@ def idle_axis_text(result: Result, axis: str) -> str:
     """What an idle axis changes, if anything."""
     changes = {measure.name: largest_change(result.dataset[measure.name], axis) for measure in result.study.measures}
     if max(changes.values()) <= IDLE:
-        return f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {IDLE:.0%}"
+        return (
+            f"over {axis} no verdict changes, and no quantile (5, 50, 95 %) of a metric by more than {100 * IDLE:g} %"
+        )
     largest = max(changes, key=lambda name: changes[name])
     share = f"by {changes[largest]:.0%}" if np.isfinite(changes[largest]) else "in some draws from finite to infinite"
     return f"{axis} is idle here: no verdict and no required metric changes over it (most changes {largest}, {share})"

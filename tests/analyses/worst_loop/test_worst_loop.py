@@ -164,6 +164,16 @@ def test_refusals(change, options, message):
         dj.worst_loop(study, **options)
 
 
+def test_the_box_grows_no_farther_than_its_numbers_are_defined():
+    """The root of (q - 3)^2 - 0.24 has a gap from 2.51 to 3.49, which the ends of the fourfold box do not show."""
+    plant = TABLE["plant"] | {"a": [[0.0, 1.0], [0.0, "=-1 - 0.1*sqrt((q - 3)**2 - 0.24)"]], "b": [0.0, 1.0]}
+    study = dj.Study.from_table(TABLE | {"plant": plant, "parameters": {"q": {"uniform": [1.0, 2.0]}}})
+    loop = dj.worst_loop(study, cells=500).answer.loops["input"]
+    assert loop.growable == 2.0
+    assert loop.growth_found == np.inf
+    assert loop.stable
+
+
 def test_laws_without_ends_are_cut(worst):
     study = dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": {"normal": [1.0, 0.05]}})
     side = dj.worst_loop(study, sigma=2.0, cells=100).answer.box["plant.b.1"]

@@ -5,9 +5,6 @@ from dssc_jax.closed_loop.requirements import counted_places
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.study import Study
 
-MARGIN = "margin"
-"""The field of a requirement of a margin of the linearised loop."""
-
 
 def require_hunt(study: Study, budget: int) -> None:
     """Require uncertain numbers, requirements and an admissible budget.
@@ -45,6 +42,6 @@ def without_other_margins(study: Study, requirement: str) -> Study:
     counted = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
     if any(required.measure.metric.margin is not None for required in counted):
         return study
-    tables = study.table["requirement"]
-    kept = [table for table in tables if MARGIN not in table]
+    tables = list(zip(study.table.get("requirement", []), study.config.requirement, strict=True))
+    kept = [table for table, parsed in tables if parsed.margin is None]
     return study if len(kept) == len(tables) else study.override({"requirement": kept})

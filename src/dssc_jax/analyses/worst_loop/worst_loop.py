@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -183,14 +182,8 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
     drawn_margins = margins_at(drawn, common, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
     found = worst_margins(broken.at, sides, common, sample_time, family.allowance(searched))
-
-    def grown(growable: float) -> tuple[Instability, Bounds]:
-        instability = nearest_instability(broken.at, sides, growable, family.allowance(searched))
-        if np.isfinite(instability.growth):
-            study.override(broken.numbers(instability.point))  # a loop of undefined numbers is not unstable
-        return instability, bounds_of(broken, found, instability, growable, sample_time, cells, left)
-
-    growable, (instability, bounds) = farthest_defined(grown, admissible_growths(study, broken.family.box))
+    growable, instability = defined_instability(study, broken, lambda: family.allowance(searched))
+    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, left)
     return LoopCase(
         names=broken.names,
         drawn=worst_drawn,
@@ -205,21 +198,34 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
     )
 
 
-def farthest_defined(
-    grown: Callable[[float], tuple[Instability, Bounds]], growths: Sequence[float]
-) -> tuple[float, tuple[Instability, Bounds]]:
-    """The largest growth at which the loop is defined everywhere, and what was found up to it.
+def defined_instability(
+    study: Study, broken: BrokenFamily, allowance: Callable[[], PointsLeft]
+) -> tuple[float, Instability]:
+    """The nearest unstable loop within the largest growth of the box without one of undefined numbers, and that growth.
 
-    Beyond the box a number may be undefined that its ends do not show, such as the root of a difference.
+    Beyond the box a number may be undefined that its ends do not show, such as the root of a difference. A loop of it
+    has no stability.
+
+    Args:
+        study: The study.
+        broken: The loop over the box.
+        allowance: The points that a search may evaluate.
 
     Raises:
-        ConfigError: A number is undefined within the smallest growth.
+        ConfigError: A number is undefined within the box.
     """
-    *larger, smallest = growths
-    for growth in larger:
-        with suppress(ConfigError):
-            return growth, grown(growth)
-    return smallest, grown(smallest)
+    for growth in admissible_growths(study, broken.family.box):
+        instability = nearest_instability(broken.at, len(broken.sides), growth, allowance())
+        if not np.isfinite(instability.growth):
+            return growth, instability
+        try:
+            study.override(broken.numbers(instability.point))
+        except ConfigError:
+            if growth == 1.0:
+                raise
+            continue
+        return growth, instability
+    raise AssertionError("the box is always one of its growths")
 
 
 def bounds_of(

@@ -28,8 +28,12 @@ def run(options: Design) -> int:
     require_one_form(options.as_json, options.as_latex)
     if is_study(options.bounds):
         return print_first_gains(options)
-    options_set = {"--controller": options.controller, "--bandwidth": options.bandwidth, "--limit": options.limit}
-    options_set["--at"] = options.at
+    options_set = {
+        "--controller": options.controller,
+        "--bandwidth": options.bandwidth,
+        "--limit": options.limit,
+        "--at": options.at,
+    }
     for name, value in options_set.items():
         if value is not None:
             raise ConfigError(name, "belongs to a study, and this file has no [plant]")

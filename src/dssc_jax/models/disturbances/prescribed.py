@@ -26,7 +26,7 @@ class StepParams(NamedTuple):
     """A step of height ``value`` at the time ``at``."""
 
     value: Annotated[Scalar, VALUE]
-    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0)] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0, begins=True)] = 0.0
 
 
 class SineDisturbanceParams(NamedTuple):
@@ -47,7 +47,7 @@ class SplineParams(NamedTuple):
 
     knots: Annotated[tuple[Scalar, ...], Quantity("u", "coefficient of the spline at a knot")]
     interval: Annotated[Scalar, Quantity("s", "time between two knots", above=0.0)]
-    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time of the first knot", begins=True)] = 0.0
 
 
 def held_value(params: Params, state: Scalar, measurement: Measurement, sigma: Scalar, t: Scalar) -> Scalar:

@@ -23,7 +23,7 @@ class StepsParams(NamedTuple):
 
     position: Annotated[tuple[Scalar, ...], Quantity("m", "step of the position x, y, z")] = (0.0, 0.0, 0.0)
     yaw: Annotated[Scalar, Quantity("rad", "step of the yaw")] = 0.0
-    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0)] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time of the step", at_least=0.0, begins=True)] = 0.0
 
 
 Flight: TypeAlias = tuple[ReferencePoint, ReferencePoint, ReferencePoint, ReferencePoint]

@@ -13,7 +13,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity, extent
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
-AT = Quantity("s", "time at which it begins", at_least=0.0)
+AT = Quantity("s", "time at which it begins", at_least=0.0, begins=True)
 BASELINE = Quantity("y", "value before it begins")
 
 

@@ -26,7 +26,7 @@ from dssc_jax.core.wind import Wind, WindBounds
 X = Quantity("m/s", "wind velocity along x")
 Y = Quantity("m/s", "wind velocity along y")
 Z = Quantity("m/s", "wind velocity along z, up")
-START = Quantity("s", "time at which the wind begins", at_least=0.0)
+START = Quantity("s", "time at which the wind begins", at_least=0.0, begins=True)
 
 
 class ConstantWindParams(NamedTuple):
@@ -54,7 +54,7 @@ class GustParams(NamedTuple):
     y: Annotated[Scalar, Quantity("m/s", "peak of the gust along y")]
     z: Annotated[Scalar, Quantity("m/s", "peak of the gust along z, up")]
     duration: Annotated[Scalar, Quantity("s", "duration of the gust, from zero to zero", above=0.0)]
-    at: Annotated[Scalar, Quantity("s", "time at which the gust begins", at_least=0.0)] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time at which the gust begins", at_least=0.0, begins=True)] = 0.0
     mean_x: Annotated[Scalar, Quantity("m/s", "mean wind along x")] = 0.0
     mean_y: Annotated[Scalar, Quantity("m/s", "mean wind along y")] = 0.0
     mean_z: Annotated[Scalar, Quantity("m/s", "mean wind along z, up")] = 0.0
@@ -71,7 +71,7 @@ class SplineWindParams(NamedTuple):
     x: Annotated[tuple[Scalar, ...], X] = ()
     y: Annotated[tuple[Scalar, ...], Y] = ()
     z: Annotated[tuple[Scalar, ...], Z] = ()
-    at: Annotated[Scalar, Quantity("s", "time of the first knot")] = 0.0
+    at: Annotated[Scalar, Quantity("s", "time of the first knot", begins=True)] = 0.0
 
 
 def enclosing(winds: Iterable[Vec3], slopes: Iterable[Vec3] | None) -> WindBounds:

@@ -38,7 +38,7 @@ class Resting(NamedTuple):
     signals: tuple[float, ...]
 
 
-class PlantAtStart(NamedTuple):
+class LinearisedPlant(NamedTuple):
     """A plant of one channel, linearised at a point: x' = A x + b u + E w, y = c x, y' = r x + v u, s = C x + D u.
 
     Args:
@@ -74,7 +74,7 @@ class PlantAtStart(NamedTuple):
         return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.feedthrough, self.inputs)
 
 
-def plant_at_start(study: Study, at: float | None = None) -> PlantAtStart:
+def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
     """A study's plant, linearised with the median in place of each law.
 
     Args:
@@ -129,7 +129,7 @@ def plant_at_start(study: Study, at: float | None = None) -> PlantAtStart:
     held = linear or holding is not None
     names = (MATCHED, *loop.input_names)
     through = float(feedthrough[1])
-    return PlantAtStart(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, held)
+    return LinearisedPlant(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, held)
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
