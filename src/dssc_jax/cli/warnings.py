@@ -16,8 +16,6 @@ from dssc_jax.study.actuators import kind_in
 
 def warn_of_vehicle(study: Study) -> None:
     """Print a warning of a wind without effect, and for each number that multirotors usually do not have."""
-    if isinstance(study, Described):
-        return
     vehicle = getattr(study.template.plant, "vehicle", None)
     if not isinstance(vehicle, Vehicle):
         return
@@ -37,7 +35,7 @@ def warn_of_vehicle(study: Study) -> None:
 
 def warn_of_signals(study: Study) -> None:
     """Print a warning of sensors of measured signals that no controller of the study reads."""
-    if isinstance(study, Described) or not study.loop.measures:
+    if not study.loop.measures:
         return
     loop, template = study.loop, study.template
     if any(model.takes(gains) for model, gains in zip(loop.controller, template.controller, strict=True)):
@@ -52,8 +50,6 @@ def warn_of_signals(study: Study) -> None:
 
 def warn_of_times(study: Study) -> None:
     """Print a warning of everything that begins after the end of the loop in every draw."""
-    if isinstance(study, Described):
-        return
     duration = study.config.loop.duration
     for name, number in study.numbers.items():
         if not number.quantity.begins or name in study.axes:
@@ -64,7 +60,12 @@ def warn_of_times(study: Study) -> None:
 
 
 def warn_of_study(study: Study) -> None:
-    """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads."""
+    """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads.
+
+    A study whose code is not imported has been warned of where its draws were computed.
+    """
+    if isinstance(study, Described):
+        return
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_vehicle(study)
