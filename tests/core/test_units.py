@@ -85,6 +85,11 @@ def test_what_is_no_product_of_powers_is_refused(text):
         parse_unit(text)
 
 
+def test_exponents_without_their_sign_are_told():
+    with pytest.raises(ValueError, match=r"got 'kg m2/s2'; exponents are written as in 'kg m\^2/s\^2'"):
+        parse_unit("kg m2/s2")
+
+
 def test_every_unit_of_the_package_is_one():
     """Each field and metric that names y or u keeps a unit without them, for every plant."""
     units = {metric.unit for metric in KNOWN.values()}

@@ -58,8 +58,10 @@ def show_result(result: "Result") -> None:
     for text in filter(None, (result.design_reason, idle_text(result), result.certificate, result.integration)):
         console.print(text, markup=False)
     times = result.manifest["times"]
+    margins = times.get("margin_seconds", 0.0)
+    margins_text = f" and {margins:.1f} s for margins" if margins else ""
     console.print(
-        f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling; "
+        f"{times['seconds']:.1f} s, of which {times['compile_seconds']:.1f} s compiling{margins_text}; "
         f"{times['rate'] / 1e6:.0f} million draw samples a second"
     )
     if "cluster" in result.manifest:

@@ -42,7 +42,7 @@ def announce_compiling(study: "Study", quiet: bool = False) -> None:
     """Say on standard error that the loop is about to be compiled, which takes longer the more channels it has."""
     if quiet:
         return
-    notify(f"{study.name}: compiling, which usually takes a few seconds the first time and is kept for the next")
+    notify(f"{study.name}: compiling, which takes a few seconds if the cache does not have it")
 
 
 @contextmanager

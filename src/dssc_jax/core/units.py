@@ -88,7 +88,9 @@ def parse_unit(text: str) -> Powers:
     Raises:
         ValueError: the text is not a product of powers.
     """
-    wrong = f"must be a product of powers such as rad/s, N m or m/s^2, got {text!r}"
+    with_powers = re.sub(r"(?<=[^\W\d_])(?=\d)", "^", text)
+    meant = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
+    wrong = f"must be a product of powers such as rad/s, N m or kg m^2, got {text!r}{meant}"
     try:
         powers, end = product(text, 0)
     except (StopIteration, ZeroDivisionError):

@@ -127,9 +127,13 @@ class Layout:
 
 @dataclass
 class Clock:
-    """Seconds spent compiling and running, lanes done, and how often the step was traced; never if the cache has it."""
+    """Seconds spent compiling, on margins and running, lanes done, and how often the step was traced.
+
+    A step that the cache has is never traced.
+    """
 
     compile_seconds: float = 0.0
+    margin_seconds: float = 0.0
     run_seconds: float = 0.0
     lanes: int = 0
     traces: int = 0
@@ -193,8 +197,12 @@ class Engine:
         count = len(indices)
         columns = {name: np.asarray(values[name]) for name in self.names}
         margins = margins_of(self.study.measures)
-        known = margins.keys() <= values.keys()
-        columns |= {name: values[name] for name in margins} if known else self.margins(columns, np.asarray(indices))
+        if margins.keys() <= values.keys():
+            columns |= {name: values[name] for name in margins}
+        else:
+            began = time.perf_counter()
+            columns |= self.margins(columns, np.asarray(indices))
+            self.clock.margin_seconds += time.perf_counter() - began
         with arithmetic(self.study.config.loop.precision):
             start = self.compiled()
             began = time.perf_counter()
@@ -239,6 +247,7 @@ class Engine:
         return {
             "seconds": time.perf_counter() - began,
             "compile_seconds": self.clock.compile_seconds,
+            "margin_seconds": self.clock.margin_seconds,
             "run_seconds": self.clock.run_seconds,
             "rate": self.rate,
             "traces": self.clock.traces,

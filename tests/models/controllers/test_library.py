@@ -251,6 +251,7 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
         ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
         ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
         ("    real k_d;", "    float k_d;", "must be numbers of one type"),
+        ("u_p = command->u + command->u_n", "u_p = 0.5 * command->u", r"whose u_p is not u \+ u_n: .* flight it gives"),
     ],
 )
 def test_a_wrong_library_is_refused(place, old, new, message):

@@ -15,7 +15,7 @@ from dssc_jax.engine.linearisation.operating_points import (
     RestingLoop,
     corner_notes,
     lane_loop,
-    linearisation,
+    Linearisation,
     require_derivative,
 )
 from dssc_jax.engine.linearisation.part_slopes import examination
@@ -80,7 +80,7 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
     plain = settled & ~cornered
 
     def after(pushed: np.ndarray) -> np.ndarray:
-        return resting.linearise(values, indices, pushed, 1, resting.smooth(draws)).after
+        return resting.linearise.after(values, indices, pushed, 1, resting.smooth(draws))
 
     if plain.any():
         require_derivative(study, after, states, matrices, plain, felt)
@@ -102,7 +102,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
     flown = flown_states(study, values, indices, samples)
-    linearise = linearisation(study, places, resting=False)
+    linearise = Linearisation(study, places, resting=False)
     examine = examination(lane_loop(study, places, resting=False), places)
     operating = {}
     for t, k, states in zip(times, samples, flown, strict=True):

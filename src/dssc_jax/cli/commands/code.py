@@ -8,6 +8,7 @@ from dssc_jax.cli.declarations.flight import Code
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.fmu_library import built_library
 from dssc_jax.cli.loading import read_json, study_of
+from dssc_jax.cli.warnings import warn_of_study
 from dssc_jax.console.flight import show_code
 from dssc_jax.core import files
 from dssc_jax.core.generated_files import SUMS, require_replaceable, write_sums
@@ -27,6 +28,7 @@ def premises_of(study: Study, path: Path) -> Premises:
 def run(options: Code) -> int:
     """Write the folder of the controller, and print what it holds."""
     study = study_of(options).without_sweep()
+    warn_of_study(study)
     folder = FlightFolder(study, None if options.monitor is None else premises_of(study, options.monitor))
     out = options.out
     texts = folder.texts()

@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import Quantity
 SYMBOL = "dssc_jax_controllers"
 """The one symbol that a library must export."""
 
-VERSION = 1
+VERSION = 2
 MOST_CONTROLLERS = 64
 MOST_NUMBERS = 256
 MOST_BYTES = 1 << 16
@@ -56,6 +56,7 @@ class ControllerRow(ctypes.Structure):
         ("exchange", ctypes.c_size_t),
         ("signals", ctypes.c_size_t * SIGNALS),
         ("commands", ctypes.c_size_t * COMMANDS),
+        ("total", ctypes.c_size_t),
         ("flag", ctypes.c_size_t),
         ("parameter_count", ctypes.c_size_t),
         ("parameters", ctypes.POINTER(NumberRow)),
@@ -88,6 +89,7 @@ class NativeController:
         exchange: Bytes of the exchange.
         signals: Places of y, y', y_m, y_m', y_m''.
         commands: Places of u and u_n.
+        total: Place of u_p, their sum, which flies.
         flag: Place of the step's flag.
         parameters: Its parameters.
         telemetry: Its telemetry.
@@ -103,6 +105,7 @@ class NativeController:
     exchange: int
     signals: tuple[int, ...]
     commands: tuple[int, ...]
+    total: int
     flag: int
     parameters: tuple[NativeNumber, ...]
     telemetry: tuple[NativeNumber, ...]
@@ -152,6 +155,7 @@ def described_controller(row: ControllerRow) -> NativeController:
         row.exchange,
         tuple(row.signals),
         tuple(row.commands),
+        row.total,
         row.flag,
         described_numbers(name, row.parameters, row.parameter_count),
         described_numbers(name, row.telemetry, row.telemetry_count),
@@ -170,7 +174,7 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
         ConfigError: They do not.
     """
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
-    places = [*controller.signals, *controller.commands, controller.flag]
+    places = [*controller.signals, *controller.commands, controller.total, controller.flag]
     places += [number.offset for number in (*controller.parameters, *controller.telemetry)]
     rules = {
         "the sample time must be positive": controller.sample_time > 0.0,

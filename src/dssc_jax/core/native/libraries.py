@@ -14,6 +14,7 @@ from dssc_jax.lanes import foreign
 
 TRIED_SAMPLES = 64  # of a trial flight
 LARGEST_SIGNAL = 1000.0  # of a trial flight
+SAME_SUM = 1e-5  # largest relative difference of u_p from u + u_n
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
     Raises:
         ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
-            its structure.
+            its structure, or flies another command than u + u_n.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         copy = Path(folder) / f"{digest}.so"
@@ -55,6 +56,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
         controllers = described_controllers(library)
         for controller in controllers:
             require_reentrant(controller)
+            require_sum(controller)
     except ConfigError as error:
         raise ConfigError("file", f"'{path}' {error.rule}") from None
     return NativeLibrary(str(path.resolve()), digest, controllers)
@@ -124,9 +126,35 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
             for place, signal in zip(controller.signals, signals, strict=True):
                 memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
             step(memory.ctypes.data)
-            for place in controller.commands:
+            for place in (*controller.commands, controller.total):
                 commands[flight] += memory[place : place + real.itemsize].tobytes()
     return [bytes(commands[flight]) for flight in flights]
+
+
+def require_sum(controller: NativeController) -> None:
+    """Require that u_p, the command that flies, is u + u_n, the command that is analysed, in a trial flight.
+
+    Raises:
+        ConfigError: It is another one.
+    """
+    robust, nominal, total = trial_commands(controller).T
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = np.abs(robust) + np.abs(nominal)
+        different = np.abs(robust + nominal - total) > SAME_SUM * size
+    if different.any():
+        k = int(np.argmax(different))
+        rule = (
+            f"has a controller {controller.name} whose u_p is not u + u_n: in a trial flight it gives u = "
+            f"{robust[k]:g}, u_n = {nominal[k]:g} and u_p = {total[k]:g}. The analysis takes their sum, and u_p flies; "
+            "give all three, and limit u, u_n or both so that their sum is within the limits"
+        )
+        raise ConfigError("", rule)
+
+
+def trial_commands(controller: NativeController) -> np.ndarray:
+    """u, u_n and u_p of every sample of a trial flight with default parameters, shape (samples, 3)."""
+    (flown,) = flown_commands(controller, [0])
+    return np.frombuffer(flown, f"f{controller.real}").reshape(TRIED_SAMPLES, -1).astype(float)
 
 
 def samples_not_finite(controller: NativeController) -> int:
@@ -134,6 +162,4 @@ def samples_not_finite(controller: NativeController) -> int:
 
     It has the signals of :func:`flown_commands`.
     """
-    (flown,) = flown_commands(controller, [0])
-    commands = np.frombuffer(flown, f"f{controller.real}").reshape(TRIED_SAMPLES, -1)
-    return int(np.sum(~np.isfinite(commands).all(axis=1)))
+    return int(np.sum(~np.isfinite(trial_commands(controller)).all(axis=1)))

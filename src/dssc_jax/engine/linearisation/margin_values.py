@@ -23,7 +23,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 BATCH_LANES = 256  # linearised at once
-SMALL_BATCH = 32  # the same of no more lanes than these, as in a search
+SMALL_BATCH = 64  # the same of no more lanes than these, as in a search
 STEP = 1e-4  # of a difference, relative to the number
 
 

@@ -28,7 +28,7 @@ from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 EQUILIBRIUM = "equilibrium"
-BATCH_LANES = 2048  # derivatives that are computed at once
+BATCH_LANES = 512  # derivatives that are computed at once
 NEWTON_STEPS = 30  # towards an equilibrium
 STALLED = 1e-6  # relative change of a move below which a step brought nothing
 MOST_STALLS = 3  # such steps in a row
@@ -53,10 +53,6 @@ class StateMatrices(NamedTuple):
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
-
-
-Linearisation = Callable[[Arrays, np.ndarray, np.ndarray, int, np.ndarray], StateMatrices]
-"""(laws' values, draw indices, states, sample, findings) -> matrices of n draws; states and findings have n rows."""
 
 
 class Operating(NamedTuple):
@@ -97,51 +93,88 @@ def at_origin(study: Study) -> Study:
     return replace(study.override({"plant.initial": [0.0] * len(initial)}), loop=study.loop)
 
 
-def linearisation(study: Study, places: tuple[LoopPart, ...], resting: bool) -> Linearisation:
-    """The compiled linearisation of a study; without disturbances for a loop at rest.
+class Linearisation:
+    """The compiled linearisation of a study.
 
     A lane is one draw and one direction: one derivative a lane compiles and runs far faster than all in one.
+
+    Args:
+        study: The study.
+        places: Its parts.
+        resting: Whether the loop is at rest, without disturbances.
     """
-    points = len(break_points(study.loop))
 
-    def derivative(
-        values: dict[str, jax.Array],
-        index: jax.Array,
-        state: jax.Array,
-        direction: jax.Array,
-        k: jax.Array,
-        findings: jax.Array,
-    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-        loop, params = with_inner_sides(*linearised_loop(study, values, places, resting), places, findings)
-        sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
-        at = (state, jnp.zeros(points, state.dtype))
-        return jax.jvp(sample, at, (direction[:-points], direction[-points:]))
+    def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
+        self.points = len(break_points(study.loop))
 
-    program = jax.jit(jax.vmap(derivative, in_axes=(0, 0, 0, 0, None, 0)), compiler_options=plain_options())
+        def derivative(
+            values: dict[str, jax.Array],
+            index: jax.Array,
+            state: jax.Array,
+            direction: jax.Array,
+            k: jax.Array,
+            findings: jax.Array,
+        ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
+            loop, params = with_inner_sides(*linearised_loop(study, values, places, resting), places, findings)
+            sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
+            at = (state, jnp.zeros(self.points, state.dtype))
+            return jax.jvp(sample, at, (direction[: -self.points], direction[-self.points :]))
 
-    def linearise(
-        values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
+        lanes = jax.vmap(derivative, in_axes=(0, 0, 0, 0, None, 0))
+        self.program = jax.jit(lanes, compiler_options=plain_options())
+
+    def __call__(
+        self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> StateMatrices:
+        """The matrices of n draws.
+
+        Args:
+            values: Of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+            states: Shape (n, states).
+            k: Index of the sample.
+            findings: Shape (n, parts).
+        """
         count, order = states.shape
-        size = order + points
-        directions = np.eye(size)
-        parts = []
-        for first in range(0, count * size, BATCH_LANES):
-            lane = np.minimum(np.arange(first, first + BATCH_LANES), count * size - 1)
-            draw, direction = np.divmod(lane, size)
-            lane_values = {name: column[draw] for name, column in values.items()}
-            with arithmetic():
-                (after, _), slopes = program(
-                    lane_values, indices[draw], states[draw], directions[direction], k, findings[draw]
-                )
-                parts.append([np.asarray(part) for part in (after, *slopes)])
-        joined = [np.concatenate(part)[: count * size] for part in zip(*parts, strict=True)]
-        after, state_slopes, signal_slopes = joined
+        size = order + self.points
+        draw, direction = np.divmod(np.arange(count * size), size)
+        after, state_slopes, signal_slopes = self._derivatives(
+            values, indices, states, k, findings, draw, np.eye(size)[direction]
+        )
         a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
-        c = signal_slopes.reshape(count, size, points).swapaxes(1, 2)
+        c = signal_slopes.reshape(count, size, self.points).swapaxes(1, 2)
         return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
 
-    return linearise
+    def after(
+        self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
+    ) -> np.ndarray:
+        """The states of n draws after one sample, shape (n, states); arguments as for a call."""
+        count, order = states.shape
+        still = np.zeros((count, order + self.points))
+        return self._derivatives(values, indices, states, k, findings, np.arange(count), still)[0]
+
+    def _derivatives(
+        self,
+        values: Arrays,
+        indices: np.ndarray,
+        states: np.ndarray,
+        k: int,
+        findings: np.ndarray,
+        draw: np.ndarray,
+        directions: np.ndarray,
+    ) -> list[np.ndarray]:
+        """The next states of some draws, and the derivatives of states and signals along one direction of each."""
+        parts = []
+        for first in range(0, len(draw), BATCH_LANES):
+            lanes = np.minimum(np.arange(first, first + BATCH_LANES), len(draw) - 1)
+            chosen = draw[lanes]
+            lane_values = {name: column[chosen] for name, column in values.items()}
+            with arithmetic():
+                (after, _), slopes = self.program(
+                    lane_values, indices[chosen], states[chosen], directions[lanes], k, findings[chosen]
+                )
+                parts.append([np.asarray(part) for part in (after, *slopes)])
+        return [np.concatenate(part)[: len(draw)] for part in zip(*parts, strict=True)]
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
@@ -188,7 +221,7 @@ class RestingLoop:
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
         self.study = at_origin(study)
         self.places = places
-        self.linearise = linearisation(self.study, places, resting=True)
+        self.linearise = Linearisation(self.study, places, resting=True)
         self.initial = jax.jit(jax.vmap(self._initial), compiler_options=plain_options())
         self.flown = jax.jit(jax.vmap(self._flown), compiler_options=plain_options())
 
@@ -207,7 +240,7 @@ class RestingLoop:
         """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
         with arithmetic():
             begin = np.asarray(self.initial(values, indices))
-        return self.linearise(values, indices, begin, 0, self.smooth(len(indices))).after
+        return self.linearise.after(values, indices, begin, 0, self.smooth(len(indices)))
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
         """States on which the loop's signals depend where every part is within its boundaries, shape (n, states).

@@ -13,7 +13,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#define DSSC_JAX_LIBRARY_VERSION 1u
+#define DSSC_JAX_LIBRARY_VERSION 2u
 
 typedef struct {
     const char *name;
@@ -34,6 +34,7 @@ typedef struct {
     size_t exchange;    /* bytes of the whole exchange */
     size_t signals[5];  /* offsets of the measurement's y, y_dot and the reference's y, y_dot, y_ddot */
     size_t commands[2]; /* offsets of the command's u and u_n */
+    size_t total;       /* offset of u_p, their sum */
     size_t flag;
     size_t parameter_count;
     const dssc_jax_number *parameters;
@@ -91,6 +92,7 @@ typedef struct {
          offsetof(NAME##_exchange, reference.y), offsetof(NAME##_exchange, reference.y_dot),             \
          offsetof(NAME##_exchange, reference.y_ddot)},                                                   \
         {offsetof(NAME##_exchange, command.u), offsetof(NAME##_exchange, command.u_n)},                  \
+        offsetof(NAME##_exchange, command.u_p),                                                          \
         offsetof(NAME##_exchange, flag), PARAMETER_COUNT, PARAMETERS, TELEMETRY_COUNT, TELEMETRY,        \
         NAME##_init_exchange, NAME##_reset_exchange, NAME##_step_exchange}
 
