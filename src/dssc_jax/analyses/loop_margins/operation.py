@@ -11,11 +11,11 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.linearisation.operating_points import (
     EQUILIBRIUM,
+    Linearisation,
     Operating,
     RestingLoop,
     corner_notes,
     lane_loop,
-    Linearisation,
     require_derivative,
 )
 from dssc_jax.engine.linearisation.part_slopes import examination
