@@ -1,5 +1,8 @@
 """Whether a plant of one's own is consistent: y' is the derivative of y, and every disturbance has an effect."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +21,18 @@ PUSH = 0.1  # size of commands and disturbances there
 SAME_RATE = 1e-3  # relative difference of y' from the derivative of y that counts as none
 
 
+class Observed(NamedTuple):
+    """What a plant does at some points near its start.
+
+    Args:
+        wrong_rates: Of which channels y' is not the derivative of y at any point, shape (channels,).
+        felt: Which named inputs have an effect at some point, shape (inputs,).
+    """
+
+    wrong_rates: np.ndarray
+    felt: np.ndarray
+
+
 def plant_warnings(study: Study) -> list[str]:
     """Sentences on a plant of one's own whose y' is another function, or that ignores an input with a disturbance.
 
@@ -28,55 +43,77 @@ def plant_warnings(study: Study) -> list[str]:
         study: The study; uncertain numbers have their median values.
     """
     loop = study.loop
-    plant = loop.mimo_plant
     foreign = ":" in str(study.config.plant.get("kind", ""))
-    if not foreign or plant.begin is not None or kind_in(study.config, "wind") != "none":
+    if not foreign or loop.mimo_plant.begin is not None or kind_in(study.config, "wind") != "none":
         return []
-    params = medians(study.template).plant
-    channels, named = len(loop.channels), len(loop.input_names)
-    random = np.random.default_rng(0)
-    different = np.zeros(channels, int)
-    known = np.zeros(channels, int)
-    felt = np.zeros(named, bool)
-    with arithmetic():
-        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
-
-        def drive_of(signals: jax.Array) -> PlantInput:
-            commands, matched, inputs = jnp.split(signals, [channels, 2 * channels])
-            return PlantInput(tuple(commands), tuple(matched), None, tuple(inputs))
-
-        def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
-            return ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))[0]
-
-        def shown(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
-            measurements = plant.measure(params, unravel(x), drive_of(signals))
-            outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
-            return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
-
-        @jax.jit
-        def at_point(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            _, along = jax.jvp(lambda state: shown(state, signals)[0], (x,), (slope(x, signals),))
-            effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(shown, 1)(x, signals)])
-            return along, shown(x, signals)[1], effects[:, 2 * channels :]
-
-        for _ in range(POINTS):
-            x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
-            along, rate, effects = map(np.asarray, at_point(x, PUSH * random.normal(size=2 * channels + named)))
-            usable = np.isfinite(along) & np.isfinite(rate)
-            known += usable
-            different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
-            felt |= np.any(effects != 0.0, axis=0)
+    observed = observed_plant(study)
     found = []
-    for channel, wrong in zip(loop.channels, (known > 0) & (different == known), strict=True):
+    for channel, wrong in zip(loop.channels, observed.wrong_rates, strict=True):
         if wrong:
             place = f" of {channel}" if channel else ""
             found.append(
                 f"the plant's y'{place} is not the derivative of its y along its own slopes, so that whatever takes y' "
                 "is misled: return it from `measure`, or take a [differentiator]"
             )
-    for name, model, acts in zip(loop.input_names, loop.inputs, felt, strict=True):
+    for name, model, acts in zip(loop.input_names, loop.inputs, observed.felt, strict=True):
         if model != NO_DISTURBANCE and not acts:
             found.append(
                 f"the disturbance at the input {name} has no effect: the plant does not use it (`drive.inputs`)"
             )
     return found
+
+
+def observed_plant(study: Study) -> Observed:
+    """What the plant of a study does at some points near its start."""
+    channels = len(study.loop.channels)
+    named = len(study.loop.input_names)
+    different = np.zeros(channels, int)
+    known = np.zeros(channels, int)
+    felt = np.zeros(named, bool)
+    random = np.random.default_rng(0)
+    with arithmetic():
+        start, behaviour = start_and_behaviour(study)
+        for _ in range(POINTS):
+            x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
+            signals = PUSH * random.normal(size=2 * channels + named)
+            along, rate, effects = map(np.asarray, behaviour(x, signals))
+            usable = np.isfinite(along) & np.isfinite(rate)
+            known += usable
+            different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
+            felt |= np.any(effects != 0.0, axis=0)
+    return Observed((known > 0) & (different == known), felt)
+
+
+def start_and_behaviour(
+    study: Study,
+) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], tuple[jax.Array, jax.Array, jax.Array]]]:
+    """The plant's state at the start as a vector, and a compiled function of state and signals.
+
+    Signals are the commands, the matched disturbances and the named inputs. The function returns the derivative of y
+    along the slopes and the y' that the plant measures, each of shape (channels,), and the derivatives of slopes and
+    measurements by the named inputs, shape (..., inputs).
+    """
+    plant = study.loop.mimo_plant
+    channels = len(study.loop.channels)
+    params = medians(study.template).plant
+    start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
+
+    def drive_of(signals: jax.Array) -> PlantInput:
+        commands, matched, inputs = jnp.split(signals, [channels, 2 * channels])
+        return PlantInput(tuple(commands), tuple(matched), None, tuple(inputs))
+
+    def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
+        return ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))[0]
+
+    def measured(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
+        measurements = plant.measure(params, unravel(x), drive_of(signals))
+        outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
+        return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
+
+    @jax.jit
+    def behaviour(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        _, along = jax.jvp(lambda state: measured(state, signals)[0], (x,), (slope(x, signals),))
+        effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured, 1)(x, signals)])
+        return along, measured(x, signals)[1], effects[:, 2 * channels :]
+
+    return start, behaviour
