@@ -304,8 +304,7 @@ class Lattice:
         for axis, lattice, places in zip(self.over, self.axes, zip(*fresh, strict=True), strict=True):
             values[axis.name] = np.repeat(lattice[list(places)], draws)
         indices = np.tile(np.arange(draws), len(fresh))
-        results = self.evaluator(indices, values)
-        failed = results["outcome"].reshape(len(fresh), draws) != 0
+        failed = self.evaluator.fails(indices, values).reshape(len(fresh), draws)
         for point, count in zip(fresh, np.count_nonzero(failed, axis=1), strict=True):
             self.failures[point] = count
         if self.progress:

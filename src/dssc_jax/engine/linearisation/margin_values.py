@@ -1,7 +1,7 @@
 """Margins that a study requires, of the linearised loop of each lane, at any values of its uncertain numbers.
 
-Every lane is linearised at its equilibrium, in batches of two sizes, on a grid of frequencies of its own. So its
-margins depend on its own numbers alone, and neither on the block that it lies in nor on how many draws there are.
+Every lane is linearised at its equilibrium, on a grid of frequencies of its own. So its margins depend on its own
+numbers alone, and neither on the block that it lies in nor on how many draws there are.
 """
 
 from dataclasses import dataclass, field
@@ -22,8 +22,7 @@ from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places,
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
-BATCH_LANES = 256  # linearised at once
-SMALL_BATCH = 64  # the same of no more lanes than these, as in a search
+BATCH_LANES = 2048  # linearised at once
 STEP = 1e-4  # of a difference, relative to the number
 
 
@@ -106,12 +105,10 @@ class MarginValues:
             return {}
         names = [*self.study.axes, *self.study.laws]
         columns: dict[str, list[np.ndarray]] = {name: [] for name in self.margins}
-        size = SMALL_BATCH if len(indices) <= SMALL_BATCH else BATCH_LANES
-        for first in range(0, len(indices), size):
-            lanes = np.minimum(np.arange(first, first + size), len(indices) - 1)
-            count = min(size, len(indices) - first)
+        for first in range(0, len(indices), BATCH_LANES):
+            lanes = slice(first, first + BATCH_LANES)
             batch = {name: np.asarray(values[name], float)[lanes] for name in names}
-            for name, column in self._batch(batch, indices[lanes], count).items():
+            for name, column in self._batch(batch, indices[lanes]).items():
                 columns[name].append(column)
         return {name: np.concatenate(parts) for name, parts in columns.items()}
 
@@ -137,10 +134,9 @@ class MarginValues:
             slopes[margin] = np.where(np.isfinite(slope), slope, 0.0)
         return slopes
 
-    def _batch(self, values: Arrays, indices: np.ndarray, count: int) -> Arrays:
-        """The margins of the first lanes of a batch; the others make it as long as all batches."""
+    def _batch(self, values: Arrays, indices: np.ndarray) -> Arrays:
+        """The margins of some lanes."""
         states, matrices, settled, _ = self.resting.settle(values, indices)
-        settled[count:] = False
         outside = np.zeros(len(settled), bool)
         if settled.any():
             findings = self.examine(values, indices, np.where(settled[:, None], states, states[settled][0]), 1)
@@ -154,7 +150,7 @@ class MarginValues:
             if margin.place not in by_place:
                 fields = {m.kind.field: m.kind.neutral for m in self.margins.values() if m.place == margin.place}
                 by_place[margin.place] = self._at(matrices, settled, outside, places.index(margin.place), fields)
-        return {name: by_place[margin.place][margin.kind.field][:count] for name, margin in self.margins.items()}
+        return {name: by_place[margin.place][margin.kind.field] for name, margin in self.margins.items()}
 
     def _at(
         self, matrices: StateMatrices, settled: np.ndarray, outside: np.ndarray, point: int, neutral: dict[str, float]

@@ -14,7 +14,16 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
-from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.lane_programs import (
+    SAMPLE,
+    STATE,
+    LaneProgram,
+    Numbers,
+    columns_of,
+    numbers_of,
+    numbers_of_study,
+    vector_in,
+)
 from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
     Finding,
@@ -23,12 +32,12 @@ from dssc_jax.engine.linearisation.smooth_parts import (
     substituted,
     with_inner_sides,
 )
-from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 EQUILIBRIUM = "equilibrium"
-BATCH_LANES = 512  # derivatives that are computed at once
+FINDING = "@finding"
+DIRECTION = "@direction"
 NEWTON_STEPS = 30  # towards an equilibrium
 STALLED = 1e-6  # relative change of a move below which a step brought nothing
 MOST_STALLS = 3  # such steps in a row
@@ -107,21 +116,20 @@ class Linearisation:
     def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
         self.points = len(break_points(study.loop))
 
-        def derivative(
-            values: dict[str, jax.Array],
-            index: jax.Array,
-            state: jax.Array,
-            direction: jax.Array,
-            k: jax.Array,
-            findings: jax.Array,
-        ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-            loop, params = with_inner_sides(*linearised_loop(study, values, places, resting), places, findings)
-            sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
-            at = (state, jnp.zeros(self.points, state.dtype))
-            return jax.jvp(sample, at, (direction[: -self.points], direction[-self.points :]))
+        def derivative(values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers, Numbers, Numbers]:
+            state = vector_in(values, STATE)
+            findings = vector_in(values, FINDING)
+            size = len(state) + self.points
+            direction = jnp.where(jnp.arange(size) == values[DIRECTION], 1.0, 0.0)
+            loop, params = with_inner_sides(
+                *linearised_loop(study, numbers_of_study(values), places, resting), places, findings
+            )
+            sample = sample_map(loop, params, draw_key(study.config.seed, index), values[SAMPLE].astype(jnp.int32))
+            at = (state, jnp.zeros(self.points))
+            (after, _), slopes = jax.jvp(sample, at, (direction[: len(state)], direction[len(state) :]))
+            return numbers_of(after), numbers_of(slopes[0]), numbers_of(slopes[1])
 
-        lanes = jax.vmap(derivative, in_axes=(0, 0, 0, 0, None, 0))
-        self.program = jax.jit(lanes, compiler_options=plain_options())
+        self.program = LaneProgram(derivative)
 
     def __call__(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
@@ -138,9 +146,7 @@ class Linearisation:
         count, order = states.shape
         size = order + self.points
         draw, direction = np.divmod(np.arange(count * size), size)
-        after, state_slopes, signal_slopes = self._derivatives(
-            values, indices, states, k, findings, draw, np.eye(size)[direction]
-        )
+        after, state_slopes, signal_slopes = self._derivatives(values, indices, states, k, findings, draw, direction)
         a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
         c = signal_slopes.reshape(count, size, self.points).swapaxes(1, 2)
         return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
@@ -149,9 +155,8 @@ class Linearisation:
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
         """The states of n draws after one sample, shape (n, states); arguments as for a call."""
-        count, order = states.shape
-        still = np.zeros((count, order + self.points))
-        return self._derivatives(values, indices, states, k, findings, np.arange(count), still)[0]
+        draw = np.arange(len(states))
+        return self._derivatives(values, indices, states, k, findings, draw, np.zeros_like(draw))[0]
 
     def _derivatives(
         self,
@@ -161,20 +166,13 @@ class Linearisation:
         k: int,
         findings: np.ndarray,
         draw: np.ndarray,
-        directions: np.ndarray,
+        direction: np.ndarray,
     ) -> list[np.ndarray]:
         """The next states of some draws, and the derivatives of states and signals along one direction of each."""
-        parts = []
-        for first in range(0, len(draw), BATCH_LANES):
-            lanes = np.minimum(np.arange(first, first + BATCH_LANES), len(draw) - 1)
-            chosen = draw[lanes]
-            lane_values = {name: column[chosen] for name, column in values.items()}
-            with arithmetic():
-                (after, _), slopes = self.program(
-                    lane_values, indices[chosen], states[chosen], directions[lanes], k, findings[chosen]
-                )
-                parts.append([np.asarray(part) for part in (after, *slopes)])
-        return [np.concatenate(part)[: len(draw)] for part in zip(*parts, strict=True)]
+        columns = {name: column[draw] for name, column in values.items()}
+        columns |= columns_of(STATE, states[draw]) | columns_of(FINDING, findings[draw])
+        columns |= {DIRECTION: direction, SAMPLE: np.full(len(draw), k)}
+        return self.program(columns, indices[draw])
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
@@ -222,24 +220,24 @@ class RestingLoop:
         self.study = at_origin(study)
         self.places = places
         self.linearise = Linearisation(self.study, places, resting=True)
-        self.initial = jax.jit(jax.vmap(self._initial), compiler_options=plain_options())
-        self.flown = jax.jit(jax.vmap(self._flown), compiler_options=plain_options())
+        self.initial = LaneProgram(self._initial)
+        self.flown = LaneProgram(self._flown)
 
-    def _initial(self, values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
+    def _initial(self, values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers]:
         loop, params = linearised_loop(self.study, values, self.places, resting=True)
-        return ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0]
+        return (numbers_of(ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0]),)
 
-    def _flown(self, values: dict[str, jax.Array], index: jax.Array, state: jax.Array) -> jax.Array:
+    def _flown(self, values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers]:
         """The state after as many samples as the study has, at a constant reference."""
-        loop, params = linearised_loop(self.study, values, self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers_of_study(values), self.places, resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
-        quiet = jnp.zeros(len(break_points(loop)), state.dtype)
-        return jax.lax.fori_loop(0, self.study.loop.steps, lambda _, at: sample(at, quiet)[0], state)
+        quiet = jnp.zeros(len(break_points(loop)))
+        state = vector_in(values, STATE)
+        return (numbers_of(jax.lax.fori_loop(0, self.study.loop.steps, lambda _, at: sample(at, quiet)[0], state)),)
 
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
         """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
-        with arithmetic():
-            begin = np.asarray(self.initial(values, indices))
+        (begin,) = self.initial(values, indices)
         return self.linearise.after(values, indices, begin, 0, self.smooth(len(indices)))
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -271,8 +269,7 @@ class RestingLoop:
         first = self.settled_from(begin, values, indices)
         if first.settled.all():
             return first
-        with arithmetic():
-            flown = np.asarray(self.flown(values, indices, begin))
+        (flown,) = self.flown(values | columns_of(STATE, begin), indices)
         second = self.settled_from(flown, values, indices)
 
         def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:

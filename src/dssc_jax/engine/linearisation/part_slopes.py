@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
@@ -25,7 +26,6 @@ from dssc_jax.closed_loop.sample import (
     step,
 )
 from dssc_jax.core.contracts import Controller, Differentiator, Disturbance, Plant, Sensor, Unmodelled
-from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import (
     Command,
     Measurement,
@@ -37,8 +37,17 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 from dssc_jax.core.smoothness import SmoothExtent
+from dssc_jax.engine.linearisation.lane_programs import (
+    SAMPLE,
+    STATE,
+    LaneProgram,
+    Numbers,
+    columns_of,
+    numbers_of,
+    numbers_of_study,
+    vector_in,
+)
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
-from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import Arrays
 
 SMALL = 1e-8  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
@@ -53,6 +62,9 @@ ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relativ
 BATCH_PUSHES = 16384  # pushes of all draws that are computed at once
 SINGLE_INPUTS = 32  # inputs that are pushed one by one
 RANDOM_DIRECTIONS = 4  # directions in which all inputs are pushed together, and all signals
+
+POINT = "@point "
+AXIS = "@axis "
 
 LaneValues: TypeAlias = dict[str, jax.Array]
 """The values of the laws of one draw, by name."""
@@ -243,65 +255,60 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     """The same for parts that are all examined."""
 
-    def lane_maps(
-        values: LaneValues, index: jax.Array, state: jax.Array, k: jax.Array
-    ) -> tuple[Loop, LoopParams, list[PartMap]]:
-        loop, params, key = lane(values, index)
+    def lane_maps(values: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
+        loop, params, key = lane(numbers_of_study(values), index)
         _, unravel = ravel_pytree(initial_state(loop, params, key))
-        return loop, params, part_maps(loop, params, key, unravel(state), k, places)
+        state = unravel(vector_in(values, STATE))
+        return loop, params, part_maps(loop, params, key, state, values[SAMPLE].astype(jnp.int32), places)
 
-    def inputs(
-        values: LaneValues, index: jax.Array, state: jax.Array, k: jax.Array
-    ) -> list[tuple[jax.Array, jax.Array]]:
-        _, _, maps = lane_maps(values, index, state, k)
-        return [(vector_of(part_map.memory), vector_of(part_map.signals)) for part_map in maps]
+    def inputs(values: LaneValues, index: jax.Array) -> tuple[Numbers, ...]:
+        _, _, maps = lane_maps(values, index)
+        vectors = []
+        for part_map in maps:
+            vectors += [vector_of(part_map.memory), vector_of(part_map.signals)]
+        return tuple(map(numbers_of, vectors))
 
-    def pushed(
-        values: LaneValues,
-        index: jax.Array,
-        state: jax.Array,
-        k: jax.Array,
-        points: list[jax.Array],
-        axes: list[jax.Array],
-    ) -> list[Slopes[jax.Array]]:
-        loop, params, maps = lane_maps(values, index, state, k)
-        slopes = []
-        for place, part_map, point, axis in zip(places, maps, points, axes, strict=True):
+    def pushed(values: LaneValues, index: jax.Array) -> tuple[Numbers, ...]:
+        loop, params, maps = lane_maps(values, index)
+        vectors: list[jax.Array] = []
+        for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
             part, part_params = part_of(loop, params, place)
-            slopes.append(slopes_of(place, part_map, part, part_params, point, axis))
-        return slopes
+            point = vector_in(values, f"{POINT}{i}")
+            axis = vector_in(values, f"{AXIS}{i}")
+            vectors += slopes_of(place, part_map, part, part_params, point, axis)
+        return tuple(map(numbers_of, vectors))
 
-    options = plain_options()
-    inputs_of = jax.jit(jax.vmap(inputs, in_axes=(0, 0, 0, None)), compiler_options=options)
-    push = jax.jit(jax.vmap(pushed, in_axes=(0, 0, 0, None, 0, 0)), compiler_options=options)
+    inputs_of = LaneProgram(inputs)
+    push = LaneProgram(pushed)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
-        with arithmetic():
-            vectors = inputs_of(values, indices, states, k)
-            patterns = repeated([directions(memory.shape[1], signals.shape[1]) for memory, signals in vectors])
-            points = [np.concatenate(pair, axis=1) for pair in vectors]
-            count = len(indices)
-            rows = len(MULTIPLES) * len(patterns[0])
-            batch = min(count, max(1, BATCH_PUSHES // rows))
-            shape = (batch, len(MULTIPLES), len(patterns[0]), -1)
-            findings = []
-            for first in range(0, count, batch):
-                draw = np.minimum(np.arange(first, first + batch), count - 1)
-                lanes = np.repeat(draw, rows)
-                lane_values = {name: column[lanes] for name, column in values.items()}
-                moved = []
-                axes = []
-                for point, pattern in zip(points, patterns, strict=True):
-                    moved_point, axis = pushes(point[draw], pattern)
-                    moved.append(moved_point)
-                    axes.append(axis)
-                slopes = push(lane_values, indices[lanes], states[lanes], k, moved, axes)
-                columns = []
-                for place, part_slopes, (memory, _), pattern in zip(places, slopes, vectors, patterns, strict=True):
-                    pushed_slopes = Slopes(*(np.asarray(array).reshape(shape) for array in part_slopes))
-                    columns.append(finding(place, pushed_slopes, memory.shape[1], pattern))
-                findings.append(np.stack(columns, axis=1))
-        return np.concatenate(findings)[:count]
+        count = len(indices)
+        columns = values | columns_of(STATE, states) | {SAMPLE: np.full(count, k)}
+        vectors = inputs_of(columns, indices)
+        memories = vectors[::2]
+        points = [np.concatenate(pair, axis=1) for pair in zip(memories, vectors[1::2], strict=True)]
+        sizes = [
+            (memory.shape[1], point.shape[1] - memory.shape[1]) for memory, point in zip(memories, points, strict=True)
+        ]
+        patterns = repeated([directions(*size) for size in sizes])
+        rows = len(MULTIPLES) * len(patterns[0])
+        batch = max(1, BATCH_PUSHES // rows)
+        findings = []
+        for first in range(0, count, batch):
+            draws = np.arange(first, min(first + batch, count))
+            lanes = np.repeat(draws, rows)
+            pushed_columns = {name: column[lanes] for name, column in columns.items()}
+            for i, (point, pattern) in enumerate(zip(points, patterns, strict=True)):
+                moved, axes = pushes(point[draws], pattern)
+                pushed_columns |= columns_of(f"{POINT}{i}", moved) | columns_of(f"{AXIS}{i}", axes)
+            found = push(pushed_columns, indices[lanes])
+            shape = (len(draws), len(MULTIPLES), len(patterns[0]), -1)
+            arrays = [array.reshape(shape) for array in found]
+            kinds = []
+            for i, place in enumerate(places):
+                kinds.append(finding(place, Slopes(*arrays[3 * i : 3 * i + 3]), sizes[i][0], patterns[i]))
+            findings.append(np.stack(kinds, axis=1))
+        return np.concatenate(findings)
 
     return examine
 
