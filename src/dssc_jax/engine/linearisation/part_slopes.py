@@ -1,12 +1,7 @@
-"""Classify the parts of a loop at an operating point: smooth, at a corner, beyond it, or not as they declare.
-
-Each part is a function of its own state and inputs. It is pushed to both sides at two sizes, and the effect is compared
-with its derivative. Where there is one, the deviation shrinks with the push; at a corner or a jump it does not. A
-staircase does not move at all for small pushes, and then jumps.
-"""
+"""Classify the parts of a loop at its operating points: each as a function of its state and inputs, under pushes."""
 
 from collections.abc import Callable, Sequence
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +31,6 @@ from dssc_jax.core.signals import (
     State,
     tracking_error,
 )
-from dssc_jax.core.smoothness import SmoothExtent
 from dssc_jax.engine.linearisation.lane_programs import (
     SAMPLE,
     STATE,
@@ -47,22 +41,11 @@ from dssc_jax.engine.linearisation.lane_programs import (
     numbers_of_study,
     vector_in,
 )
+from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, finding, pushes, repeated
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.sampling import Arrays
 
-SMALL = 1e-8  # pushes, relative to 1 + |x|, at which differences are compared with the derivative
-LARGE = 1e-6
-PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # under the longer ones, a staircase begins to move
-MULTIPLES = (0.0, *(side * push for push in PUSHES for side in (1.0, -1.0)))
-SIDES = np.array([1.0, -1.0])[:, None, None]
-JUMP = 1e-7  # of an output that stood still under the push before, relative to 1 + |y|
-DEVIATION = 1e-3  # of a difference from the derivative, relative to the largest derivative of the same output
-SHRINKING = 0.5  # of that deviation from the large push to the small one, where a derivative exists
-ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relative to 1 + |y|
 BATCH_PUSHES = 16384  # pushes of all draws that are computed at once
-SINGLE_INPUTS = 32  # inputs that are pushed one by one
-RANDOM_DIRECTIONS = 4  # directions in which all inputs are pushed together, and all signals
-
 POINT = "@point "
 AXIS = "@axis "
 
@@ -74,8 +57,6 @@ LaneLoop: TypeAlias = Callable[[LaneValues, jax.Array], tuple[Loop, LoopParams, 
 
 Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]
 """(laws' values, draw indices, states, sample) -> a :class:`Finding` for each part, shape (n, parts)."""
-
-Array = TypeVar("Array", jax.Array, np.ndarray)
 
 
 class PartMap(NamedTuple):
@@ -198,20 +179,6 @@ def part_maps(
     return [map_of[place.slot](place.channel) for place in places]
 
 
-class Slopes(NamedTuple, Generic[Array]):
-    """A part near its operating point, along a direction.
-
-    Args:
-        value: Its outputs, shape (outputs,).
-        slope: Their derivative, shape (outputs,).
-        inner: That of its substitute for its inner side; without a substitute, that of the part.
-    """
-
-    value: Array
-    slope: Array
-    inner: Array
-
-
 def vector_of(tree: object) -> jax.Array:
     """The numbers of a tree as a vector."""
     return ravel_pytree(as_arrays(tree))[0]
@@ -311,91 +278,3 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         return np.concatenate(findings)
 
     return examine
-
-
-def directions(memory: int, signals: int) -> np.ndarray:
-    """Directions in which a part is pushed, shape (directions, memory + signals): if few, one by one, and together."""
-    random = np.random.default_rng(0)
-    sizes = random.uniform(0.5, 1.5, (RANDOM_DIRECTIONS, memory + signals))
-    joint = sizes * random.choice([-1.0, 1.0], (RANDOM_DIRECTIONS, 1))
-    joint[: RANDOM_DIRECTIONS // 2, ::2] *= -1.0
-    signals_alone = joint.copy()
-    signals_alone[:, :memory] = 0.0
-    parts = [joint, signals_alone] if memory and signals else [joint]
-    if memory + signals <= SINGLE_INPUTS:
-        parts.append(np.eye(memory + signals))
-    return np.concatenate(parts)
-
-
-def repeated(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Directions of several parts, repeated until all parts have as many."""
-    longest = max(map(len, patterns))
-    return [pattern[np.arange(longest) % len(pattern)] for pattern in patterns]
-
-
-def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pushed points and their directions, each of shape (n * multiples * directions, inputs).
-
-    Args:
-        points: Operating points, shape (n, inputs).
-        pattern: Directions relative to 1 + abs(x), shape (directions, inputs).
-    """
-    axes = pattern * (1.0 + np.abs(points))[:, None, :]
-    axes = np.broadcast_to(axes[:, None], (len(points), len(MULTIPLES), *pattern.shape))
-    moved = points[:, None, None, :] + np.array(MULTIPLES)[:, None, None] * axes
-    return moved.reshape(-1, points.shape[1]), axes.reshape(-1, points.shape[1])
-
-
-def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
-    """Classify one part at the operating points: a :class:`Finding` of each draw, shape (n,).
-
-    Args:
-        place: The part.
-        pushed: The part under the pushes, each array of shape (n, multiples, directions, outputs).
-        memory: How many inputs are the part's own state.
-        pattern: Directions, shape (directions, inputs).
-    """
-    value = pushed.value[:, 0, 0]
-    slopes = pushed.slope[:, 0]
-    inner = pushed.inner[:, 0]
-    with np.errstate(all="ignore"):
-        moves = pushed.value[:, 1:].reshape(len(value), -1, 2, *slopes.shape[1:]) - value[:, None, None, None]
-        noise = ROUNDING_NOISE * (1.0 + np.abs(value))[:, None, None]
-
-        def error(derivative: np.ndarray, index: int) -> np.ndarray:
-            """Deviation of both differences from a derivative, shape (n, sides, directions, outputs)."""
-            push = PUSHES[index]
-            differences = moves[:, index] * SIDES / push
-            deviation = np.maximum(np.abs(differences - derivative[:, None]) - noise / push, 0.0)
-            return np.where(np.isfinite(deviation), deviation, np.inf)
-
-        small = error(slopes, 0)
-        large = error(slopes, 1)
-        largest = np.max(np.abs(slopes), axis=1)[:, None, None]
-        defect = np.any((small > DEVIATION * largest) & (small > SHRINKING * large), axis=(1, 2, 3))
-        if place.remaining.extent != SmoothExtent.PIECEWISE:
-            signal_directions = ~np.any(pattern[:, :memory], axis=1)
-            defect |= np.any(staircase(moves, slopes, value) & signal_directions, axis=1)
-        corner = np.zeros(len(value), dtype=bool)
-        outside = np.zeros(len(value), dtype=bool)
-        if place.inner:
-            scale = DEVIATION * np.maximum(largest, np.max(np.abs(inner), axis=1)[:, None, None])
-            inner_side = np.any(np.all(error(inner, 1) <= scale, axis=3), axis=1)
-            cornered = np.any(large > scale, axis=(1, 2, 3))
-            corner = cornered & np.all(inner_side, axis=1)
-            outside = ~cornered & np.any(np.abs(inner - slopes) > scale[:, 0], axis=(1, 2))
-    return np.select([corner, defect, outside], [Finding.CORNER, Finding.DEFECT, Finding.BEYOND], Finding.SMOOTH)
-
-
-def staircase(moves: np.ndarray, slopes: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """Whether an output stands still for pushes along a direction and then jumps, shape (n, directions).
-
-    Args:
-        moves: Effects of the pushes, shape (n, pushes, sides, directions, outputs).
-        slopes: Derivatives, shape (n, directions, outputs).
-        value: Outputs at the operating point, shape (n, outputs).
-    """
-    size = np.abs(moves)
-    unmoved = (size[:, :-1] == 0.0) & (slopes == 0.0)[:, None, None]
-    jumps = np.isfinite(size[:, 1:]) & (size[:, 1:] > JUMP * (1.0 + np.abs(value))[:, None, None, None])
-    return np.any(unmoved & jumps, axis=(1, 2, 4))
