@@ -15,6 +15,7 @@ from dssc_jax.console.results import show_result
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.evaluation import Derivative, Evaluator, GradientEvaluator
 from dssc_jax.engine.linearisation.margin_values import MarginValues
+from dssc_jax.engine.plain import PlainBatch
 from dssc_jax.engine.sampling import draw
 from tests.page_examples import BLOCK
 
@@ -180,6 +181,17 @@ def test_margins_depend_on_the_draw_alone(result, tmp_path):
 def test_one_draw_alone_has_the_same_margin(result):
     trajectory = dj.simulate(study(), draw=4)
     assert trajectory.attrs["disk_margin"] == result.dataset["disk_margin"].values[4]
+
+
+def test_plain_xla_finds_the_same_margins(result, monkeypatch):
+    """The loop is linearised by machine code, or by XLA where that is asked for."""
+    monkeypatch.setenv("DSSC_JAX_KERNEL", "scan")
+    plain = MarginValues(study())
+    indices = np.arange(40)
+    values = plain(draw(study(), indices), indices)
+    assert isinstance(plain.resting.linearise.program.start.__self__, PlainBatch)
+    for name, column in values.items():
+        np.testing.assert_allclose(column, result.dataset[name].values, rtol=1e-9, err_msg=name)
 
 
 def test_derivatives_of_slacks_are_those_of_the_margins():
