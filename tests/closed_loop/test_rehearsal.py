@@ -5,13 +5,17 @@ import math
 import re
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.types import Command, Controller, Measurement, Plant
 from tests.conftest import UNCERTAIN
+
+RANDOM = np.random.default_rng()
 
 
 class Params(NamedTuple):
@@ -43,6 +47,10 @@ def branching(params, state, drive, t):
     return Swing(state.rate, 0.0) if state.angle > 0.0 else Swing(0.0, 0.0)
 
 
+def gusty(params, state, drive, t):
+    return Swing(state.rate, drive.command - jnp.sin(state.angle) + RANDOM.normal())
+
+
 def of_python(params, state, drive, t):
     return Swing(state.rate, -math.sin(state.angle))
 
@@ -58,6 +66,7 @@ PLANTS = {
     "a name that is not there": (PLANT._replace(derivative=misspelled), "`derivative` fails in line .*'speed'"),
     "a Python branch": (PLANT._replace(derivative=branching), "`derivative` fails in line .*jnp.where"),
     "a function of math": (PLANT._replace(derivative=of_python), "`derivative` fails in line .*jax.numpy"),
+    "a random number": (PLANT._replace(derivative=gusty), "gives other values when the same call is repeated"),
     "a plain tuple": (
         PLANT._replace(derivative=lambda p, at, u, t: (at.rate, at.angle)),
         r"`derivative` must return .* as Swing\(angle=number, rate=number\), got \(number, number\)",
@@ -119,5 +128,13 @@ def test_controllers_function_is_named(fault, monkeypatch):
     assert "controller" in caught.value.where
 
 
-def test_parts_without_fault_pass(monkeypatch):
-    assert study(monkeypatch, plant=PLANT, controller=CONTROLLER).loop.plant is PLANT
+def relu(params, state, drive, t):
+    bounded = jax.custom_jvp(lambda x: jnp.minimum(x, 2.0))
+    bounded.defjvp(lambda primals, tangents: (bounded(*primals), tangents[0]))
+    return Swing(state.rate, bounded(jax.nn.relu(drive.command)) - jnp.sin(state.angle))
+
+
+@pytest.mark.parametrize("slopes", [derivative, relu])
+def test_parts_without_fault_pass(slopes, monkeypatch):
+    plant = PLANT._replace(derivative=slopes)
+    assert study(monkeypatch, plant=plant, controller=CONTROLLER).loop.plant is plant

@@ -362,3 +362,12 @@ def test_an_integral_that_nothing_feeds_is_no_pole_of_the_loop():
     found = first_gains(buck(plant=plant, loop={"duration": 4.0, "sample_time": 0.01}), "pid", 20.0)
     assert "k_i" not in found.table
     assert found.radius < 1.0
+
+
+@pytest.mark.parametrize("kind", ["pid", "lqg"])
+def test_an_actuator_that_limits_earlier_limits_the_controller(kind):
+    duty = [{"kind": "saturation", "low": 0.0, "limit": 0.75}, {"kind": "lag", "mu": 1e-6}]
+    found = first_gains(buck(actuator=duty), kind, BANDWIDTH, 0.9)
+    assert (found.table["low"], found.table["high"]) == (0.0, 0.75)
+    found = first_gains(buck(actuator=duty), kind, BANDWIDTH, 0.5)
+    assert (found.table["low"], found.table["high"]) == (0.0, 0.5)

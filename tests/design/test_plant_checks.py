@@ -47,6 +47,10 @@ TANK = Plant(
 )
 LYING = TANK._replace(measure=lambda params, state, drive: Measurement(state.h, 0.0))
 TIGHT = TANK._replace(derivative=tight, measure=lambda p, s, drive: Measurement(s.h, tight(p, s, drive, 0.0).h))
+DEAF = TANK._replace(
+    derivative=lambda p, s, drive, t: derivative(p, s, drive._replace(disturbance=0.0), t),
+    measure=lambda p, s, drive: Measurement(s.h, derivative(p, s, drive._replace(disturbance=0.0), 0.0).h),
+)
 LEAK = [{"kind": "constant", "value": 0.1, "input": "leak"}]
 
 
@@ -57,6 +61,8 @@ LEAK = [{"kind": "constant", "value": 0.1, "input": "leak"}]
         ("LYING", LEAK, ["the plant's y' is not the derivative of its y"]),
         ("TIGHT", LEAK, ["the disturbance at the input leak has no effect"]),
         ("TIGHT", {"kind": "none"}, []),
+        ("DEAF", {"kind": "constant", "value": 0.1}, ["the disturbance at the command has no effect"]),
+        ("TANK", {"kind": "constant", "value": 0.1}, []),
     ],
 )
 def test_what_contradicts_itself_is_told(plant, disturbance, told):

@@ -8,6 +8,7 @@ from dssc_jax.core.quantities import extent
 from dssc_jax.design import noise_warning, rate_warning
 from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
+from dssc_jax.engine.unused_laws import unused_laws
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
@@ -66,6 +67,8 @@ def warn_of_study(study: Study) -> None:
     """
     if isinstance(study, Described):
         return
+    for name in unused_laws(study):
+        say(f"warning: {name} has a law, and no result depends on it: the code of your part does not read it")
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_vehicle(study)

@@ -1,6 +1,7 @@
 """One sample of a loop, traced without numbers, so that a fault in a user's part is told by its function and line."""
 
 import inspect
+import re
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,7 +46,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
         params: Their parameters; numbers may be abstract.
 
     Raises:
-        ConfigError: A user's function fails, or a state changes its form.
+        ConfigError: A user's function fails, a state changes its form, or the same call gives other values.
     """
     if not user_functions(loop):
         return
@@ -56,12 +57,37 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
         slopes = first_slopes(loop, params, state)
         require_form("plant", "derivative", "the state's derivative", state.plant, slopes)
         after, _ = step(loop, params, key, state, 0)
+    require_repeatable(loop, params)
     require_form("plant", "project", "the state", state.plant, after.plant)
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
             initial, following = (getattr(at.channels[channel], slot) for at in (state, after))
             require_form(place_of(slot, name), "step", "the state", initial, following)
     require_form("wind", "step", "the state", state.wind, after.wind)
+
+
+def require_repeatable(loop: Loop, params: LoopParams) -> None:
+    """Require that the first sample is the same program whenever it is traced.
+
+    Raises:
+        ConfigError: It is another one: a user's function draws random numbers of its own, reads a clock, or counts.
+    """
+
+    def program() -> str:
+        def first_sample() -> tuple[LoopState, State, LoopState]:  # a new function, which JAX has not traced yet
+            key = jax.random.key(0)
+            state = initial_state(loop, params, key)
+            return state, first_slopes(loop, params, state), step(loop, params, key, state, 0)[0]
+
+        return re.sub(r"0x[0-9a-f]+", "", str(jax.make_jaxpr(first_sample)()))  # without addresses
+
+    if program() != program():
+        parts = " and ".join(sorted({function.part for function in user_functions(loop).values()}))
+        raise ConfigError(
+            parts,
+            "gives other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
+            "a pure function, which is traced once: give what is random a law, a [[disturbance]] or a [sensor]",
+        )
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:

@@ -11,12 +11,13 @@ from dssc_jax.models.controllers.library import KIND
 
 
 class ParameterSummary(TypedDict):
-    """A parameter: its default, unit, meaning and admissible values."""
+    """A parameter: its default, unit, meaning, admissible values, and whether the default is one of them."""
 
     default: float
     unit: str
     meaning: str
     admissible: str
+    default_admissible: bool
 
 
 class ControllerSummary(TypedDict):
@@ -57,6 +58,7 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
             "unit": quantity.unit,
             "meaning": quantity.meaning,
             "admissible": quantity.interval,
+            "default_admissible": quantity.violated_by(default, default) is None,
         }
     return {
         "sample_time": controller.sample_time,
@@ -82,6 +84,10 @@ def show_library(library: NativeLibrary, file: Path) -> None:
             show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
         say(f"telemetry: {reported or 'none'}")
+        for parameter, described in summary["parameters"].items():
+            if not described["default_admissible"]:
+                default = f"the default of {parameter}, {described['default']:g}"
+                say(f"warning: {default}, is not {described['admissible']}: a study has to state it")
         if lost := summary["samples_not_finite"]:
             trial = f"{lost} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             say(f"warning: its command is not finite in {trial}")

@@ -6,11 +6,16 @@ Reference:
 
 import math
 
+import jax
 import numpy as np
 
+from dssc_jax.core.contracts import Unmodelled
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.signals import Params, State
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import LinearPlant, Subject
+from dssc_jax.study.actuators import acting_elements
+from dssc_jax.study.fitting import medians
 
 PHASE_MARGIN = math.radians(60.0)
 LEAST_MARGIN = math.radians(45.0)  # where one lead element gives no more with the slowest integral
@@ -64,8 +69,22 @@ def pid(subject: Subject, omega: float, ratio: float) -> TomlTable:
 
 
 def limits(subject: Subject) -> TomlTable:
-    """The limits of the command, as fields of a controller."""
-    return {} if subject.limit is None else {"low": -subject.limit, "high": subject.limit}
+    """The limits of the command, as fields of a controller; an actuator may limit earlier than the design."""
+    if subject.limit is None:
+        return {}
+    low, high = -subject.limit, subject.limit
+    for element, params in acting_elements(subject.study.table, subject.study.config):
+        numbers = medians(params)
+        state = element.model.init(numbers)
+        if not jax.tree.leaves(state):
+            low, high = (limited(element.model, numbers, state, end) for end in (low, high))
+    return {"low": low, "high": high}
+
+
+def limited(model: Unmodelled, params: Params, state: State, end: float) -> float:
+    """What an actuator without a state gives at the end of the commands, if it gives no more beyond; else that end."""
+    at_end, beyond = (float(model.output(params, state, factor * end)) for factor in (1.0, 2.0))
+    return at_end if at_end == beyond else end
 
 
 def acts_at_rest(plant: LinearPlant, omega: float) -> bool:

@@ -26,10 +26,12 @@ class Observed(NamedTuple):
 
     Args:
         wrong_rates: Of which channels y' is not the derivative of y at any point, shape (channels,).
-        felt: Which named inputs have an effect at some point, shape (inputs,).
+        matched: At which commands a disturbance has an effect at some point, shape (channels,).
+        felt: Which named inputs have one, shape (inputs,).
     """
 
     wrong_rates: np.ndarray
+    matched: np.ndarray
     felt: np.ndarray
 
 
@@ -55,6 +57,12 @@ def plant_warnings(study: Study) -> list[str]:
                 f"the plant's y'{place} is not the derivative of its y along its own slopes, so that whatever takes y' "
                 "is misled: return it from `measure`, or take a [differentiator]"
             )
+    for channel, model, acts in zip(loop.channels, loop.disturbance, observed.matched, strict=True):
+        if model != NO_DISTURBANCE and not acts:
+            place = f" {channel}" if channel else ""
+            found.append(
+                f"the disturbance at the command{place} has no effect: the plant does not use it (`drive.disturbance`)"
+            )
     for name, model, acts in zip(loop.input_names, loop.inputs, observed.felt, strict=True):
         if model != NO_DISTURBANCE and not acts:
             found.append(
@@ -69,7 +77,7 @@ def observed_plant(study: Study) -> Observed:
     named = len(study.loop.input_names)
     different = np.zeros(channels, int)
     known = np.zeros(channels, int)
-    felt = np.zeros(named, bool)
+    felt = np.zeros(channels + named, bool)
     random = np.random.default_rng(0)
     with arithmetic():
         start, behaviour = start_and_behaviour(study)
@@ -81,7 +89,7 @@ def observed_plant(study: Study) -> Observed:
             known += usable
             different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
             felt |= np.any(effects != 0.0, axis=0)
-    return Observed((known > 0) & (different == known), felt)
+    return Observed((known > 0) & (different == known), felt[:channels], felt[channels:])
 
 
 def start_and_behaviour(
@@ -91,7 +99,7 @@ def start_and_behaviour(
 
     Signals are the commands, the matched disturbances and the named inputs. The function returns the derivative of y
     along the slopes and the y' that the plant measures, each of shape (channels,), and the derivatives of slopes and
-    measurements by the named inputs, shape (..., inputs).
+    measurements by the matched disturbances and the named inputs, shape (..., channels + inputs).
     """
     plant = study.loop.mimo_plant
     channels = len(study.loop.channels)
@@ -114,6 +122,6 @@ def start_and_behaviour(
     def behaviour(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         _, along = jax.jvp(lambda state: measured(state, signals)[0], (x,), (slope(x, signals),))
         effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured, 1)(x, signals)])
-        return along, measured(x, signals)[1], effects[:, 2 * channels :]
+        return along, measured(x, signals)[1], effects[:, channels:]
 
     return start, behaviour

@@ -266,6 +266,21 @@ def test_a_first_command_at_its_limit_does_not_hide_the_equilibrium():
         np.testing.assert_allclose(limited[name], free[name], rtol=1e-9)
 
 
+def test_an_unstable_loop_at_its_limit_is_unstable():
+    """Newton's method from the first sample and a simulation both stay at the limit."""
+    step = {"reference": {"kind": "step", "size": 1.0}, "loop": {"duration": 2.0, "sample_time": T_S}}
+    plant = {"kind": "normal_form", "k_p": 1.0, "a_p": {"uniform": [-1.0, 1.0]}, "initial": [0.0, 0.0]}
+    gains = {"kind": "pid", "k_p": 6.0, "k_i": {"uniform": [0.0, 40.0]}, "k_d": 3.0, "filter": 0.05}
+    required = [{"margin": "gain", "min": "6 dB"}]
+    changes = step | {"plant": plant, "requirement": required, "draws": 64}
+    free = dj.run(study(**changes, controller=gains), check=False)
+    limited = dj.run(study(**changes, controller=gains | {"low": -1.0, "high": 1.0}), check=False)
+    counts = [next(found.points())["requirements"][0] for found in (free, limited)]
+    assert 0 < counts[0]["unstable"] < 64
+    assert [(count["unstable"], count["no_operating_point"]) for count in counts] == [(counts[0]["unstable"], 0)] * 2
+    np.testing.assert_allclose(limited.dataset["gain_margin"], free.dataset["gain_margin"], rtol=1e-9)
+
+
 def without_rest(**changes):
     """Integral action on a plant with a zero at rest has no equilibrium at a step; a zero at 20 makes it unstable."""
     table = {

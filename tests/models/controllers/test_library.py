@@ -251,6 +251,11 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
         ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
         ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
         ("    real k_d;", "    float k_d;", "must be numbers of one type"),
+        (
+            "    controller->state.filtered = 0;\n    controller->started = false;",
+            "(void)controller;",
+            "repeated after reset",
+        ),
         ("u_p = command->u + command->u_n", "u_p = 0.5 * command->u", r"whose u_p is not u \+ u_n: .* flight it gives"),
     ],
 )
@@ -340,6 +345,9 @@ def test_the_command_builds_and_shows(tmp_path, monkeypatch, capsys):
     (tmp_path / "lost.c").write_text(lost)
     assert guarded(["library", "lost.c"]) == 0
     assert "not finite in 64 of 64 samples" in capsys.readouterr().out
+    (tmp_path / "odd.c").write_text((tmp_path / "own.c").read_text().replace("limit = 10;", "limit = -1;"))
+    assert guarded(["library", "odd.c"]) == 0
+    assert "the default of limit, -1, is not >= 0: a study has to state it" in capsys.readouterr().out
     (tmp_path / "own.c").write_text((tmp_path / "own.c").read_text().replace("fmin(", "fmin_of("))
     assert guarded(["library", "own.c"]) == 2
     assert "does not compile" in capsys.readouterr().err

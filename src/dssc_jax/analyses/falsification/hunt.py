@@ -168,48 +168,75 @@ class Hunt:
         order = np.argsort(slacks, kind="stable")
         return points[order], slacks[order]
 
-    def starts(self, count: int) -> np.ndarray:
-        """Starting points: the worst points that are far enough apart, then the worst of the rest."""
+    def single_slacks(self) -> np.ndarray:
+        """Slack of every requirement that counts relative to its scale, of all points so far, shape (n, counted)."""
+        counted = counted_places(self.requirements, self.requirement)
+        scales = np.array([self.requirements[place].scale for place in counted])
+        slacks = np.concatenate([seen.single_slacks[:, counted] for seen in self.seen]) / scales
+        return np.where(np.isnan(slacks), -np.inf, slacks)
+
+    def targets(self, count: int) -> list[int]:
+        """The requirement that each climb descends, as a place among those that count: the most critical first.
+
+        The worst draw of all requirements is the worst among those of each. The requirement that binds at most points
+        would otherwise hide another one, whose worst draws lie elsewhere.
+        """
+        order = np.argsort(self.single_slacks().min(axis=0), kind="stable").tolist() or [0]
+        return [order[climb % len(order)] for climb in range(count)]
+
+    def starts(self, targets: list[int]) -> np.ndarray:
+        """Starting points: the worst of each climb's requirement that are far enough apart, then the worst of all."""
         points, _ = self.ranked()
+        order = np.argsort(np.concatenate([seen.slacks for seen in self.seen]), kind="stable")
+        single = self.single_slacks()[order]
         chosen: list[int] = []
-        for index, point in enumerate(points):
-            if len(chosen) == count:
-                break
-            if all(self.region.separate(point, points[earlier]) for earlier in chosen):
-                chosen.append(index)
+        for target in targets:
+            column = single[:, target] if single.shape[1] else np.zeros(len(points))
+            for index in np.argsort(column, kind="stable").tolist():
+                if all(self.region.separate(points[index], points[earlier]) for earlier in chosen):
+                    chosen.append(index)
+                    break
         remaining = [index for index in range(len(points)) if index not in chosen]
-        return points[[*chosen, *remaining][:count]]
+        return points[[*chosen, *remaining][: len(targets)]]
 
     def climb(self) -> None:
-        """Run projected gradient descents of the slack simultaneously, each with its own step length.
+        """Run projected gradient descents of one slack each simultaneously, each with its own step length.
 
         Native code has no derivatives; then evolution gets this share of the budget.
         """
         if native_code(self.programs.study):
             return
         cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
-        points = self.starts(climbers(self.budget, self.size))
+        targets = self.targets(climbers(self.budget, self.size))
+        points = self.starts(targets)
         if len(points) * cost > room:
             return
-        best, results = self.simulate(points, evaluator, cost)
-        slopes, stride = self.slopes(points, results), np.full(len(points), STRIDE)
+        _, results = self.simulate(points, evaluator, cost)
+        best, slopes = self.descent(points, results, targets)
+        stride = np.full(len(points), STRIDE)
         for _ in range(room // (cost * len(points)) - 1):
             trial = self.region.descended(points, slopes, stride)
-            slacks, results = self.simulate(trial, evaluator, cost)
+            _, results = self.simulate(trial, evaluator, cost)
+            slacks, fresh = self.descent(trial, results, targets)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
-            slopes = np.where(better[:, None], self.slopes(trial, results), slopes)
+            slopes = np.where(better[:, None], fresh, slopes)
             best, stride = np.minimum(best, slacks), stride * np.where(better, LONGER, SHORTER)
             if self.worst == -np.inf:
                 return
 
-    def slopes(self, points: np.ndarray, results: Arrays) -> np.ndarray:
-        """Derivatives of the worst slack with respect to the coordinates, shape (n, laws); 0 if there is none."""
+    def descent(self, points: np.ndarray, results: Arrays, targets: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """The slack that each climb descends, shape (n,), and its derivatives by the coordinates, shape (n, laws)."""
         counted = counted_places(self.requirements, self.requirement)
         requirements = [self.requirements[place] for place in counted]
-        gradients = worst_slopes(requirements, results, list(self.programs.study.laws))
-        slopes = self.region.slopes(points, gradients)
-        return np.where(np.isfinite(slopes), slopes, 0.0)
+        if not requirements:
+            return worst_slack(requirements, results), np.zeros(points.shape)
+        slacks = np.array([worst_slack([requirement], results) for requirement in requirements])
+        laws = list(self.programs.study.laws)
+        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in requirements])
+        climbs = np.arange(len(points))
+        slopes = self.region.slopes(points, gradients[targets, climbs])
+        return slacks[targets, climbs], np.where(np.isfinite(slopes), slopes, 0.0)
 
     def evolve(self) -> None:
         """Run differential evolution, starting from the worst points so far."""

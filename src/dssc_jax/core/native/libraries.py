@@ -42,7 +42,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
     Raises:
         ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
-            its structure, or flies another command than u + u_n.
+            its structure, is not reset, or flies another command than u + u_n.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         copy = Path(folder) / f"{digest}.so"
@@ -56,6 +56,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
         controllers = described_controllers(library)
         for controller in controllers:
             require_reentrant(controller)
+            require_reset(controller)
             require_sum(controller)
     except ConfigError as error:
         raise ConfigError("file", f"'{path}' {error.rule}") from None
@@ -107,17 +108,41 @@ def require_reentrant(controller: NativeController) -> None:
         raise ConfigError("", f"has a controller {controller.name} that {rule}")
 
 
+def require_reset(controller: NativeController) -> None:
+    """Require that ``reset`` begins a flight: the same flight, flown once more after it, gives the same bits.
+
+    Raises:
+        ConfigError: It does not.
+    """
+    memory = initial_memory(controller)
+    first, second = (flown_with(controller, {0: memory}) for _ in range(2))
+    if first != second:
+        rule = (
+            "gives other commands when a trial flight is repeated after reset, so that the second flight of this code "
+            "differs from the first, which is the one analysed; let reset set the whole state"
+        )
+        raise ConfigError("", f"has a controller {controller.name} that {rule}")
+
+
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
-    """Fly some flights in turn, sample by sample; return the bits of all commands of each flight.
+    """The commands of trial flights that begin after ``init``, as :func:`flown_with` returns them."""
+    return flown_with(controller, {flight: initial_memory(controller) for flight in flights})
+
+
+def flown_with(controller: NativeController, memories: dict[int, np.ndarray]) -> list[bytes]:
+    """Reset some flights and fly them in turn, sample by sample; return the bits of all commands of each flight.
 
     Signals oscillate, and grow from 1 to ``LARGEST_SIGNAL``, so that limits are met as well.
+
+    Args:
+        controller: The controller.
+        memories: The exchange of each flight, bytes, by the flight's number; in it the flights leave their state.
     """
     reset = CALL(controller.reset)
     step = CALL(controller.step)
-    memories = {flight: initial_memory(controller) for flight in flights}
     for memory in memories.values():
         reset(memory.ctypes.data)
-    commands = {flight: bytearray() for flight in flights}
+    commands = {flight: bytearray() for flight in memories}
     real = np.dtype(f"f{controller.real}")
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
@@ -128,7 +153,7 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
             step(memory.ctypes.data)
             for place in (*controller.commands, controller.total):
                 commands[flight] += memory[place : place + real.itemsize].tobytes()
-    return [bytes(commands[flight]) for flight in flights]
+    return [bytes(flown) for flown in commands.values()]
 
 
 def require_sum(controller: NativeController) -> None:

@@ -208,6 +208,15 @@ class Resting(NamedTuple):
     felt: np.ndarray
 
 
+def with_settled(found: Resting, later: Resting) -> Resting:
+    """What was found, with what was found later where nothing had settled."""
+
+    def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:
+        return np.where(found.settled.reshape(-1, *[1] * (early.ndim - 1)), early, late)
+
+    return jax.tree.map(chosen, found, later)
+
+
 class RestingLoop:
     """The undisturbed loop of a study as compiled programs, for any values of its uncertain numbers.
 
@@ -247,47 +256,58 @@ class RestingLoop:
         """
         if not any(place.inner for place in self.places):
             return np.zeros(states.shape, bool)
-        within = np.full((len(indices), len(self.places)), Finding.CORNER.value)
-        matrices = self.linearise(values, indices, states, 1, within)
+        matrices = self.linearise(values, indices, states, 1, self.within(len(indices)))
         return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
 
     def smooth(self, count: int) -> np.ndarray:
         """Findings of a loop whose parts are all smooth, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
-    def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
-        """Find the equilibria by Newton's method, from the states after the first sample or after a simulation.
+    def within(self, count: int) -> np.ndarray:
+        """Findings by which every part is taken as within its boundaries, shape (count, parts)."""
+        return np.full((count, len(self.places)), Finding.CORNER.value)
 
-        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere. A
-        stable loop has left the limit after a simulation at the constant reference.
+    def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
+        """Find the equilibria by Newton's method, from the states after the first sample.
+
+        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere. It
+        starts again from the equilibrium of the loop without limits, and then from the state after a simulation at the
+        constant reference, by which a stable loop has left the limit.
 
         Args:
             values: Of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
         begin = self.start(values, indices)
-        first = self.settled_from(begin, values, indices)
-        if first.settled.all():
-            return first
-        (flown,) = self.flown(values | columns_of(STATE, begin), indices)
-        second = self.settled_from(flown, values, indices)
+        found = self.settled_from(begin, values, indices, self.smooth(len(indices)))
+        for states_of in (self.unlimited_states, self.flown_states):
+            if found.settled.all():
+                break
+            later = self.settled_from(states_of(begin, values, indices), values, indices, self.smooth(len(indices)))
+            found = with_settled(found, later)
+        return found
 
-        def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-            return np.where(first.settled.reshape(-1, *[1] * (early.ndim - 1)), early, late)
+    def unlimited_states(self, begin: np.ndarray, values: Arrays, indices: np.ndarray) -> np.ndarray:
+        """The equilibria of the loop with every part within its boundaries, shape (n, states)."""
+        if not any(place.inner for place in self.places):
+            return begin
+        return self.settled_from(begin, values, indices, self.within(len(indices))).states
 
-        return jax.tree.map(chosen, first, second)
+    def flown_states(self, begin: np.ndarray, values: Arrays, indices: np.ndarray) -> np.ndarray:
+        """The states after a simulation at a constant reference, shape (n, states)."""
+        (states,) = self.flown(values | columns_of(STATE, begin), indices)
+        return states
 
-    def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray) -> Resting:
+    def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
         """The equilibria to which Newton's method leads from some states, shape (n, states).
 
         It ends where steps no longer change how far the states move: there a command is at a limit.
         """
-        smooth = self.smooth(len(indices))
         trial = 0
         stalls = np.zeros(len(indices), int)
         last = np.full(states.shape, np.inf)
         inner = self.inner_dependence(values, indices, states)
-        matrices = self.linearise(values, indices, states, 1, smooth)
+        matrices = self.linearise(values, indices, states, 1, findings)
         while True:
             move = matrices.after - states
             finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
@@ -308,7 +328,7 @@ class RestingLoop:
                 states[np.ix_(draws, kept)] += (inverse @ move[np.ix_(draws, kept)][..., None])[..., 0]
             lanes = np.flatnonzero(moving)
             moved = {name: column[lanes] for name, column in values.items()}
-            fresh = self.linearise(moved, indices[lanes], states[lanes], 1, smooth[lanes])
+            fresh = self.linearise(moved, indices[lanes], states[lanes], 1, findings[lanes])
             for array, rows in zip(matrices, fresh, strict=True):
                 array[lanes] = rows
 
