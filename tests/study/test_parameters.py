@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.cli.warnings import warn_of_units
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.batching import Engine, evaluate
 from dssc_jax.engine.sampling import draw
 from dssc_jax.study.described import Described, describe
 from dssc_jax.study.tables import changed
+from tests.conftest import UNCERTAIN
 from tests.mutations import places
 
 DRAWS = 12
@@ -255,6 +257,23 @@ def test_unused_parameters_are_named(study):
         "parameters.R",
         "parameters.T",
     )
+
+
+def test_multiples_of_si_units_are_told(capsys):
+    """Formulas take numbers as they are, so 38 uH would be 38 H."""
+    parameters = {
+        "L": {"value": 38.0, "unit": "uH"},
+        "w": {"value": 10.0, "unit": "rpm"},
+        "m": {"value": 2.0, "unit": "kg m^2/s"},
+        "p": {"value": 2.0, "unit": "Pa"},
+        "n": {"value": 2.0},
+    }
+    warn_of_units(dj.Study.from_table(UNCERTAIN | {"sweep": {}, "parameters": parameters}))
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2
+    assert "the unit uH of parameters.L" in told[0]
+    assert "1 uH is 1e-06" in told[0]
+    assert "if formulas expect rad/s, 1 rpm is 0.10472" in told[1]
 
 
 def test_a_lane_takes_parameters_and_no_number_that_follows(study):

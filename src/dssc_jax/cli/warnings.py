@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dssc_jax.cli.output import say
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import extent
+from dssc_jax.core.units import scaled_symbols
 from dssc_jax.design import noise_warning, rate_warning
 from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
@@ -60,6 +61,17 @@ def warn_of_times(study: Study) -> None:
             say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
 
 
+def warn_of_units(study: Study) -> None:
+    """Print a warning of parameters in multiples of units, which formulas take as they are."""
+    for name in study.parameter_names:
+        unit = study.numbers[name].quantity.unit
+        for symbol, (factor, base) in scaled_symbols(unit).items():
+            say(
+                f"warning: the unit {unit} of {name} is a label, its numbers are taken as they are: if formulas expect "
+                f"{base}, 1 {symbol} is {factor:g}"
+            )
+
+
 def warn_of_study(study: Study) -> None:
     """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads.
 
@@ -71,6 +83,7 @@ def warn_of_study(study: Study) -> None:
         say(f"warning: {name} has a law, and no result depends on it: the code of your part does not read it")
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
+    warn_of_units(study)
     warn_of_vehicle(study)
     warn_of_signals(study)
     warn_of_times(study)

@@ -16,6 +16,17 @@ POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"
 TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<sign>[/()]))\s*")
 CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
 
+PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
+PREFIXED = ("m", "s", "A", "N", "Pa", "J", "W", "V", "F", "H", "Hz", "ohm", "C", "T", "rad")
+"""Units of the SI that are written with prefixes."""
+OTHER_UNITS = {
+    "cm": (1e-2, "m"),
+    "deg": (0.0174533, "rad"),
+    "rpm": (0.10472, "rad/s"),
+    "min": (60.0, "s"),
+    "h": (3600.0, "s"),
+}
+
 Powers: TypeAlias = dict[str, Fraction]
 """Exponent of each base unit, in the order in which the units were first named."""
 
@@ -98,6 +109,22 @@ def parse_unit(text: str) -> Powers:
     if end != len(text):
         raise ValueError(wrong)
     return powers
+
+
+def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
+    """The symbols of a unit that are not of the SI itself: each with its factor and the unit of the SI.
+
+    Example:
+        >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
+        ({'uH': (1e-06, 'H')}, {})
+    """
+    found = {}
+    for symbol in parse_unit(text):
+        if symbol in OTHER_UNITS:
+            found[symbol] = OTHER_UNITS[symbol]
+        elif symbol[0] in PREFIXES and symbol[1:] in PREFIXED:
+            found[symbol] = (PREFIXES[symbol[0]], symbol[1:])
+    return found
 
 
 def product(text: str, position: int) -> tuple[Powers, int]:
