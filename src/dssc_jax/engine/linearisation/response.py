@@ -102,13 +102,11 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
     def substituted(angles: np.ndarray) -> np.ndarray:
         z = np.exp(1j * angles)
         total = np.zeros(angles.shape, complex)
-        x = np.empty((order, *angles.shape), complex)
-        for i in reversed(range(order)):
-            right = np.broadcast_to(columns[:, i, None], angles.shape)
-            for j in range(i + 1, order):
-                right = right + triangles[:, i, j, None] * x[j]
-            x[i] = right / (z - triangles[:, i, i, None])
-            total += rows[:, i, None] * x[i]
+        right = np.repeat(columns[:, :, None], angles.shape[1], axis=2)
+        for i in reversed(range(order)):  # element by element, so that no loop's digits depend on the others
+            x = right[:, i] / (z - triangles[:, i, i, None])
+            right[:, :i] += triangles[:, :i, i, None] * x[:, None]
+            total += rows[:, i, None] * x
         return total
 
     return at
@@ -180,14 +178,11 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
     places, nearest = chosen(same_sign & (size <= np.abs(left)) & (size <= np.abs(right)))
     if not places.shape[1]:
         return angles, values
-    columns = []
-    for column in range(places.shape[1]):
-        at = places[:, column : column + 1]
-        low = np.take_along_axis(angles, at, 1)
-        high = np.take_along_axis(angles, at + 2, 1)
-        sign = np.sign(np.take_along_axis(values, at + 1, 1))
-        columns.append(golden(lambda theta, sign=sign: -sign * function(theta), low, high)[0])
-    fresh = np.where(nearest, np.concatenate(columns, axis=1), np.take_along_axis(angles, places + 1, 1))
+    low = np.take_along_axis(angles, places, 1)
+    high = np.take_along_axis(angles, places + 2, 1)
+    sign = np.sign(np.take_along_axis(values, places + 1, 1))
+    closest = golden(lambda theta: -sign * function(theta), low, high)[0]
+    fresh = np.where(nearest, closest, np.take_along_axis(angles, places + 1, 1))
     all_angles = np.concatenate([angles, fresh], axis=1)
     all_values = np.concatenate([values, function(fresh)], axis=1)
     order = np.argsort(all_angles, axis=1, kind="stable")
@@ -205,7 +200,7 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
     """Roots of a real function of the angle, between neighbours of different sign, by the Illinois method.
 
     Args:
-        function: (angles of shape (n, 1)) -> real values.
+        function: (angles of shape (n, r)) -> real values.
         angles: Ascending, shape (n, m).
         values: The function there.
 
@@ -214,31 +209,27 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
     """
     angles, values = with_touching(function, angles, values)
     places, crossed = chosen(values[:, :-1] * values[:, 1:] < 0.0)
-    results = np.empty(places.shape)
-    for column in range(places.shape[1]):
-        at = places[:, column : column + 1]
-        low = np.take_along_axis(angles, at, 1)
-        high = np.take_along_axis(angles, at + 1, 1)
-        f_low = np.take_along_axis(values, at, 1)
-        f_high = np.take_along_axis(values, at + 1, 1)
-        for _ in range(ROOT_STEPS):
-            difference = f_high - f_low
-            middle = np.where(
-                difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0)
-            )
-            middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
-            f_middle = function(middle)
-            crossing = f_middle * f_high < 0.0  # between the middle and the high end
-            low = np.where(crossing, high, low)
-            f_low = np.where(crossing, f_high, 0.5 * f_low)
-            high = middle
-            f_high = f_middle
-        results[:, column] = high[:, 0]
-    return results, crossed
+    if not places.shape[1]:
+        return np.empty(places.shape), crossed
+    low = np.take_along_axis(angles, places, 1)
+    high = np.take_along_axis(angles, places + 1, 1)
+    f_low = np.take_along_axis(values, places, 1)
+    f_high = np.take_along_axis(values, places + 1, 1)
+    for _ in range(ROOT_STEPS):
+        difference = f_high - f_low
+        middle = np.where(difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0))
+        middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
+        f_middle = function(middle)
+        crossing = f_middle * f_high < 0.0  # between the middle and the high end
+        low = np.where(crossing, high, low)
+        f_low = np.where(crossing, f_high, 0.5 * f_low)
+        high = middle
+        f_high = f_middle
+    return high, crossed
 
 
 def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest value of a real function with one peak in [low, high], and its place; shape (n, 1)."""
+    """The largest value of a real function with one peak in [low, high], and its place; any one shape."""
     left = high - GOLDEN * (high - low)
     right = low + GOLDEN * (high - low)
     f_left = function(left)
