@@ -239,6 +239,22 @@ def test_a_sensor_of_a_signal_that_the_controller_does_not_read_is_told(controll
     assert ("[sensor.travel] act on signals that it does not read" in capsys.readouterr().err) == warns
 
 
+@pytest.mark.parametrize(
+    ("sensor", "warns"),
+    [
+        ({"kind": "noisy", "position_std": 0.01, "measures": ["y", "travel"]}, True),
+        ({"kind": "noisy", "position_std": 0.01, "measures": ["travel"]}, False),
+        ({"kind": "ideal", "measures": ["y", "travel"]}, False),
+        ({"kind": "noisy", "position_std": 0.01, "measures": ["y"], "y": {"kind": "noisy"}}, False),
+    ],
+)
+def test_a_y_that_is_exact_beside_a_noisy_sensor_is_told(sensor, warns, capsys):
+    """LQG filtered an exact y, though the study's sensor had noise."""
+    gains = {"kind": "state_feedback", "k_1": 800.0, "k_2": 0.0, "signals": [100.0] * len(sensor["measures"])}
+    warn_of_signals(car(sensor=sensor, controller=gains))
+    assert ("y in [sensor] measures is exact" in capsys.readouterr().err) == warns
+
+
 @pytest.mark.parametrize(("at", "warns"), [(50.0, True), ({"uniform": [50.0, 60.0]}, True), (0.5, False)])
 def test_a_disturbance_after_the_end_is_told(at, warns, capsys):
     warn_of_times(car(disturbance=[{**HALF, "kind": "step", "at": at}]))

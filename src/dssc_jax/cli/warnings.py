@@ -36,11 +36,19 @@ def warn_of_vehicle(study: Study) -> None:
 
 
 def warn_of_signals(study: Study) -> None:
-    """Print a warning of sensors of measured signals that no controller of the study reads."""
+    """Print a warning of sensors that no controller of the study reads, and of a y that is read exactly beside one."""
     if not study.loop.measures:
         return
     loop, template = study.loop, study.template
     if any(model.takes(gains) for model, gains in zip(loop.controller, template.controller, strict=True)):
+        kind = kind_in(study.config, "sensor")
+        exact = [signal.name for signal in loop.measures if signal.name not in study.config.sensor]
+        for name in ("y", "y_dot") if kind != "ideal" else ():
+            if name in exact:
+                say(
+                    f"warning: {name} in [sensor] measures is exact, though kind = '{kind}' of [sensor] is not: a "
+                    f"measured signal has its own sensor; give [sensor.{name}] that kind and its numbers"
+                )
         return
     sensors = [f"[sensor.{signal.name}]" for signal in loop.measures if signal.name in study.config.sensor]
     if sensors:
