@@ -9,7 +9,7 @@ from dssc_jax.core.units import scaled_symbols
 from dssc_jax.design import noise_warning, rate_warning
 from dssc_jax.design.plant_checks import plant_warnings
 from dssc_jax.engine.integration import integration_error
-from dssc_jax.engine.unused_laws import unused_laws
+from dssc_jax.engine.unread_numbers import unread_numbers
 from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import Vehicle
 from dssc_jax.study import Described, Study
@@ -69,6 +69,18 @@ def warn_of_times(study: Study) -> None:
             say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
 
 
+def warn_of_libraries(study: Study) -> None:
+    """Print a warning of stated gains that change no command of a controller in C."""
+    stated = study.table["controller"]
+    for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
+        for gain in model.without_effect:
+            if gain in stated or gain in stated.get(channel, {}):
+                say(
+                    f"warning: the gain {gain} of {model.native} changes no command of trial flights: the C code does "
+                    "not read it, keeps it outside of its structure, or these flights do not reach what it limits"
+                )
+
+
 def warn_of_units(study: Study) -> None:
     """Print a warning of parameters in multiples of units, which formulas take as they are."""
     for name in study.parameter_names:
@@ -87,8 +99,9 @@ def warn_of_study(study: Study) -> None:
     """
     if isinstance(study, Described):
         return
-    for name in unused_laws(study):
-        say(f"warning: {name} has a law, and no result depends on it: the code of your part does not read it")
+    for name in unread_numbers(study):
+        say(f"warning: {name} is uncertain, and no result depends on it: the code of this part does not read it")
+    warn_of_libraries(study)
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_units(study)

@@ -6,7 +6,13 @@ from typing import TypedDict
 
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import TRIED_SAMPLES, NativeLibrary, default_values, samples_not_finite
+from dssc_jax.core.native.libraries import (
+    TRIED_SAMPLES,
+    NativeLibrary,
+    default_values,
+    parameters_without_effect,
+    samples_not_finite,
+)
 from dssc_jax.models.controllers.library import KIND
 
 
@@ -23,7 +29,8 @@ class ParameterSummary(TypedDict):
 class ControllerSummary(TypedDict):
     """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters and telemetry.
 
-    ``samples_not_finite`` counts those of a trial flight whose command is not finite.
+    ``samples_not_finite`` counts those of a trial flight whose command is not finite; ``without_effect`` names the
+    parameters that change no command of one.
     """
 
     sample_time: float
@@ -32,6 +39,7 @@ class ControllerSummary(TypedDict):
     parameters: dict[str, ParameterSummary]
     telemetry: dict[str, str]
     samples_not_finite: int
+    without_effect: list[str]
 
 
 class LibrarySummary(TypedDict):
@@ -67,6 +75,7 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
         "parameters": parameters,
         "telemetry": {number.name: number.quantity.unit for number in controller.telemetry},
         "samples_not_finite": samples_not_finite(controller),
+        "without_effect": list(parameters_without_effect(controller)),
     }
 
 
@@ -88,6 +97,9 @@ def show_library(library: NativeLibrary, file: Path) -> None:
             if not described["default_admissible"]:
                 default = f"the default of {parameter}, {described['default']:g}"
                 say(f"warning: {default}, is not {described['admissible']}: a study has to state it")
+        for parameter in summary["without_effect"]:
+            reasons = "does not read it, keeps it outside of its structure, or the flight does not reach what it limits"
+            say(f"warning: {parameter} changes no command of a trial flight: the code {reasons}")
         if lost := summary["samples_not_finite"]:
             trial = f"{lost} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             say(f"warning: its command is not finite in {trial}")

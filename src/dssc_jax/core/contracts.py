@@ -199,6 +199,7 @@ class Controller(NamedTuple):
         native: File of the native code that it calls, through which no derivative passes; empty: all of it is JAX.
         begin: See :data:`~dssc_jax.core.outside_state.Begin`; None: the state is all that there is.
         takes_rate: Whether it takes y'; None: trial steps tell.
+        without_effect: Names of the gains that change no command of trial flights of native code.
     """
 
     gains: type
@@ -218,6 +219,7 @@ class Controller(NamedTuple):
     native: str = ""
     begin: Begin | None = None
     takes_rate: bool | None = None
+    without_effect: tuple[str, ...] = ()
 
     def tunable_gains(self, gains: Params) -> tuple[str, ...]:
         """Names of the usual gains, dotted within the controller's table."""

@@ -256,6 +256,11 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
             "(void)controller;",
             "repeated after reset",
         ),
+        (
+            "    controller->started = false;",
+            "    controller->started = false;\n    my_init(controller);",
+            "parameter k_p",
+        ),
         ("u_p = command->u + command->u_n", "u_p = 0.5 * command->u", r"whose u_p is not u \+ u_n: .* flight it gives"),
     ],
 )
@@ -348,6 +353,16 @@ def test_the_command_builds_and_shows(tmp_path, monkeypatch, capsys):
     (tmp_path / "odd.c").write_text((tmp_path / "own.c").read_text().replace("limit = 10;", "limit = -1;"))
     assert guarded(["library", "odd.c"]) == 0
     assert "the default of limit, -1, is not >= 0: a study has to state it" in capsys.readouterr().out
+    cached = (tmp_path / "own.c").read_text().replace("p->k_p * error", "kept * error")
+    cached = cached.replace(
+        "    const real error", "    static real kept;\n    kept = kept ? kept : p->k_p;\n    const real error"
+    )
+    (tmp_path / "cached.c").write_text(cached)
+    assert guarded(["library", "cached.c"]) == 0
+    told = capsys.readouterr().out
+    assert "k_p changes no command of a trial flight" in told
+    assert "k_d changes" not in told
+    assert "limit changes" not in told
     (tmp_path / "own.c").write_text((tmp_path / "own.c").read_text().replace("fmin(", "fmin_of("))
     assert guarded(["library", "own.c"]) == 2
     assert "does not compile" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
     Raises:
         ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
-            its structure, is not reset, or flies another command than u + u_n.
+            its structure, is not reset, changes its parameters, or flies another command than u + u_n.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         copy = Path(folder) / f"{digest}.so"
@@ -57,6 +57,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
         for controller in controllers:
             require_reentrant(controller)
             require_reset(controller)
+            require_parameters_kept(controller)
             require_sum(controller)
     except ConfigError as error:
         raise ConfigError("file", f"'{path}' {error.rule}") from None
@@ -122,6 +123,59 @@ def require_reset(controller: NativeController) -> None:
             "differs from the first, which is the one analysed; let reset set the whole state"
         )
         raise ConfigError("", f"has a controller {controller.name} that {rule}")
+
+
+def moved_values(controller: NativeController) -> dict[str, float]:
+    """Another admissible value of every parameter than its default, by name; without those that have none."""
+    moved = {}
+    defaults = default_values(controller)
+    for number in controller.parameters:
+        default = defaults[number.name]
+        for value in (1.5 * default + 0.5, 0.5 * default - 0.5, 0.5 * default):
+            if value != default and number.quantity.violated_by(value, value) is None:
+                moved[number.name] = value
+                break
+    return moved
+
+
+def memory_with(controller: NativeController, values: dict[str, float]) -> np.ndarray:
+    """The exchange after ``init``, with other values of some parameters, bytes."""
+    memory = initial_memory(controller)
+    real = np.dtype(f"f{controller.real}")
+    for number in controller.parameters:
+        if number.name in values:
+            content = np.array([values[number.name]], real).view(np.uint8)
+            memory[number.offset : number.offset + controller.real] = content
+    return memory
+
+
+def require_parameters_kept(controller: NativeController) -> None:
+    """Require that a flight leaves the parameters as the study has set them.
+
+    Raises:
+        ConfigError: ``reset`` or ``step`` changes one, which the analysis would not see.
+    """
+    memory = memory_with(controller, moved_values(controller))
+    before = memory.copy()
+    flown_with(controller, {0: memory})
+    for number in controller.parameters:
+        place = slice(number.offset, number.offset + controller.real)
+        if not np.array_equal(before[place], memory[place]):
+            rule = (
+                f"changes its parameter {number.name} in reset or step, so that it would fly other numbers than those "
+                "analysed; let init alone set parameters"
+            )
+            raise ConfigError("", f"has a controller {controller.name} that {rule}")
+
+
+def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
+    """The parameters of which another value changes no command of a trial flight."""
+    usual = flown_commands(controller, [0])
+    found = []
+    for name, value in moved_values(controller).items():
+        if flown_with(controller, {0: memory_with(controller, {name: value})}) == usual:
+            found.append(name)
+    return tuple(found)
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:

@@ -16,7 +16,13 @@ from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.native.allowed import loaded_native
 from dssc_jax.core.native.description import NativeController
-from dssc_jax.core.native.libraries import NativeLibrary, default_values, initial_memory, provide_function
+from dssc_jax.core.native.libraries import (
+    NativeLibrary,
+    default_values,
+    initial_memory,
+    parameters_without_effect,
+    provide_function,
+)
 from dssc_jax.core.native.named_types import named_type
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
@@ -124,6 +130,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         smooth=not_smooth(WITHOUT_DERIVATIVE),
         info=info,
         native=library.file,
+        without_effect=parameters_without_effect(controller),
     )
 
 

@@ -1,11 +1,11 @@
-"""A law of a number that the code of a user's part does not read is told; it follows from the program."""
+"""An uncertain number that the code of a user's part does not read is told; it follows from the program."""
 
 import dssc_jax as dj
 from dssc_jax.core.signals import Measurement
-from dssc_jax.engine.unused_laws import unused_laws
+from dssc_jax.engine.unread_numbers import unread_numbers
 from tests.design.test_plant_checks import TANK, Level
 
-PLANT = "tests.engine.test_unused_laws"
+PLANT = "tests.engine.test_unread_numbers"
 """This module, whose plants the studies name."""
 
 
@@ -40,14 +40,19 @@ def study(tank, **changes):
 
 
 def test_what_no_result_depends_on_is_found():
-    assert unused_laws(study("USED")) == []
-    assert unused_laws(study("UNUSED")) == ["plant.area"]
-    assert unused_laws(study("LIMITING")) == []
-    named = {"parameters": {"A": {"uniform": [1.0, 3.0]}}, "plant": {"kind": f"{PLANT}:UNUSED", "area": "=A"}}
-    assert unused_laws(study("UNUSED", **named)) == ["parameters.A"]
-    shared = named | {"controller": {"kind": "pid", "k_p": "=A"}}
-    assert unused_laws(study("UNUSED", **shared)) == []
+    assert unread_numbers(study("USED")) == []
+    assert unread_numbers(study("UNUSED")) == ["plant.area"]
+    assert unread_numbers(study("LIMITING")) == []
+
+
+def test_a_parameter_that_is_read_elsewhere_is_found():
+    """The plant ignores A, which is the controller's gain, too."""
+    parameters = {"A": {"uniform": [1.0, 3.0]}}
+    pid = {"kind": "pid", "k_p": "=A"}
+    for plant, found in {"UNUSED": ["plant.area"], "USED": []}.items():
+        table = {"kind": f"{PLANT}:{plant}", "area": "=A"}
+        assert unread_numbers(study(plant, parameters=parameters, plant=table, controller=pid)) == found
 
 
 def test_parts_of_the_package_are_not_looked_at():
-    assert unused_laws(dj.Study.load("motor")) == []
+    assert unread_numbers(dj.Study.load("motor")) == []
