@@ -8,6 +8,7 @@ import dssc_jax as dj
 from dssc_jax.core.contracts import Plant
 from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.sampled_linear import LinearDynamics
 from dssc_jax.core.signals import Measurement
 from dssc_jax.design.plant_checks import plant_warnings
 
@@ -51,6 +52,13 @@ DEAF = TANK._replace(
     derivative=lambda p, s, drive, t: derivative(p, s, drive._replace(disturbance=0.0), t),
     measure=lambda p, s, drive: Measurement(s.h, derivative(p, s, drive._replace(disturbance=0.0), 0.0).h),
 )
+LINEAR = TANK._replace(
+    linear=lambda p: LinearDynamics([[-0.6 / p.area]], ((1.0 / p.area,),), ((1.0 / p.area,),), ((-1.0 / p.area,),)),
+    remainder=lambda p, s, drive, t: Level((0.6 * s.h - 0.3 * s.h**2) / p.area),
+)
+WRONG_SIGN = LINEAR._replace(
+    linear=lambda p: LinearDynamics([[-0.6 / p.area]], ((-1.0 / p.area,),), ((1.0 / p.area,),), ((-1.0 / p.area,),)),
+)
 LEAK = [{"kind": "constant", "value": 0.1, "input": "leak"}]
 
 
@@ -63,6 +71,8 @@ LEAK = [{"kind": "constant", "value": 0.1, "input": "leak"}]
         ("TIGHT", {"kind": "none"}, []),
         ("DEAF", {"kind": "constant", "value": 0.1}, ["the disturbance at the command has no effect"]),
         ("TANK", {"kind": "constant", "value": 0.1}, []),
+        ("LINEAR", LEAK, []),
+        ("WRONG_SIGN", LEAK, ["the plant's `linear` and `remainder` give other slopes"]),
     ],
 )
 def test_what_contradicts_itself_is_told(plant, disturbance, told):

@@ -28,11 +28,32 @@ class Observed(NamedTuple):
         wrong_rates: Of which channels y' is not the derivative of y at any point, shape (channels,).
         matched: At which commands a disturbance has an effect at some point, shape (channels,).
         felt: Which named inputs have one, shape (inputs,).
+        contradicts: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
     """
 
     wrong_rates: np.ndarray
     matched: np.ndarray
     felt: np.ndarray
+    contradicts: bool
+
+
+class Behaviour(NamedTuple):
+    """A plant at one point.
+
+    Args:
+        along: Derivative of y along the slopes, shape (channels,).
+        rate: The y' that the plant measures, shape (channels,).
+        effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
+            (..., channels + inputs).
+        slopes: Those of ``derivative``, shape (states,).
+        held: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
+    """
+
+    along: jax.Array
+    rate: jax.Array
+    effects: jax.Array
+    slopes: jax.Array
+    held: jax.Array
 
 
 def plant_warnings(study: Study) -> list[str]:
@@ -50,6 +71,11 @@ def plant_warnings(study: Study) -> list[str]:
         return []
     observed = observed_plant(study)
     found = []
+    if observed.contradicts:
+        found.append(
+            "the plant's `linear` and `remainder` give other slopes than its `derivative`: a run takes the former, so "
+            "that one of them is wrong"
+        )
     for channel, wrong in zip(loop.channels, observed.wrong_rates, strict=True):
         if wrong:
             place = f" of {channel}" if channel else ""
@@ -78,28 +104,28 @@ def observed_plant(study: Study) -> Observed:
     different = np.zeros(channels, int)
     known = np.zeros(channels, int)
     felt = np.zeros(channels + named, bool)
+    contradicts = False
     random = np.random.default_rng(0)
     with arithmetic():
         start, behaviour = start_and_behaviour(study)
         for _ in range(POINTS):
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channels + named)
-            along, rate, effects = map(np.asarray, behaviour(x, signals))
+            along, rate, effects, slopes, held = map(np.asarray, behaviour(x, signals))
+            contradicts |= not np.allclose(slopes, held, SAME_RATE, SAME_RATE * np.abs(slopes).max(), equal_nan=True)
             usable = np.isfinite(along) & np.isfinite(rate)
             known += usable
             different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
             felt |= np.any(effects != 0.0, axis=0)
-    return Observed((known > 0) & (different == known), felt[:channels], felt[channels:])
+    return Observed((known > 0) & (different == known), felt[:channels], felt[channels:], contradicts)
 
 
 def start_and_behaviour(
     study: Study,
-) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], tuple[jax.Array, jax.Array, jax.Array]]]:
+) -> tuple[jax.Array, Callable[[jax.Array, np.ndarray], Behaviour]]:
     """The plant's state at the start as a vector, and a compiled function of state and signals.
 
-    Signals are the commands, the matched disturbances and the named inputs. The function returns the derivative of y
-    along the slopes and the y' that the plant measures, each of shape (channels,), and the derivatives of slopes and
-    measurements by the matched disturbances and the named inputs, shape (..., channels + inputs).
+    Signals are the commands, the matched disturbances and the named inputs.
     """
     plant = study.loop.mimo_plant
     channels = len(study.loop.channels)
@@ -118,10 +144,20 @@ def start_and_behaviour(
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
 
+    def held(x: jax.Array, signals: jax.Array) -> jax.Array:
+        if plant.linear is None:
+            return slope(x, signals)
+        linear = plant.linear(params)
+        columns = jnp.array([*linear.command, *linear.disturbance, *linear.inputs], float)
+        total = jnp.array(linear.a, float) @ x + signals[: len(columns)] @ columns
+        if plant.remainder is None:
+            return total
+        return total + jnp.array(jax.tree.leaves(plant.remainder(params, unravel(x), drive_of(signals), 0.0)))
+
     @jax.jit
-    def behaviour(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def behaviour(x: jax.Array, signals: jax.Array) -> Behaviour:
         _, along = jax.jvp(lambda state: measured(state, signals)[0], (x,), (slope(x, signals),))
         effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured, 1)(x, signals)])
-        return along, measured(x, signals)[1], effects[:, channels:]
+        return Behaviour(along, measured(x, signals)[1], effects[:, channels:], slope(x, signals), held(x, signals))
 
     return start, behaviour
