@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from dssc_jax.cli.output import say
+from dssc_jax.closed_loop.rehearsal import faults_by_part
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.units import scaled_symbols
@@ -96,10 +97,16 @@ def warn_of_study(study: Study) -> None:
     """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads.
 
     A study whose code is not imported has been warned of where its draws were computed.
+
+    Raises:
+        ConfigError: A user's part fails when its functions are called once more.
     """
     if isinstance(study, Described):
         return
-    for name in unread_numbers(study):
+    with faults_by_part(study.loop):
+        unread = unread_numbers(study)
+        texts = [noise_warning(study), rate_warning(study), *plant_warnings(study)]
+    for name in unread:
         say(f"warning: {name} is uncertain, and no result depends on it: the code of this part does not read it")
     warn_of_libraries(study)
     for name in study.unused_parameters():
@@ -108,9 +115,8 @@ def warn_of_study(study: Study) -> None:
     warn_of_vehicle(study)
     warn_of_signals(study)
     warn_of_times(study)
-    for text in (noise_warning(study), rate_warning(study), *plant_warnings(study)):
-        if text:
-            say(f"warning: {text}")
+    for text in filter(None, texts):
+        say(f"warning: {text}")
 
 
 def checked_integration(study: Study) -> JsonObject | None:

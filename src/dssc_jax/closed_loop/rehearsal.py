@@ -25,6 +25,7 @@ NEW_LINE = "\n"
 PACKAGE = __name__.partition(".")[0]
 RESULTS_OF_STEP = 3  # state, command, info
 SLOTS_OF_CHANNELS = ("controller", "sensor", "differentiator", "unmodelled", "disturbance")
+KEPT_VALUES = "a part keeps nothing between calls: what it has to remember is in the state that it returns"
 TRACED_VALUES = (
     "a model's numbers are traced: write jnp.where(condition, a, b) for `if`, and functions of jax.numpy for those of "
     "math and NumPy"
@@ -178,6 +179,7 @@ def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> Confi
             parts, f"does not fit the loop: {message}; docs/extending.md tells what each function returns"
         )
     remedy = f"; {TRACED_VALUES}" if isinstance(error, jax.errors.JAXTypeError) else ""
+    remedy = f"; {KEPT_VALUES}" if isinstance(error, jax.errors.UnexpectedTracerError) else remedy
     return ConfigError(found.part, f"`{found.field}` fails in {line}: {message}{remedy}")
 
 

@@ -70,7 +70,8 @@ def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorT
         known: The signals that can be measured.
 
     Raises:
-        ConfigError: ``measures`` is neither a list of such signals nor the word for the whole state.
+        ConfigError: ``measures`` is neither a list of such signals nor the word for the whole state, or does not list
+            a signal that has a sensor.
     """
     named = table.get(MEASURES, [])
     if named == WHOLE_STATE:
@@ -86,6 +87,11 @@ def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorT
             raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
     signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
+    for name, value in channels.items():
+        if name in known and isinstance(value, Mapping):
+            raise ConfigError(
+                f"sensor.{name}", f"is the sensor of a signal that is not measured; list it in {MEASURES}"
+            )
     default = {"kind": USUAL_SENSOR} if named else {}
     return SensorTables(default | channels, tuple(named), signals)
 
