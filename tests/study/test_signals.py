@@ -239,6 +239,11 @@ def test_a_sensor_of_a_signal_that_the_controller_does_not_read_is_told(controll
     assert ("[sensor.travel] act on signals that it does not read" in capsys.readouterr().err) == warns
 
 
+def test_a_sensor_of_a_signal_that_is_not_measured_is_refused():
+    with pytest.raises(ConfigError, match=r"sensor.travel: is the sensor of a signal .* list it in measures"):
+        car(sensor={"kind": "ideal", "travel": {"kind": "noisy", "position_std": 0.01}})
+
+
 @pytest.mark.parametrize(
     ("sensor", "warns"),
     [

@@ -88,10 +88,10 @@ def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorT
     signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
     for name, value in channels.items():
-        if name in known and isinstance(value, Mapping):
-            raise ConfigError(
-                f"sensor.{name}", f"is the sensor of a signal that is not measured; list it in {MEASURES}"
-            )
+        is_channel = f"{name}_y" in known
+        if name in known and not is_channel and isinstance(value, Mapping):
+            rule = f"is the sensor of a signal that is not measured; list it in {MEASURES}"
+            raise ConfigError(f"sensor.{name}", rule)
     default = {"kind": USUAL_SENSOR} if named else {}
     return SensorTables(default | channels, tuple(named), signals)
 
