@@ -333,6 +333,8 @@ def test_the_integration_error_is_told_with_its_remedy():
     assert f"loop.substeps = {coarse.remedy}" in coarse.warning
     first, two = (dj.run(study.override({"loop.substeps": n}), check=False).dataset["error_rms"].values for n in (1, 2))
     assert coarse.change == pytest.approx(np.abs(first - two).max() / 0.2, rel=1e-9)
+    assert "diverges" not in coarse.warning
+    assert "diverges: look at the plant's signs" in coarse._replace(change=1e9).warning
     mended = integration_error(study.override({"loop.substeps": coarse.remedy}))
     assert not mended.matters
     assert mended.warning == ""

@@ -22,6 +22,8 @@ from dssc_jax.study import Study
 CHECKED_DRAWS = 16
 NEGLIGIBLE = 0.01
 """Change of a required metric, in shares of its bound, below which nothing is said (assumed)."""
+DIVERGING = 1e3
+"""The same above which the plant or its integration diverges (assumed)."""
 
 MOST_SUBSTEPS = 1000  # that a study may have
 
@@ -78,6 +80,11 @@ class IntegrationError(NamedTuple):
         if not self.matters:
             return ""
         remedy = f"set loop.substeps = {self.remedy}, or shorten loop.sample_time"
+        if DIVERGING < self.change < np.inf:
+            remedy = (
+                "the plant or its integration diverges: look at the plant's signs, units and derivatives first, then "
+                f"{remedy}"
+            )
         return f"the integration between the samples is too coarse: {self.text}; {remedy}"
 
     def to_dict(self) -> JsonObject:
