@@ -1,6 +1,7 @@
 """An uncertain number that the code of a user's part does not read is told; it follows from the program."""
 
 import dssc_jax as dj
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.signals import Measurement
 from dssc_jax.engine.unread_numbers import unread_numbers
 from tests.design.test_plant_checks import TANK, Level
@@ -23,6 +24,9 @@ def reading(area):
 
 
 USED = reading(lambda params: params.area)
+USED_WITH_INPUTS = USED._replace(
+    inputs=lambda params: (NamedSignal("leak", "m^3/s", "leak"), NamedSignal("rain", "m^3/s", "rain")),
+)
 LIMITING = reading(lambda params: 2.0 + 0.0 * (params.area > 1e6))
 UNUSED = reading(lambda params: 2.0)
 
@@ -52,6 +56,12 @@ def test_a_parameter_that_is_read_elsewhere_is_found():
     for plant, found in {"UNUSED": ["plant.area"], "USED": []}.items():
         table = {"kind": f"{PLANT}:{plant}", "area": "=A"}
         assert unread_numbers(study(plant, parameters=parameters, plant=table, controller=pid)) == found
+
+
+def test_uncertain_disturbances_at_several_inputs_are_no_numbers_of_the_plant():
+    """Beside a plant of one channel; the second input is not read, which the plant's own checks tell."""
+    disturbance = [{"kind": "constant", "value": {"uniform": [0.1, 0.2]}, "input": name} for name in ("leak", "rain")]
+    assert unread_numbers(study("USED_WITH_INPUTS", disturbance=disturbance)) == []
 
 
 def test_parts_of_the_package_are_not_looked_at():

@@ -271,9 +271,9 @@ def test_multiples_of_si_units_are_told(capsys):
     warn_of_units(dj.Study.from_table(UNCERTAIN | {"sweep": {}, "parameters": parameters}))
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 2
-    assert "the unit uH of parameters.L" in told[0]
-    assert "1 uH is 1e-06" in told[0]
-    assert "if formulas expect rad/s, 1 rpm is 0.10472" in told[1]
+    assert "parameters.L has the unit uH, which is a label" in told[0]
+    assert "1 uH is 1e-06 H" in told[0]
+    assert "1 rpm is 0.10472 rad/s" in told[1]
 
 
 def test_a_lane_takes_parameters_and_no_number_that_follows(study):

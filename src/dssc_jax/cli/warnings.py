@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dssc_jax.cli.output import say
 from dssc_jax.closed_loop.rehearsal import faults_by_part
 from dssc_jax.core.json_types import JsonObject
+from dssc_jax.core.native.libraries import WITHOUT_EFFECT
 from dssc_jax.core.quantities import extent
 from dssc_jax.core.units import scaled_symbols
 from dssc_jax.design import noise_warning, rate_warning
@@ -76,10 +77,7 @@ def warn_of_libraries(study: Study) -> None:
     for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
         for gain in model.without_effect:
             if gain in stated or gain in stated.get(channel, {}):
-                say(
-                    f"warning: the gain {gain} of {model.native} changes no command of trial flights: the C code does "
-                    "not read it, keeps it outside of its structure, or these flights do not reach what it limits"
-                )
+                say(f"warning: the gain {gain} of {model.native} {WITHOUT_EFFECT}")
 
 
 def warn_of_units(study: Study) -> None:
@@ -87,14 +85,12 @@ def warn_of_units(study: Study) -> None:
     for name in study.parameter_names:
         unit = study.numbers[name].quantity.unit
         for symbol, (factor, base) in scaled_symbols(unit).items():
-            say(
-                f"warning: the unit {unit} of {name} is a label, its numbers are taken as they are: if formulas expect "
-                f"{base}, 1 {symbol} is {factor:g}"
-            )
+            size = f"in formulas in SI units, 1 {symbol} is {factor:g} {base}"
+            say(f"warning: {name} has the unit {unit}, which is a label; its numbers are taken as they are, and {size}")
 
 
 def warn_of_study(study: Study) -> None:
-    """Print a warning of what has no effect, of odd vehicles, and where noise, an exact y' or a sensor misleads.
+    """Print a warning of what has no effect, of odd units and vehicles, and where noise, y' or a sensor misleads.
 
     A study whose code is not imported has been warned of where its draws were computed.
 

@@ -58,7 +58,7 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
         slopes = first_slopes(loop, params, state)
         require_form("plant", "derivative", "the state's derivative", state.plant, slopes)
         after, _ = step(loop, params, key, state, 0)
-    require_repeatable(loop, params)
+        require_repeatable(loop, params)
     require_form("plant", "project", "the state", state.plant, after.plant)
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
@@ -147,7 +147,7 @@ def user_functions(loop: Loop) -> dict[CodeType, PartFunction]:
 
 @contextmanager
 def faults_by_part(loop: Loop) -> Iterator[None]:
-    """Tell an exception by the user's part, function and line that raised it.
+    """Tell an exception by the user's part, function and line that raised it; a loop without such parts raises it.
 
     Raises:
         ConfigError: In the place of the exception.
@@ -157,7 +157,10 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
     except ConfigError:
         raise
     except Exception as error:  # a user's code may raise anything
-        raise fault_of(error, user_functions(loop)) from error
+        functions = user_functions(loop)
+        if not functions:
+            raise
+        raise fault_of(error, functions) from error
 
 
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:

@@ -8,6 +8,7 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.native.description import NativeController
 from dssc_jax.core.native.libraries import (
     TRIED_SAMPLES,
+    WITHOUT_EFFECT,
     NativeLibrary,
     default_values,
     parameters_without_effect,
@@ -98,8 +99,7 @@ def show_library(library: NativeLibrary, file: Path) -> None:
                 default = f"the default of {parameter}, {described['default']:g}"
                 say(f"warning: {default}, is not {described['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
-            reasons = "does not read it, keeps it outside of its structure, or the flight does not reach what it limits"
-            say(f"warning: {parameter} changes no command of a trial flight: the code {reasons}")
+            say(f"warning: {parameter} {WITHOUT_EFFECT}")
         if lost := summary["samples_not_finite"]:
             trial = f"{lost} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             say(f"warning: its command is not finite in {trial}")

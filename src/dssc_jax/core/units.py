@@ -5,6 +5,7 @@ the plant's output, and ``u``, the unit of its command. ``y/s^2`` is the unit of
 high-frequency gain. :meth:`ChannelUnits.of` puts in the plant's own units and reduces the result.
 """
 
+import math
 import re
 from fractions import Fraction
 from functools import cache
@@ -19,10 +20,10 @@ CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
 PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
 PREFIXED = ("m", "s", "A", "N", "Pa", "J", "W", "V", "F", "H", "Hz", "ohm", "C", "T", "rad")
 """Units of the SI that are written with prefixes."""
-OTHER_UNITS = {
+OTHER_UNITS = {  # each with its size in a unit of the SI
     "cm": (1e-2, "m"),
-    "deg": (0.0174533, "rad"),
-    "rpm": (0.10472, "rad/s"),
+    "deg": (math.radians(1.0), "rad"),
+    "rpm": (math.tau / 60.0, "rad/s"),
     "min": (60.0, "s"),
     "h": (3600.0, "s"),
 }

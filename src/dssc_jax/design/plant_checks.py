@@ -1,4 +1,4 @@
-"""Whether a plant of one's own is consistent: y' is the derivative of y, and every disturbance has an effect."""
+"""Whether a plant of one's own is consistent: its y', its linear part, and the disturbances that it has to use."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -57,7 +57,9 @@ class Behaviour(NamedTuple):
 
 
 def plant_warnings(study: Study) -> list[str]:
-    """Sentences on a plant of one's own whose y' is another function, or that ignores an input with a disturbance.
+    """Sentences on a plant of one's own that contradicts itself, or that ignores an input with a disturbance.
+
+    It contradicts itself if its y' is not the derivative of its y, or if its linear part is not that of its slopes.
 
     Derivatives at some points near its start tell it. A plant of this package, one with a state outside of JAX, and one
     that flies in a wind are not looked at.
@@ -112,7 +114,8 @@ def observed_plant(study: Study) -> Observed:
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channels + named)
             along, rate, effects, slopes, held = map(np.asarray, behaviour(x, signals))
-            contradicts |= not np.allclose(slopes, held, SAME_RATE, SAME_RATE * np.abs(slopes).max(), equal_nan=True)
+            scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
+            contradicts |= not np.allclose(slopes, held, SAME_RATE, scale, equal_nan=True)
             usable = np.isfinite(along) & np.isfinite(rate)
             known += usable
             different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))

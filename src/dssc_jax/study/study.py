@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
-from jax.tree_util import keystr, tree_flatten_with_path
+from jax.tree_util import keystr, tree_flatten, tree_flatten_with_path
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Measure
@@ -283,13 +283,15 @@ class Study:
         What follows from parameters is computed from their values. A leaf that is not a number of the study, but is
         computed from such numbers, is given by its own dotted path.
         """
-        names = {path: name for name, number in self.numbers.items() for path in number.paths}
         known = self.derived(values) | dict(values)
-        flat, tree = tree_flatten_with_path(self.template)
-        dotted_paths = (keystr(path, simple=True, separator=".") for path, _ in flat)
-        return tree.unflatten(
-            known.get(names.get(path, path), leaf) for path, (_, leaf) in zip(dotted_paths, flat, strict=True)
-        )
+        leaves, tree = tree_flatten(self.template)
+        return tree.unflatten(known.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True))
+
+    def leaf_names(self) -> list[str]:
+        """The name of the number at each leaf of the template; of one that is no number, its dotted path."""
+        names = {path: name for name, number in self.numbers.items() for path in number.paths}
+        paths = [keystr(path, simple=True, separator=".") for path, _ in tree_flatten_with_path(self.template)[0]]
+        return [names.get(path, path) for path in paths]
 
 
 def takes_file(

@@ -168,47 +168,48 @@ class Hunt:
         order = np.argsort(slacks, kind="stable")
         return points[order], slacks[order]
 
+    @property
+    def counted(self) -> list[Requirement]:
+        """The requirements that count."""
+        return [self.requirements[place] for place in counted_places(self.requirements, self.requirement)]
+
     def single_slacks(self) -> np.ndarray:
         """Slack of every requirement that counts relative to its scale, of all points so far, shape (n, counted)."""
-        counted = counted_places(self.requirements, self.requirement)
-        scales = np.array([self.requirements[place].scale for place in counted])
-        slacks = np.concatenate([seen.single_slacks[:, counted] for seen in self.seen]) / scales
+        places = counted_places(self.requirements, self.requirement)
+        scales = np.array([requirement.scale for requirement in self.counted])
+        slacks = np.concatenate([seen.single_slacks[:, places] for seen in self.seen]) / scales
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
-    def targets(self, count: int) -> list[int]:
-        """The requirement that each climb descends, as a place among those that count: the most critical first.
+    def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Starting points of climbs, and the requirement that each descends, as an index of those that count.
 
         The worst draw of all requirements is the worst among those of each. The requirement that binds at most points
-        would otherwise hide another one, whose worst draws lie elsewhere.
+        would otherwise hide another one, whose worst draws lie elsewhere. So they take turns, the most critical one
+        first: a climb starts at its worst point that is far enough from the other starts, or at the worst that is left.
         """
-        order = np.argsort(self.single_slacks().min(axis=0), kind="stable").tolist() or [0]
-        return [order[climb % len(order)] for climb in range(count)]
-
-    def starts(self, targets: list[int]) -> np.ndarray:
-        """Starting points: the worst of each climb's requirement that are far enough apart, then the worst of all."""
-        points, _ = self.ranked()
-        order = np.argsort(np.concatenate([seen.slacks for seen in self.seen]), kind="stable")
-        single = self.single_slacks()[order]
+        points = np.concatenate([seen.points for seen in self.seen])
+        slacks = self.single_slacks()
+        targets = np.resize(np.argsort(slacks.min(axis=0), kind="stable"), count)
         chosen: list[int] = []
         for target in targets:
-            column = single[:, target] if single.shape[1] else np.zeros(len(points))
-            for index in np.argsort(column, kind="stable").tolist():
-                if all(self.region.separate(points[index], points[earlier]) for earlier in chosen):
-                    chosen.append(index)
-                    break
-        remaining = [index for index in range(len(points)) if index not in chosen]
-        return points[[*chosen, *remaining][: len(targets)]]
+            left = [index for index in np.argsort(slacks[:, target], kind="stable").tolist() if index not in chosen]
+            apart = (index for index in left if self.is_apart(points[index], points[chosen]))
+            chosen.append(next(apart, left[0]))
+        return points[chosen], targets
+
+    def is_apart(self, point: np.ndarray, others: np.ndarray) -> bool:
+        """Whether a point is far enough from each of some others, shape (n, laws)."""
+        return all(self.region.separate(point, other) for other in others)
 
     def climb(self) -> None:
-        """Run projected gradient descents of one slack each simultaneously, each with its own step length.
+        """Run projected gradient descents simultaneously, each of one slack and with its own step length.
 
-        Native code has no derivatives; then evolution gets this share of the budget.
+        Native code has no derivatives, and neither has an early end; then evolution gets this share of the budget.
         """
-        if native_code(self.programs.study):
+        if native_code(self.programs.study) or not self.counted:
             return
         cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
-        targets = self.targets(climbers(self.budget, self.size))
-        points = self.starts(targets)
+        points, targets = self.starts(climbers(self.budget, self.size))
         if len(points) * cost > room:
             return
         _, results = self.simulate(points, evaluator, cost)
@@ -225,15 +226,11 @@ class Hunt:
             if self.worst == -np.inf:
                 return
 
-    def descent(self, points: np.ndarray, results: Arrays, targets: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    def descent(self, points: np.ndarray, results: Arrays, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The slack that each climb descends, shape (n,), and its derivatives by the coordinates, shape (n, laws)."""
-        counted = counted_places(self.requirements, self.requirement)
-        requirements = [self.requirements[place] for place in counted]
-        if not requirements:
-            return worst_slack(requirements, results), np.zeros(points.shape)
-        slacks = np.array([worst_slack([requirement], results) for requirement in requirements])
         laws = list(self.programs.study.laws)
-        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in requirements])
+        slacks = np.array([worst_slack([requirement], results) for requirement in self.counted])
+        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in self.counted])
         climbs = np.arange(len(points))
         slopes = self.region.slopes(points, gradients[targets, climbs])
         return slacks[targets, climbs], np.where(np.isfinite(slopes), slopes, 0.0)

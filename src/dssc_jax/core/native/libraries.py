@@ -15,6 +15,10 @@ from dssc_jax.lanes import foreign
 TRIED_SAMPLES = 64  # of a trial flight
 LARGEST_SIGNAL = 1000.0  # of a trial flight
 SAME_SUM = 1e-5  # largest relative difference of u_p from u + u_n
+WITHOUT_EFFECT = (
+    "changes no command of a trial flight: the code does not read it, keeps it outside of its structure, or the flight "
+    "does not reach what it limits"
+)
 
 
 @dataclass(frozen=True)

@@ -14,44 +14,20 @@ from dssc_jax.engine.sampling import Arrays
 
 BATCH_LANES = 4096  # that run at once
 
-MARK = "@"
-"""First character of the names of what a lane is given beside the study's numbers."""
-STATE = "@state"
-SAMPLE = "@sample"
+Values: TypeAlias = dict[str, jax.Array]
+"""Numbers or vectors of one lane by name."""
 
-Numbers: TypeAlias = tuple[jax.Array, ...]
-"""A vector as numbers, which are what a lane returns."""
+Entries: TypeAlias = tuple[jax.Array, ...]
+"""A vector entry by entry."""
 
-Lane: TypeAlias = Callable[[dict[str, jax.Array], jax.Array], tuple[Numbers, ...]]
-"""(numbers by name, draw index) -> vectors."""
-
-
-def numbers_of(vector: jax.Array) -> Numbers:
-    """The numbers of a vector."""
-    return tuple(vector[i] for i in range(vector.shape[0]))
-
-
-def columns_of(label: str, rows: np.ndarray) -> Arrays:
-    """Vectors of shape (n, size) as columns of their numbers, which :func:`vector_in` joins in a lane.
-
-    A label begins with :data:`MARK`.
-    """
-    return {f"{label} {i}": column for i, column in enumerate(rows.T)}
-
-
-def vector_in(values: dict[str, jax.Array], label: str) -> jax.Array:
-    """The vector with a label among the numbers of a lane."""
-    size = sum(name.rpartition(" ")[0] == label for name in values)
-    return jnp.stack([values[f"{label} {i}"] for i in range(size)]) if size else jnp.zeros(0)
-
-
-def numbers_of_study(values: dict[str, jax.Array]) -> dict[str, jax.Array]:
-    """The study's numbers among those of a lane."""
-    return {name: value for name, value in values.items() if not name.startswith(MARK)}
+Lane: TypeAlias = Callable[[Values, Values, jax.Array], tuple[jax.Array, ...]]
+"""(numbers of the study, vectors, draw index) -> vectors."""
 
 
 class LaneProgram:
     """A lane's program, compiled in float64 when it first runs.
+
+    Compiled lanes take and return numbers. A vector is one column for each of its entries.
 
     Args:
         lane: The program.
@@ -61,29 +37,55 @@ class LaneProgram:
         self.lane = lane
         self.start: Start | None = None
 
-    def __call__(self, columns: Arrays, indices: np.ndarray) -> list[np.ndarray]:
+    def __call__(self, numbers: Arrays, vectors: Arrays, indices: np.ndarray) -> list[np.ndarray]:
         """Every vector that the lanes return, shape (n, size) each.
 
         Args:
-            columns: Numbers by name, each of shape (n,).
+            numbers: Numbers of the study by name, each of shape (n,).
+            vectors: Vectors by name, each of shape (n, size); their sizes are the same in every call.
             indices: Draw index of each lane, shape (n,).
         """
-        count = len(indices)
+        columns = {name: np.asarray(column, float) for name, column in numbers.items()}
+        for name, rows in vectors.items():
+            columns |= {entry_name(name, i): np.asarray(column, float) for i, column in enumerate(rows.T)}
         batches = []
         with arithmetic():
             if self.start is None:
-                self.start = kernels.compiled(form(), self.lane, list(columns), BATCH_LANES, None, None)
-            for first in range(0, count, BATCH_LANES):
+                sizes = {name: rows.shape[1] for name, rows in vectors.items()}
+                lane = lane_of_numbers(self.lane, sizes)
+                self.start = kernels.compiled(form(), lane, list(columns), BATCH_LANES, None, None)
+            for first in range(0, len(indices), BATCH_LANES):
                 part = slice(first, first + BATCH_LANES)
-                finish = self.start(
-                    {name: np.asarray(column[part], float) for name, column in columns.items()}, indices[part]
-                )
+                finish = self.start({name: column[part] for name, column in columns.items()}, indices[part])
                 batches.append(finish()[0])
-        vectors = []
+        joined = []
         for parts in zip(*batches, strict=True):
-            empty = np.zeros((count, 0))
-            vectors.append(np.concatenate([np.stack(part, axis=1) for part in parts]) if parts[0] else empty)
-        return vectors
+            empty = np.zeros((len(indices), 0))
+            joined.append(np.concatenate([np.stack(part, axis=1) for part in parts]) if parts[0] else empty)
+        return joined
+
+
+def entry_name(vector: str, index: int) -> str:
+    """The name of an entry of a vector; the numbers of a study have no blanks in their names."""
+    return f"{vector} {index}"
+
+
+def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.Array], tuple[Entries, ...]]:
+    """The same program with its vectors entry by entry.
+
+    Args:
+        lane: The program.
+        sizes: Sizes of its vectors, by name.
+    """
+    entries = {name: [entry_name(name, i) for i in range(size)] for name, size in sizes.items()}
+    of_vectors = {entry for names in entries.values() for entry in names}
+
+    def run(values: Values, index: jax.Array) -> tuple[Entries, ...]:
+        numbers = {name: value for name, value in values.items() if name not in of_vectors}
+        vectors = {name: jnp.array([values[entry] for entry in names], float) for name, names in entries.items()}
+        return tuple(tuple(vector) for vector in lane(numbers, vectors, index))
+
+    return run
 
 
 def form() -> str:

@@ -14,16 +14,7 @@ from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
-from dssc_jax.engine.linearisation.lane_programs import (
-    SAMPLE,
-    STATE,
-    LaneProgram,
-    Numbers,
-    columns_of,
-    numbers_of,
-    numbers_of_study,
-    vector_in,
-)
+from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
 from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
     Finding,
@@ -36,8 +27,6 @@ from dssc_jax.engine.sampling import Arrays, draw_key
 from dssc_jax.study import Study
 
 EQUILIBRIUM = "equilibrium"
-FINDING = "@finding"
-DIRECTION = "@direction"
 NEWTON_STEPS = 30  # towards an equilibrium
 STALLED = 1e-6  # relative change of a move below which a step brought nothing
 MOST_STALLS = 3  # such steps in a row
@@ -116,18 +105,16 @@ class Linearisation:
     def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
         self.points = len(break_points(study.loop))
 
-        def derivative(values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers, Numbers, Numbers]:
-            state = vector_in(values, STATE)
-            findings = vector_in(values, FINDING)
-            size = len(state) + self.points
-            direction = jnp.where(jnp.arange(size) == values[DIRECTION], 1.0, 0.0)
-            loop, params = with_inner_sides(
-                *linearised_loop(study, numbers_of_study(values), places, resting), places, findings
-            )
-            sample = sample_map(loop, params, draw_key(study.config.seed, index), values[SAMPLE].astype(jnp.int32))
+        def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+            state = vectors["state"]
+            direction = jnp.where(jnp.arange(len(state) + self.points) == vectors["direction"], 1.0, 0.0)
+            loop, params = linearised_loop(study, numbers, places, resting)
+            loop, params = with_inner_sides(loop, params, places, vectors["findings"])
+            k = vectors["sample"][0].astype(jnp.int32)
+            sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
             at = (state, jnp.zeros(self.points))
             (after, _), slopes = jax.jvp(sample, at, (direction[: len(state)], direction[len(state) :]))
-            return numbers_of(after), numbers_of(slopes[0]), numbers_of(slopes[1])
+            return after, *slopes
 
         self.program = LaneProgram(derivative)
 
@@ -169,10 +156,14 @@ class Linearisation:
         direction: np.ndarray,
     ) -> list[np.ndarray]:
         """The next states of some draws, and the derivatives of states and signals along one direction of each."""
-        columns = {name: column[draw] for name, column in values.items()}
-        columns |= columns_of(STATE, states[draw]) | columns_of(FINDING, findings[draw])
-        columns |= {DIRECTION: direction, SAMPLE: np.full(len(draw), k)}
-        return self.program(columns, indices[draw])
+        numbers = {name: column[draw] for name, column in values.items()}
+        vectors = {
+            "state": states[draw],
+            "findings": findings[draw],
+            "direction": direction[:, None],
+            "sample": np.full((len(draw), 1), k),
+        }
+        return self.program(numbers, vectors, indices[draw])
 
 
 def corner_notes(study: Study, places: tuple[LoopPart, ...], findings: np.ndarray, point: str) -> tuple[str, ...]:
@@ -232,21 +223,21 @@ class RestingLoop:
         self.initial = LaneProgram(self._initial)
         self.flown = LaneProgram(self._flown)
 
-    def _initial(self, values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers]:
-        loop, params = linearised_loop(self.study, values, self.places, resting=True)
-        return (numbers_of(ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0]),)
+    def _initial(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
+        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
+        return (ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0],)
 
-    def _flown(self, values: dict[str, jax.Array], index: jax.Array) -> tuple[Numbers]:
+    def _flown(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
         """The state after as many samples as the study has, at a constant reference."""
-        loop, params = linearised_loop(self.study, numbers_of_study(values), self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
         quiet = jnp.zeros(len(break_points(loop)))
-        state = vector_in(values, STATE)
-        return (numbers_of(jax.lax.fori_loop(0, self.study.loop.steps, lambda _, at: sample(at, quiet)[0], state)),)
+        steps = self.study.loop.steps
+        return (jax.lax.fori_loop(0, steps, lambda _, at: sample(at, quiet)[0], vectors["state"]),)
 
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
         """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
-        (begin,) = self.initial(values, indices)
+        (begin,) = self.initial(values, {}, indices)
         return self.linearise.after(values, indices, begin, 0, self.smooth(len(indices)))
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -295,7 +286,7 @@ class RestingLoop:
 
     def flown_states(self, begin: np.ndarray, values: Arrays, indices: np.ndarray) -> np.ndarray:
         """The states after a simulation at a constant reference, shape (n, states)."""
-        (states,) = self.flown(values | columns_of(STATE, begin), indices)
+        (states,) = self.flown(values, {"state": begin}, indices)
         return states
 
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:

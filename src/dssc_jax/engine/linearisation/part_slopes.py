@@ -31,28 +31,14 @@ from dssc_jax.core.signals import (
     State,
     tracking_error,
 )
-from dssc_jax.engine.linearisation.lane_programs import (
-    SAMPLE,
-    STATE,
-    LaneProgram,
-    Numbers,
-    columns_of,
-    numbers_of,
-    numbers_of_study,
-    vector_in,
-)
+from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
 from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, finding, pushes, repeated
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.sampling import Arrays
 
 BATCH_PUSHES = 16384  # pushes of all draws that are computed at once
-POINT = "@point "
-AXIS = "@axis "
 
-LaneValues: TypeAlias = dict[str, jax.Array]
-"""The values of the laws of one draw, by name."""
-
-LaneLoop: TypeAlias = Callable[[LaneValues, jax.Array], tuple[Loop, LoopParams, jax.Array]]
+LaneLoop: TypeAlias = Callable[[Values, jax.Array], tuple[Loop, LoopParams, jax.Array]]
 """(laws' values, draw index) -> the loop that is linearised, its parameters and its random key."""
 
 Examination: TypeAlias = Callable[[Arrays, np.ndarray, np.ndarray, int], np.ndarray]
@@ -222,41 +208,41 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
     """The same for parts that are all examined."""
 
-    def lane_maps(values: LaneValues, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
-        loop, params, key = lane(numbers_of_study(values), index)
+    def lane_maps(numbers: Values, vectors: Values, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
+        loop, params, key = lane(numbers, index)
         _, unravel = ravel_pytree(initial_state(loop, params, key))
-        state = unravel(vector_in(values, STATE))
-        return loop, params, part_maps(loop, params, key, state, values[SAMPLE].astype(jnp.int32), places)
+        k = vectors["sample"][0].astype(jnp.int32)
+        return loop, params, part_maps(loop, params, key, unravel(vectors["state"]), k, places)
 
-    def inputs(values: LaneValues, index: jax.Array) -> tuple[Numbers, ...]:
-        _, _, maps = lane_maps(values, index)
-        vectors = []
+    def inputs(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+        _, _, maps = lane_maps(numbers, vectors, index)
+        found = []
         for part_map in maps:
-            vectors += [vector_of(part_map.memory), vector_of(part_map.signals)]
-        return tuple(map(numbers_of, vectors))
+            found += [vector_of(part_map.memory), vector_of(part_map.signals)]
+        return tuple(found)
 
-    def pushed(values: LaneValues, index: jax.Array) -> tuple[Numbers, ...]:
-        loop, params, maps = lane_maps(values, index)
-        vectors: list[jax.Array] = []
+    def pushed(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+        loop, params, maps = lane_maps(numbers, vectors, index)
+        found: list[jax.Array] = []
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
             part, part_params = part_of(loop, params, place)
-            point = vector_in(values, f"{POINT}{i}")
-            axis = vector_in(values, f"{AXIS}{i}")
-            vectors += slopes_of(place, part_map, part, part_params, point, axis)
-        return tuple(map(numbers_of, vectors))
+            point = vectors[f"point-{i}"]
+            axis = vectors[f"axis-{i}"]
+            found += slopes_of(place, part_map, part, part_params, point, axis)
+        return tuple(found)
 
     inputs_of = LaneProgram(inputs)
     push = LaneProgram(pushed)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
         count = len(indices)
-        columns = values | columns_of(STATE, states) | {SAMPLE: np.full(count, k)}
-        vectors = inputs_of(columns, indices)
-        memories = vectors[::2]
-        points = [np.concatenate(pair, axis=1) for pair in zip(memories, vectors[1::2], strict=True)]
-        sizes = [
-            (memory.shape[1], point.shape[1] - memory.shape[1]) for memory, point in zip(memories, points, strict=True)
-        ]
+        at = {"state": states, "sample": np.full((count, 1), k)}
+        found = inputs_of(values, at, indices)
+        memories = found[::2]
+        points = [np.concatenate(pair, axis=1) for pair in zip(memories, found[1::2], strict=True)]
+        sizes = []
+        for memory, point in zip(memories, points, strict=True):
+            sizes.append((memory.shape[1], point.shape[1] - memory.shape[1]))
         patterns = repeated([directions(*size) for size in sizes])
         rows = len(MULTIPLES) * len(patterns[0])
         batch = max(1, BATCH_PUSHES // rows)
@@ -264,13 +250,12 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         for first in range(0, count, batch):
             draws = np.arange(first, min(first + batch, count))
             lanes = np.repeat(draws, rows)
-            pushed_columns = {name: column[lanes] for name, column in columns.items()}
+            numbers = {name: column[lanes] for name, column in values.items()}
+            vectors = {name: column[lanes] for name, column in at.items()}
             for i, (point, pattern) in enumerate(zip(points, patterns, strict=True)):
-                moved, axes = pushes(point[draws], pattern)
-                pushed_columns |= columns_of(f"{POINT}{i}", moved) | columns_of(f"{AXIS}{i}", axes)
-            found = push(pushed_columns, indices[lanes])
+                vectors[f"point-{i}"], vectors[f"axis-{i}"] = pushes(point[draws], pattern)
             shape = (len(draws), len(MULTIPLES), len(patterns[0]), -1)
-            arrays = [array.reshape(shape) for array in found]
+            arrays = [array.reshape(shape) for array in push(numbers, vectors, indices[lanes])]
             kinds = []
             for i, place in enumerate(places):
                 kinds.append(finding(place, Slopes(*arrays[3 * i : 3 * i + 3]), sizes[i][0], patterns[i]))
