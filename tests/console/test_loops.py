@@ -14,7 +14,8 @@ def statistics(stable, no_operating_point, limit):
 def test_unstable_draws_are_the_reason_why_no_limit_exists():
     level = "95 % of all draws with 95 % confidence"
     assert no_margins_text(statistics(127, 3, -math.inf), 200, 59, level) == (
-        "70 of 200 draws without margins: the loop is unstable; 3 of 200 draws without margins: no operating point; "
+        "70 of 200 draws without margins: the loop is unstable; 3 of 200 draws without margins: no operating point "
+        "within the limits; "
         "hence no finite limit holds for 95 % of all draws with 95 % confidence"
     )
     few = no_margins_text(statistics(199, 0, 0.4), 200, 59, level)

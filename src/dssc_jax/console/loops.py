@@ -151,7 +151,7 @@ def no_margins_text(statistics: LoopStatistics, draws: int, needed: int, level: 
     """Why draws at one break point have no margin, and hence no limit may exist; empty if all have."""
     counts = {
         "the loop is unstable": draws - statistics.stable - statistics.no_operating_point,
-        "no operating point": statistics.no_operating_point,
+        "no operating point within the limits": statistics.no_operating_point,
     }
     reasons = [f"{count} of {draws} draws without margins: {cause}" for cause, count in counts.items() if count]
     if reasons and draws >= needed and not math.isfinite(statistics.margins["disk"].tolerance_limit):

@@ -205,7 +205,7 @@ def margins_missing(point: SummaryRow) -> list[str]:
     sentences = []
     for (unstable, unsettled), names in named.items():
         reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
-        reasons += [f"in {unsettled:,} it has no operating point"] if unsettled else []
+        reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
     return sentences
 

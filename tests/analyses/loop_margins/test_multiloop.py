@@ -7,7 +7,7 @@ import pytest
 from dssc_jax.analyses.loop_margins.multiloop import JointLoops, multiloop_margins, peak
 from dssc_jax.analyses.loop_margins.structured import lower_bounds, upper_bounds
 from dssc_jax.closed_loop.break_points import place_names
-from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
+from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.response import grid_with_poles, loop_grids
 
 T_S = 0.05
@@ -73,7 +73,7 @@ def test_loops_oscillate_at_the_margin_and_are_stable_within_it(channels):
     full_c = np.zeros((len(a), len(names), a.shape[1]))
     full_b[:, :, columns] = b
     full_c[:, columns] = c
-    operating = Operating(StateMatrices(a[:, 0], a, full_b, full_c), np.ones(len(a), bool), ())
+    operating = Operating(StateMatrices(a[:, 0], a, full_b, full_c), np.ones(len(a), bool), np.zeros(len(a), bool), ())
     found = multiloop_margins([f"c{i}" for i in range(channels)], operating, T_S)
     np.testing.assert_allclose(found.found, found.guaranteed, rtol=1e-6)
     rng = np.random.default_rng(0)

@@ -77,8 +77,15 @@ def test_limits_that_do_not_act_do_not_change_margins():
     np.testing.assert_allclose(limited, free, rtol=1e-6)
 
 
-def test_an_open_loop_has_no_margin():
-    """Some draws need a command beyond its limit: at rest their loop is open, and violates a required margin."""
+SAME_LIMITS = {"kind": "saturation", "low": 0.0, "limit": 0.8}
+
+
+@pytest.mark.parametrize("actuators", [[], [SAME_LIMITS]], ids=["free", "limited"])
+def test_an_open_loop_has_no_margin(actuators):
+    """Some draws need a command beyond its limit: at rest their loop is open, and violates a required margin.
+
+    An actuator with the controller's limits then rests on its boundary, where it has no derivative and needs none.
+    """
     study = dj.Study.from_table(
         {
             "name": "short",
@@ -88,6 +95,7 @@ def test_an_open_loop_has_no_margin():
             "parameters": {"gain": {"uniform": [0.8, 2.0]}},
             "reference": {"kind": "step", "offset": 1.0, "size": 0.0, "at": 1.0},
             "controller": {"kind": "pid", "k_p": 1.0, "k_i": 1.0, "k_d": 0.0} | COMMAND_LIMITS,
+            "actuator": actuators,
             "requirement": [{"margin": "phase", "min": 0.5}],
         }
     )
@@ -99,6 +107,77 @@ def test_an_open_loop_has_no_margin():
     np.testing.assert_array_equal(np.isnan(margins), short)
     assert result.failed.values[short].all()
     assert np.all(margins[~short] > 0.5)
+    linearised = dj.loop_margins(study)
+    np.testing.assert_array_equal(np.isnan(linearised.dataset["phase"].values[0, 0]), short)
+    for statistics in linearised.answer.loops.values():
+        assert (statistics.stable, statistics.no_operating_point) == (16 - short.sum(), short.sum())
     rule = rf"controller 'pid' rests at or beyond the limits low and high .* in {short.sum()} of 16 draws"
     with pytest.raises(dj.ConfigError, match=rule):
         dj.worst_loop(study)
+
+
+class Pendulum(NamedTuple):
+    """q'' = (u - b q' - m sin q) / J."""
+
+    m: Annotated[float, Quantity("N m", "torque of gravity", at_least=0.0)] = 0.3
+    b: Annotated[float, Quantity("N m s", "friction", at_least=0.0)] = 0.01
+    inertia: Annotated[float, Quantity("kg m^2", "J", above=0.0)] = 0.02
+
+
+class Swing(NamedTuple):
+    """Angle and its rate."""
+
+    q: float
+    w: float
+
+
+def swing(p, state, drive, t):
+    torque = drive.command + drive.disturbance - p.b * state.w - p.m * jnp.sin(state.q)
+    return Swing(state.w, torque / p.inertia)
+
+
+PENDULUM = Plant(
+    Pendulum,
+    lambda p: Swing(0.4, 0.0),
+    swing,
+    lambda p, state, drive: Measurement(state.q, state.w),
+    lambda p: 1.0 / p.inertia,
+    smooth=SMOOTH,
+    angles=("",),
+)
+
+
+def test_an_equilibrium_within_the_limits_is_preferred_to_one_beyond():
+    """At its lower limit the command holds the pendulum elsewhere, too, hanging or upside down: an open loop.
+
+    Newton's method came to such an equilibrium in some draws, and the loop counted as unstable. Whether the command
+    that the reference needs, m sin 0.9, lies within the limits decides.
+    """
+    study = dj.Study.from_table(
+        {
+            "name": "pendulum",
+            "draws": 64,
+            "loop": {"duration": 4.0, "sample_time": 0.01},
+            "plant": {
+                "kind": "tests.engine.linearisation.test_limits:PENDULUM",
+                "m": {"uniform": [0.25, 0.6]},
+                "inertia": {"uniform": [0.01, 0.03]},
+            },
+            "reference": {"kind": "step", "size": 0.9, "at": 0.0},
+            "controller": {
+                "kind": "pid",
+                "k_p": 1.2,
+                "k_i": 1.0,
+                "k_d": 0.12,
+                "filter": 0.01,
+                "low": -0.2,
+                "high": 0.42,
+            },
+            "requirement": [{"margin": "phase", "min": 0.3}],
+        }
+    )
+    result = dj.run(study, check=False)
+    margins = result.dataset["phase_margin"].values
+    needed = result.dataset["plant.m"].values * np.sin(0.9)
+    np.testing.assert_array_equal(np.isnan(margins), needed > 0.42)
+    assert np.all(margins[needed < 0.42] > 0.3)

@@ -14,7 +14,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
+from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.response import (
     ClassicalMargins,
     classical_margins,
@@ -74,10 +74,10 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     common = common_grid(np.concatenate(poles))
     sample_time = study.config.loop.sample_time
     broken_loops: dict[str, dict[str, BrokenLoop]] = {}
-    for count, (name, operating) in enumerate(operating_points.items(), start=1):
+    for count, (name, by_loop) in enumerate(parts.items(), start=1):
         broken_loops[name] = {}
-        for loop, part in parts[name].items():
-            broken = broken_loop(part, operating.reached, common, sample_time)
+        for loop, part in by_loop.items():
+            broken = broken_loop(part, common, sample_time)
             if broken is not None:
                 broken_loops[name][loop] = broken
         if progress:
@@ -88,24 +88,26 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
 
 
-def in_loop(matrices: StateMatrices, reached: np.ndarray, point: int) -> np.ndarray:
-    """Indices of the states that a break point's input reaches and its output depends on, in any draw."""
-    influences = np.any(matrices.a[reached] != 0.0, axis=0)
-    forward = closure(np.any(matrices.b[reached, :, point] != 0.0, axis=0), influences.T)
-    backward = closure(np.any(matrices.c[reached, point] != 0.0, axis=0), influences)
+def in_loop(matrices: StateMatrices, draws: np.ndarray, point: int) -> np.ndarray:
+    """Indices of the states that a break point's input reaches and its output depends on, in any of some draws."""
+    influences = np.any(matrices.a[draws] != 0.0, axis=0)
+    forward = closure(np.any(matrices.b[draws, :, point] != 0.0, axis=0), influences.T)
+    backward = closure(np.any(matrices.c[draws, point] != 0.0, axis=0), influences)
     return np.flatnonzero(forward & backward)
 
 
 class Part(NamedTuple):
-    """The states of a broken loop of the draws that have an operating point; the loop is closed.
+    """The states of a broken loop of n draws, which have an operating point within the limits; the loop is closed.
 
     Args:
+        closed: Which draws these are, shape (draws,).
         a: Shape (n, states, states).
         b: Shape (n, states).
         c: Shape (n, states).
         poles: Eigenvalues of a, shape (n, states).
     """
 
+    closed: np.ndarray
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
@@ -115,40 +117,39 @@ class Part(NamedTuple):
 def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     """The part of the loop that matters at each break point; one without effect is left out."""
     matrices = operating.matrices
-    reached = operating.reached
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
-        kept = in_loop(matrices, reached, point)
+        closed = operating.closed(point)
+        kept = in_loop(matrices, closed, point)
         if kept.size:
-            a = matrices.a[np.ix_(reached, kept, kept)]
-            b = matrices.b[reached][:, kept, point]
-            c = matrices.c[reached][:, point, kept]
-            parts[name] = Part(a, b, c, np.linalg.eigvals(a))
+            a = matrices.a[np.ix_(closed, kept, kept)]
+            b = matrices.b[closed][:, kept, point]
+            c = matrices.c[closed][:, point, kept]
+            parts[name] = Part(closed, a, b, c, np.linalg.eigvals(a))
     return parts
 
 
-def broken_loop(part: Part, reached: np.ndarray, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
+def broken_loop(part: Part, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
     """Margins and frequency response at one break point; None if the signal there has no effect.
 
     Args:
-        part: The broken loop of the draws that have an operating point.
-        reached: Which draws these are, shape (draws,).
+        part: The broken loop.
         common: Angles of the frequency response, shape (frequencies,).
         sample_time: T_s [s].
     """
-    a, b, c, poles = part
-    g = np.full((len(reached), common.size), np.nan, complex)
-    g[reached] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
+    closed, a, b, c, poles = part
+    g = np.full((len(closed), common.size), np.nan, complex)
+    g[closed] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
     if np.nanmax(np.abs(g)) < NO_EFFECT:
         return None
-    opened = np.full((len(reached), a.shape[-1]), np.nan, complex)
-    opened[reached] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    opened = np.full((len(closed), a.shape[-1]), np.nan, complex)
+    opened[closed] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
     stable = np.max(np.abs(poles), axis=1) < 1.0
-    status = np.full(len(reached), Status.NO_OPERATING_POINT.value)
-    status[reached] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
-    columns = {field: np.full(len(reached), np.nan) for field in ClassicalMargins._fields}
+    status = np.full(len(closed), Status.NO_OPERATING_POINT.value)
+    status[closed] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
+    columns = {field: np.full(len(closed), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        angles = grid_with_poles(common, np.concatenate([poles, opened[reached]], axis=1)[stable])
+        angles = grid_with_poles(common, np.concatenate([poles, opened[closed]], axis=1)[stable])
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values

@@ -16,7 +16,7 @@ import numpy as np
 from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, scaled_norms, upper_bounds
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.influences import closure
-from dssc_jax.engine.linearisation.operating_points import Operating, StateMatrices
+from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.response import golden, grid_with_poles, loop_grids
 
 MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened

@@ -9,10 +9,10 @@ import numpy as np
 from dssc_jax.closed_loop.break_points import break_points, sample_map, start_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
+from dssc_jax.engine.linearisation.matrices import Operating
 from dssc_jax.engine.linearisation.operating_points import (
     EQUILIBRIUM,
     Linearisation,
-    Operating,
     RestingLoop,
     corner_notes,
     lane_loop,
@@ -74,10 +74,11 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    findings = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
+    found = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
+    findings = resting.linearise.beyond(values, indices, states, 1, found)
     taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
+    plain = settled & ~np.any((found == Finding.CORNER) | (found == Finding.DEFECT), axis=1)
     cornered = np.any(findings == Finding.CORNER, axis=1)
-    plain = settled & ~cornered
 
     def after(pushed: np.ndarray) -> np.ndarray:
         return resting.linearise.after(values, indices, pushed, 1, resting.smooth(draws))
@@ -86,7 +87,7 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
         require_derivative(study, after, states, matrices, plain, felt)
     if cornered.any():
         matrices = resting.linearise(values, indices, states, 1, findings)
-    return Operating(matrices, settled, taken), findings
+    return Operating(matrices, settled, np.any(findings == Finding.BEYOND, axis=1), taken), findings
 
 
 def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
@@ -107,10 +108,12 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     operating = {}
     for t, k, states in zip(times, samples, flown, strict=True):
         findings = examine(values, indices, states, k)
+        findings = linearise.beyond(values, indices, states, k, findings)
         matrices = linearise(values, indices, states, k, findings)
         finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
-        operating[name] = Operating(matrices, finite, corner_notes(study, places, findings[finite], name))
+        taken = corner_notes(study, places, findings[finite], name)
+        operating[name] = Operating(matrices, finite, np.any(findings == Finding.BEYOND, axis=1), taken)
     return operating
 
 

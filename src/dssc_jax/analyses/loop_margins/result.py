@@ -29,7 +29,7 @@ class Status(IntEnum):
 
     STABLE = 0
     UNSTABLE = 1
-    NO_OPERATING_POINT = 2
+    NO_OPERATING_POINT = 2  # or one beyond a limit, where the loop is open
 
 
 class MarginKind(NamedTuple):
@@ -67,7 +67,7 @@ class BrokenLoop(NamedTuple):
         margins: By name, each of shape (draws,); NaN for a draw without margins.
         status: A :class:`Status` for each draw.
         response: G on the common grid, shape (draws, frequencies).
-        poles: Of L, shape (draws, states); NaN for a draw without an operating point.
+        poles: Of L, shape (draws, states); NaN for a draw without an operating point within the limits.
     """
 
     margins: dict[str, np.ndarray]
@@ -94,7 +94,7 @@ class LoopStatistics:
 
     stable: Annotated[int, Quantity("1", "draws with a stable loop")]
     stable_interval: Annotated[tuple[float, float], Quantity("1", "interval of their share of all draws")]
-    no_operating_point: Annotated[int, Quantity("1", "draws without an operating point")]
+    no_operating_point: Annotated[int, Quantity("1", "draws without an operating point within the limits")]
     margins: dict[str, MarginStatistics] = field(metadata={MERGED: True})
 
 

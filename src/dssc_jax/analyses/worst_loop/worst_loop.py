@@ -30,7 +30,8 @@ from dssc_jax.closed_loop.break_points import BreakPoint, break_points
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.engine.linearisation.operating_points import Operating, RestingLoop, StateMatrices
+from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
+from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.response import common_grid
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, stated
 from dssc_jax.study import Study, takes_file

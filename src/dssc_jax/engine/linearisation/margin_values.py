@@ -14,8 +14,8 @@ from dssc_jax.closed_loop.break_points import place_names
 from dssc_jax.closed_loop.loop import Loop
 from dssc_jax.closed_loop.margin_measures import margins_of
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.influences import closure
-from dssc_jax.engine.linearisation.operating_points import RestingLoop, StateMatrices, lane_loop
+from dssc_jax.engine.linearisation.matrices import StateMatrices
+from dssc_jax.engine.linearisation.operating_points import RestingLoop, lane_loop
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.response import margin_angles, named_margins, response_of
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, require_smooth_at
@@ -139,7 +139,9 @@ class MarginValues:
         states, matrices, settled, _ = self.resting.settle(values, indices)
         outside = np.zeros(len(settled), bool)
         if settled.any():
-            findings = self.examine(values, indices, np.where(settled[:, None], states, states[settled][0]), 1)
+            states = np.where(settled[:, None], states, states[settled][0])
+            findings = self.examine(values, indices, states, 1)
+            findings = self.resting.linearise.beyond(values, indices, states, 1, findings)
             require_smooth_at(self.study, self.resting.places, findings[settled])
             outside = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):
@@ -164,9 +166,7 @@ class MarginValues:
             point: Index of the break point.
             neutral: The margins' values at the limit of stability.
         """
-        influences = matrices.a != 0.0
-        forward = closure(matrices.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
-        kept = forward & closure(matrices.c[:, point] != 0.0, influences)
+        kept = matrices.returning(point)
         settled = settled & (np.any(kept, axis=1) | ~outside)
         columns = {field: np.where(settled, value, np.nan) for field, value in neutral.items()}
         for mask in np.unique(kept[settled], axis=0):

@@ -15,6 +15,7 @@ from dssc_jax.closed_loop.sample import initial_state
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
+from dssc_jax.engine.linearisation.matrices import StateMatrices
 from dssc_jax.engine.linearisation.part_slopes import LaneLoop
 from dssc_jax.engine.linearisation.smooth_parts import (
     Finding,
@@ -35,36 +36,6 @@ PUSH = 1e-7  # size of a test of smoothness
 PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivative, relative to the latter
 
 LoopWithParams = tuple[Loop, LoopParams]
-
-
-class StateMatrices(NamedTuple):
-    """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
-
-    Args:
-        after: The state after one sample, shape (n, states).
-        a: Shape (n, states, states).
-        b: Shape (n, states, break points).
-        c: Shape (n, break points, states).
-    """
-
-    after: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
-
-
-class Operating(NamedTuple):
-    """Matrices of all draws at one operating point.
-
-    Args:
-        matrices: Of all draws.
-        reached: Which draws have an operating point, shape (draws,).
-        taken: What is taken for parts that lie at a corner there, in words.
-    """
-
-    matrices: StateMatrices
-    reached: np.ndarray
-    taken: tuple[str, ...]
 
 
 def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
@@ -103,6 +74,7 @@ class Linearisation:
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
+        self.places = places
         self.points = len(break_points(study.loop))
 
         def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
@@ -144,6 +116,33 @@ class Linearisation:
         """The states of n draws after one sample, shape (n, states); arguments as for a call."""
         draw = np.arange(len(states))
         return self._derivatives(values, indices, states, k, findings, draw, np.zeros_like(draw))[0]
+
+    def beyond(
+        self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
+    ) -> np.ndarray:
+        """The findings in which a part on its boundary counts as beyond it where another part opens the loop.
+
+        There the derivative of the part does not matter: so it is where an actuator has the limit of its controller.
+
+        Args:
+            values: Of the uncertain numbers, each of shape (n,).
+            indices: Draw indices, shape (n,).
+            states: Shape (n, states).
+            k: Index of the sample.
+            findings: Shape (n, parts).
+        """
+        inner = np.array([place.inner for place in self.places])
+        doubtful = (findings == Finding.DEFECT) & inner & np.any(findings == Finding.BEYOND, axis=1)[:, None]
+        lanes = np.flatnonzero(np.any(doubtful, axis=1))
+        if not len(lanes):
+            return findings
+        passing = np.where(doubtful, Finding.CORNER.value, findings)[lanes]
+        numbers = {name: column[lanes] for name, column in values.items()}
+        matrices = self(numbers, indices[lanes], states[lanes], k, passing)
+        opened = lanes[matrices.opened()]
+        findings = findings.copy()
+        findings[opened] = np.where(doubtful[opened], Finding.BEYOND.value, findings[opened])
+        return findings
 
     def _derivatives(
         self,
@@ -199,11 +198,12 @@ class Resting(NamedTuple):
     felt: np.ndarray
 
 
-def with_settled(found: Resting, later: Resting) -> Resting:
-    """What was found, with what was found later where nothing had settled."""
+def with_better(found: Resting, later: Resting) -> Resting:
+    """What was found, with what was found later where nothing had settled, or only an open loop had."""
+    better = later.settled & (~found.settled | (found.matrices.opened() & ~later.matrices.opened()))
 
     def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-        return np.where(found.settled.reshape(-1, *[1] * (early.ndim - 1)), early, late)
+        return np.where(better.reshape(-1, *[1] * (early.ndim - 1)), late, early)
 
     return jax.tree.map(chosen, found, later)
 
@@ -261,9 +261,9 @@ class RestingLoop:
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
         """Find the equilibria by Newton's method, from the states after the first sample.
 
-        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere. It
-        starts again from the equilibrium of the loop without limits, and then from the state after a simulation at the
-        constant reference, by which a stable loop has left the limit.
+        Where the first command is at a limit, it does not depend on the states, and Newton's method leads nowhere, or
+        to where the plant rests at that command. It starts again from the equilibrium of the loop without limits, and
+        then from the state after a simulation at the constant reference, by which a stable loop has left the limit.
 
         Args:
             values: Of the uncertain numbers, each of shape (n,).
@@ -271,23 +271,14 @@ class RestingLoop:
         """
         begin = self.start(values, indices)
         found = self.settled_from(begin, values, indices, self.smooth(len(indices)))
-        for states_of in (self.unlimited_states, self.flown_states):
-            if found.settled.all():
-                break
-            later = self.settled_from(states_of(begin, values, indices), values, indices, self.smooth(len(indices)))
-            found = with_settled(found, later)
+        limited = any(place.inner for place in self.places)
+        if limited and np.any(~found.settled | found.matrices.opened()):
+            unlimited = self.settled_from(begin, values, indices, self.within(len(indices))).states
+            found = with_better(found, self.settled_from(unlimited, values, indices, self.smooth(len(indices))))
+        if not found.settled.all():
+            (flown,) = self.flown(values, {"state": begin}, indices)
+            found = with_better(found, self.settled_from(flown, values, indices, self.smooth(len(indices))))
         return found
-
-    def unlimited_states(self, begin: np.ndarray, values: Arrays, indices: np.ndarray) -> np.ndarray:
-        """The equilibria of the loop with every part within its boundaries, shape (n, states)."""
-        if not any(place.inner for place in self.places):
-            return begin
-        return self.settled_from(begin, values, indices, self.within(len(indices))).states
-
-    def flown_states(self, begin: np.ndarray, values: Arrays, indices: np.ndarray) -> np.ndarray:
-        """The states after a simulation at a constant reference, shape (n, states)."""
-        (states,) = self.flown(values, {"state": begin}, indices)
-        return states
 
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
         """The equilibria to which Newton's method leads from some states, shape (n, states).
