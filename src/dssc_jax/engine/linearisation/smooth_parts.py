@@ -20,6 +20,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import is_known
 from dssc_jax.core.signals import Params, Scalar
 from dssc_jax.core.smoothness import SmoothExtent, Smoothness, declared_smoothness
+from dssc_jax.engine.linearisation.time_dependence import require_timeless
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in, section_of
 
@@ -120,11 +121,13 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
         moving: Whether it is linearised along its flight, where disturbances matter.
 
     Raises:
-        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; or something happens
-            to the vehicle at a time.
+        ConfigError: a part declares nothing, or that it is smooth nowhere without a substitute; something happens to
+            the vehicle at a time; or the plant changes with time, and the loop is not linearised along its flight.
     """
     if study.config.event:
         raise ConfigError(f"{study.source}: event", "changes the loop at a time, which a linearisation does not cover")
+    if not moving:
+        require_timeless(study)
     loop = study.loop
     template = study.template
     slots = (*CHANNEL_SLOTS, DISTURBANCE) if moving else CHANNEL_SLOTS

@@ -1,0 +1,49 @@
+"""Whether a plant of one's own changes with time, so that it has no equilibrium."""
+
+import jax
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from dssc_jax.core.adapters import quiet_inputs
+from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.numerics import arithmetic
+from dssc_jax.core.signals import PlantInput, Scalar, Signals, State
+from dssc_jax.study import Study
+from dssc_jax.study.actuators import kind_in
+from dssc_jax.study.fitting import medians
+
+
+def require_timeless(study: Study) -> None:
+    """Require that the slopes of a plant of one's own do not follow from the time, by its program.
+
+    The plants of this package do not. One with a state outside of JAX, and one in a wind, are not looked at.
+
+    Args:
+        study: The study.
+
+    Raises:
+        ConfigError: They do.
+    """
+    kind = str(study.config.plant.get("kind", ""))
+    plant = study.loop.mimo_plant
+    if ":" not in kind or plant.begin is not None or kind_in(study.config, "wind") != "none":
+        return
+    params = medians(study.template).plant
+    channels = (0.0,) * len(study.loop.channels)
+    drive: PlantInput[Signals] = PlantInput(channels, channels, None, quiet_inputs(study.loop.plant, params))
+
+    def slopes(t: Scalar) -> list[State]:
+        state = plant.init(params)
+        found = [plant.derivative(params, state, drive, t)]
+        if plant.remainder is not None:
+            found.append(plant.remainder(params, state, drive, t))
+        return found
+
+    with arithmetic():
+        program = jax.make_jaxpr(slopes)(0.0).jaxpr
+    _, (used,) = dce_jaxpr(program, [True] * len(program.outvars))
+    if used:
+        raise ConfigError(
+            f"{study.source}: plant.kind",
+            f"'{kind}' changes with the time t, so that the loop has no equilibrium; linearise along the flight, "
+            "whose margins hold at the times that are stated",
+        )
