@@ -378,6 +378,6 @@ def step(
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
     after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors, estimate))
     broken = loop.plant.broken(params.plant, after.plant)
-    grounded = loop.plant.grounded(params.plant, after.plant)
+    grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
     instant = Instant(t, dt, tuple(samples), info, signals)
     return after, Recorded(instant, measurements, references, all_finite(after), broken, grounded, tuple(outputs))

@@ -85,7 +85,7 @@ def as_mimo_plant(plant: Plant[Measurement, Scalar]) -> Plant[Measurements, Sign
         project=plant.project,
         monitor=lambda params, state, drive: plant.monitor(params, state, plain(drive)),
         broken=plant.broken,
-        grounded=plant.grounded,
+        grounded=lambda params, state, drive, t, dt: plant.grounded(params, state, plain(drive), t, dt),
         linear=plant.linear,
         remainder=remainder and (lambda params, state, drive, t: remainder(params, state, plain(drive), t)),
         onboard=plant.onboard,

@@ -64,6 +64,11 @@ def never_broken(params: Params, state: State) -> bool:
     return False
 
 
+def never_grounded(params: Params, state: State, drive: PlantInput, t: Scalar, dt: Scalar) -> bool:
+    """Report that there is no ground."""
+    return False
+
+
 def stateless(params: Params, key: jax.Array) -> tuple[()]:
     """Initialise a model without a state."""
     return ()
@@ -103,7 +108,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
         monitor: ``(params, state, input) -> info`` at each sample, a NamedTuple for metrics and plots.
         broken: ``(params, state) -> bool``: whether the model is no longer valid (a singular attitude); the draw is
             then frozen.
-        grounded: ``(params, state) -> bool``: whether it has flown into the ground; False itself: there is none.
+        grounded: ``(params, state, input, t, dt) -> bool``: whether it flies into the ground in the sample that begins
+            with this state; False itself: there is none.
         linear: ``(params) -> LinearDynamics``: the plant's linear part, which the loop advances by its exact solution.
             None: the loop integrates ``derivative`` by its fixed-step method.
         remainder: ``(params, state, input, t) -> state'``: what ``derivative`` adds to the linear part, as plain 0.0
@@ -138,7 +144,7 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     project: Callable[[Params, State], State] = no_constraint
     monitor: Callable[[Params, State, PlantInput[Signal]], Info] = no_info
     broken: Callable[[Params, State], Scalar | bool] = never_broken
-    grounded: Callable[[Params, State], Scalar | bool] = never_broken
+    grounded: Callable[[Params, State, PlantInput[Signal], Scalar, Scalar], Scalar | bool] = never_grounded
     linear: Callable[[Params], LinearDynamics] | None = None
     remainder: Callable[[Params, State, PlantInput[Signal], Scalar], State] | None = None
     onboard: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ import numpy as np
 from dssc_jax.closed_loop.estimates import estimation_of
 from dssc_jax.closed_loop.hold import advance_by_steps
 from dssc_jax.closed_loop.sample import LoopState, held_parts, initial_state, step
+from dssc_jax.core.numerics import as_arrays
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.onboard import TracedSoftware, without_held
@@ -49,8 +50,12 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             following = step(loop, params, key, state, k, advance)[0]
             return (following, k + 1), rows
 
-        initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32))
-        return jax.lax.scan(sample, initial, length=samples)[1]
+        begin = initial_state(loop, params, key)
+        estimation = estimation_of(loop, params)
+        known = begin.plant if estimation is None else estimation.seen(params.plant, begin.plant)
+        held = software.start(params.plant, without_held(software, known), None)  # as its C starts: never settled
+        begin = as_arrays(begin._replace(plant=software.holding(begin.plant, held)))
+        return jax.lax.scan(sample, (begin, jnp.zeros((), jnp.int32)), length=samples)[1]
 
     return lane
 

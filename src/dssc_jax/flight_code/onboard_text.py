@@ -57,7 +57,7 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
     for place, name in enumerate(software.laws):
         if re.search(rf"\b{LAW}{place}\b", body):
             rule = "has a law, and the inner loop's C has constants"
-            raise ConfigError(name, f"{rule}; give it a number, such as with --set {name}=0.0")
+            raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
     read = [name for name in software.readings if re.search(rf"\bseen->{name}\b", body)]
     return Written(text.lines, read, [*text.tables, *text.notation.helpers(), *text.functions.values()])
 
@@ -178,10 +178,11 @@ def readme_lines(files: SoftwareFiles) -> list[str]:
         "## The inner loop and the mixer",
         "",
         f"`{name}.h`, `{name}.c`: call `{name}_init` with the first readings, and again on the ground and where it "
-        "takes over in flight; it sets all integrals to 0. At every sample, after the "
-        f"controllers, call `{name}_sample` with their commands. Call `{name}_tick` every {software.period:g} s, "
-        f"{software.ticks} times in a sample; the first one follows `{name}_sample`. The members `rotor_..` are the "
-        "commanded thrusts [N]. `inner_loop_bench.c` compares every bit with the recording; `make` builds and runs it.",
+        "takes over in flight; it sets all integrals to 0, to which `velocity_integral` of the study adds. At every "
+        f"sample, after the controllers, call `{name}_sample` with their commands. Call `{name}_tick` every "
+        f"{software.period:g} s, {software.ticks} times in a sample; the first one follows `{name}_sample`. The "
+        "members `rotor_..` are the commanded thrusts [N]. `inner_loop_bench.c` compares every bit with recorded "
+        "flights, which begin as `_init` does; `make` builds and runs it.",
         "",
         *(f"* {sentence}" for sentence in software.outputs),
         "",

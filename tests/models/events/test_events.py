@@ -196,6 +196,30 @@ def test_take_off_landing_and_a_flight_into_the_ground():
     assert abs(run["z_y_dot"].values[-1]) < 0.02
 
 
+def test_the_rate_at_the_touch_decides_and_not_that_at_a_sample():
+    """The feet brake the vehicle within a sample; a free fall from z_0 touches with (2 g (z_0 - 0.2))^(1/2)."""
+    table = BASE | {
+        "draws": 64,
+        "loop": {"duration": 1.0, "sample_time": 0.01, "substeps": 8},
+        "plant": BASE["plant"]
+        | {
+            "ground": {"gear_height": 0.2, "fastest_landing": 3.0},
+            "vehicle": {"kind": "m600", "motor_lag": 0.005},
+            "position": [0.0, 0.0, {"uniform": [0.4, 1.4]}],
+        },
+        "event": [{"kind": "voltage_sag", "at": 0.0, "voltage": 1e-6}],
+        "requirement": [{"metric": "tilt_max", "max": 1.0}],
+    }
+    result = dj.run(dj.Study.from_table(table), check=False).dataset
+    height = result["plant.position.2"].values
+    touch = np.sqrt(2.0 * 9.81 * (height - 0.2))
+    clear = np.abs(touch - 3.0) > 0.05  # the rotors take 5 ms to stop
+    assert 0 < np.count_nonzero(touch > 3.0) < 64
+    assert np.count_nonzero(clear) > 56
+    crashed = result["outcome"].values == Outcome.INTO_GROUND
+    np.testing.assert_array_equal(crashed[clear], (touch > 3.0)[clear])
+
+
 def test_a_simulated_draw_names_its_events(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     settings = ["--set", "loop.duration=8.0", "--set", "draws=4"]

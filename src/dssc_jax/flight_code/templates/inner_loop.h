@@ -15,9 +15,10 @@ typedef struct {
     @{held}
 } @{name};
 
-/* In hover, with all integrals at 0 and the filters at these readings: before each take-off, and again where it takes over
- * in flight, directly before a sample. There, what the integrals would have held, such as the command against a steady
- * wind, has to build up first. Returns 0; 1: a reading is not finite, or the length of the quaternion deviates from 1 by
+/* In hover, with the filters at these readings and all integrals at 0, to which velocity_integral of the study adds: before
+ * each take-off, and again where it takes over in flight, directly before a sample. There, what the integrals would have
+ * held, such as the command against a steady wind, has to build up first: a settled start is for simulations alone, which
+ * know the wind and the mass. Returns 0; 1: a reading is not finite, or the length of the quaternion deviates from 1 by
  * more than @{length_error} %; 2: the state would not be finite. */
 unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen);
 

@@ -22,7 +22,7 @@ from dssc_jax.models.uav.allocation import Thrusts, allocate
 from dssc_jax.models.uav.battery import Supply, power_at_full_voltage, supply
 from dssc_jax.models.uav.condition import conditioned_motion, scaled_motion, voltage_of, wind_at
 from dssc_jax.models.uav.estimators.sensors import rotation_vector
-from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor
+from dssc_jax.models.uav.ground import contact, has_crashed, lift_factor, lowest_foot
 from dssc_jax.models.uav.info import EstimateErrors, UavInfo
 from dssc_jax.models.uav.inner_loops.article import InnerGains, Integrals, demand, euler_of, euler_rates, trig_of
 from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
@@ -227,9 +227,14 @@ def broken(params: UavParams, state: UavState) -> Scalar:
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
 
 
-def into_ground(params: UavParams, state: UavState) -> Scalar | bool:
-    """Whether the vehicle has flown into the ground; False where there is none."""
-    return False if params.ground is None else has_crashed(params.ground, state.position.z, state.velocity.z)
+def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar, dt: Scalar) -> Scalar | bool:
+    """Whether the vehicle flies into the ground in the sample that begins here; False where there is none."""
+    ground = params.ground
+    if ground is None:
+        return False
+    foot = lowest_foot(ground, state.attitude.matrix())
+    slope = derivative(params, state, drive, t).velocity.z
+    return has_crashed(ground, state.position.z, foot, state.velocity.z, slope, dt)
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
