@@ -76,6 +76,17 @@ def test_a_clock_that_runs_too_fast_is_told():
     assert not hints.conversions
 
 
+def test_a_jump_of_ten_times_the_noise_is_told_and_an_outlier_is_none():
+    """It may be no larger than the noise allows for a single value, because it lasts."""
+    for seed in range(20):
+        y, rate = flight(seed, noise=0.01)
+        shifted = Column(TIME, y.value - 0.1 * (np.arange(400) >= 150))
+        (jump,) = jumps_beside(shifted, rate, -1.0, 100.0)
+        assert abs(jump.time - TIME[150]) < 0.11
+        assert jump.size == pytest.approx(-0.1, abs=0.03)
+        assert jumps_beside(Column(TIME, y.value + 0.5 * (np.arange(400) == 150)), rate, -1.0, 100.0) == []
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_a_jump_that_the_rate_does_not_have_is_told(noise):
     y, rate = flight(noise=noise)

@@ -9,6 +9,7 @@ import numpy as np
 MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
+FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
 FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
 
 
@@ -32,8 +33,9 @@ class Conversion(NamedTuple):
         return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
 
 
+OPPOSITE = "with the opposite sign"
 CONVERSIONS = (
-    Conversion(-1.0, "with the opposite sign"),
+    Conversion(-1.0, OPPOSITE),
     Conversion(100.0, "times 100", "m", "centimetres in place of metres"),
     Conversion(1000.0, "times 1000", "m", "millimetres in place of metres"),
     Conversion(0.01, "times 0.01"),
@@ -81,6 +83,21 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
             smallest = distance
             best = conversion.text(unit)
     return best
+
+
+def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
+    """The multiple of its reference that a logged output follows, in words; empty: it follows none.
+
+    A closed loop follows its reference, so such an output is in another unit. The opposite sign is none: a slow loop may
+    lag by half a period.
+
+    Args:
+        logged: The output, NaN where missing, shape (samples,).
+        reference: The reference of its channel in the study at the same times.
+        unit: Of the output.
+    """
+    text = conversion_text(logged, reference, FOLLOWED, unit)
+    return f"follows its reference {text}" if text and text != OPPOSITE else ""
 
 
 def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:

@@ -22,7 +22,9 @@ FITTED = 3  # numbers of the regression
 SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
-JUMP = 20.0  # of the typical change beside the rate: a larger one is no noise
+JUMP = 5.0  # of the typical change beside the rate: a larger one is hardly noise
+LASTING = 10.0  # of the typical difference of two means beside the rate: a larger one is no noise
+NEIGHBOURS = 8  # values of each mean
 MOST_JUMPS = 3  # of an output that has jumps, and no other error
 TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation
 
@@ -97,7 +99,7 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
     """The jumps of an output between two times of the log [s]; none where there are more than a few, or too few values.
 
     A jump is far larger than what the output usually changes by beside the integral of its rate, and than what the
-    largest rate gives within the same time.
+    largest rate gives within the same time; and it lasts, which an outlier does not.
     """
     output, slope = between(y, begin, end), between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
@@ -105,11 +107,21 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
     rate = np.interp(output.time, slope.time, slope.value)
     gaps = np.diff(output.time)
     changes = np.diff(output.value) - 0.5 * gaps * (rate[1:] + rate[:-1])
-    usual = TO_DEVIATION * float(np.median(np.abs(changes)))
-    rows = np.flatnonzero(np.abs(changes) > np.maximum(JUMP * usual, 2.0 * gaps * np.abs(slope.value).max()))
+    beside = np.concatenate([[0.0], np.cumsum(changes)])
+    means = np.convolve(beside, np.full(NEIGHBOURS, 1.0 / NEIGHBOURS), "valid")
+    lasting = np.zeros(len(changes))
+    lasting[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
+    least = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
+    is_jump = (np.abs(changes) > least) & (np.abs(lasting) > LASTING * usual_size(lasting))
+    rows = np.flatnonzero(is_jump & (np.abs(lasting - changes) < 0.5 * np.abs(changes)))
     if len(rows) > MOST_JUMPS:
         return []
-    return [Jump(float(output.time[row + 1]), float(changes[row])) for row in rows]
+    return [Jump(float(output.time[row + 1]), float(lasting[row])) for row in rows]
+
+
+def usual_size(values: np.ndarray) -> float:
+    """The standard deviation of normal numbers from their median size, which a few outliers hardly change."""
+    return TO_DEVIATION * float(np.median(np.abs(values)))
 
 
 class IntegralHints(NamedTuple):

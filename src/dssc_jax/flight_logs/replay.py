@@ -20,7 +20,7 @@ from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.conversions import LogHints, conversion_text, rms
+from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
 from dssc_jax.flight_logs.integrals import integral_hints
 from dssc_jax.flight_logs.reader import (
@@ -257,6 +257,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     conversions = integrals.units | compared.conversions
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
+        followed = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
+        if followed:
+            conversions.setdefault(signal_name(channel, "y"), followed)
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])
