@@ -176,6 +176,13 @@ def test_an_empty_file_is_told_alike(tmp_path):
             read(tmp_path / "empty.ulg")
 
 
+def test_a_start_after_the_end_is_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,y\n0,1\n0.5,2\n1,3\n")
+    with pytest.raises(ConfigError, match=r"log.csv: start: is 1.5 s, and the log ends at 1 s"):
+        dj.read_log(path, table={"time": "t", "start": 1.5, "signals": {"y": "y"}})
+
+
 def test_a_cut_file_is_known(tmp_path):
     content = ulog(tmp_path / "a.ulg", RATE).read_bytes()
     (tmp_path / "cut.ulg").write_bytes(content[:-5])

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import warnings
 
 import numpy as np
 import pytest
@@ -76,6 +77,19 @@ def test_a_last_row_that_is_cut_off_is_left_out(tmp_path):
     np.testing.assert_array_equal(log.columns["y"].time, [row[0] for row in ROWS[:-1]])
     with pytest.warns(RecordWarning):
         assert guarded(["log", str(path)]) == 0
+
+
+def test_a_last_number_that_may_be_cut_off_is_told(tmp_path):
+    path = tmp_path / "log.csv"
+    whole = "t,y\n0.0,0.125\n0.1,0.250\n0.2,0.375\n"
+    path.write_text(whole[:-5])
+    with pytest.warns(RecordWarning, match="ends without a line break, so that its last number, 0, may be cut off"):
+        assert recorded_columns(path, ["t", "y"])[1][-1] == 0.0
+    for sound in (whole, whole[:-1]):
+        path.write_text(sound)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            recorded_columns(path, ["t", "y"])
 
 
 def test_a_spreadsheets_words_for_no_number_are_empty_cells(tmp_path):

@@ -88,8 +88,8 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The multiple of its reference that a logged output follows, in words; empty: it follows none.
 
-    A closed loop follows its reference, so such an output is in another unit. The opposite sign is none: a slow loop may
-    lag by half a period.
+    A closed loop follows its reference, so such an output is in another unit. The opposite sign is none: a slow loop
+    may lag by half a period.
 
     Args:
         logged: The output, NaN where missing, shape (samples,).

@@ -125,7 +125,8 @@ def read_log(
         allow_damaged: Whether rows whose times fall are left out, the fewest possible; at most 5 %.
 
     Raises:
-        ConfigError: the file cannot be read, a column is absent or holds no numbers, or its times fall.
+        ConfigError: the file cannot be read, a column is absent or holds no numbers, its times fall, or it ends before
+            its start.
     """
     file = Path(path)
     columns = column_map(table or {}, log_signals(channels))
@@ -149,18 +150,11 @@ def read_log(
                 dropped[name] = count
     first = min(float(column.time[0]) for column in converted.values()) if found.begin is None else found.begin
     start = first if columns.start is None else columns.start
-    return FlightLog(
-        file.name,
-        converted,
-        start,
-        found.damaged,
-        found.airborne,
-        file,
-        dropped,
-        columns.time,
-        found.resets,
-        found.invalid,
-    )
+    details = found.damaged, found.airborne, file, dropped, columns.time, found.resets, found.invalid
+    log = FlightLog(file.name, converted, start, *details)
+    if start >= log.end > first:
+        raise ConfigError(f"{file}: start", f"is {start:g} s, and the log ends at {log.end:g} s")
+    return log
 
 
 def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:

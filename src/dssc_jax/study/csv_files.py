@@ -18,10 +18,12 @@ NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
 """What spreadsheets write in place of a number; the rest of such a line is no comment."""
 FIRST_LINES = 100
 """Lines that tell the form."""
+SHORT = 0.7
+"""Of the usual length of a column's numbers: a shorter one at the end of a file may be cut off."""
 
 
 class RecordWarning(UserWarning):
-    """A row of a table is left out."""
+    """A row of a table is left out, or doubtful."""
 
 
 class CsvForm(NamedTuple):
@@ -114,7 +116,7 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
         ConfigError: another row has more or fewer cells than the header; the message has its line.
 
     Warns:
-        RecordWarning: The last row is left out.
+        RecordWarning: The last row is left out, or its last number may be cut off.
     """
     separator = form.separator.encode()
     quoted = b'"' in content
@@ -131,9 +133,25 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
             raise uneven(path, line, form, expected)
         cut = line if count < expected else None
     if cut is None:
+        warn_of_cut_number(path, content, separator)
         return content
     warnings.warn(f"'{path.name}' ends within line {cut.number}, which is left out", RecordWarning, stacklevel=2)
     return content[: cut.begin]
+
+
+def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
+    """Warn of a file without a last line break whose last number is shorter than those before it."""
+    if content.endswith(b"\n"):
+        return
+    *others, last = [cells(line.text, separator)[-1].strip() for line in csv_lines(content)]
+    lengths = sorted(map(len, others[1:]))
+    if lengths and len(last) < SHORT * lengths[len(lengths) // 2]:
+        warnings.warn(
+            f"'{path.name}' ends without a line break, so that its last number, {last.decode()}, may be cut off; it is "
+            "taken as it is",
+            RecordWarning,
+            stacklevel=3,
+        )
 
 
 def uneven(path: Path, line: CsvLine, form: CsvForm, expected: int) -> ConfigError:
