@@ -21,7 +21,7 @@ from dssc_jax.lanes.builder import Builder
 from dssc_jax.lanes.program import Program, Value
 from dssc_jax.lanes.tracing.translate import INLINED, Translator, traced_program
 
-LIBRARY = ("/jax/", "\\jax\\", "<frozen", "dssc_jax/lanes", "dssc_jax\\lanes")
+LIBRARY = ("/jax/", "<frozen", "dssc_jax/lanes", "dssc_jax/core/numerics")
 """Parts of the paths of files that are no model's."""
 
 
@@ -109,7 +109,8 @@ def origin_of(equation: JaxprEqn) -> Origin:
     places = list(model_places(equation))
     if not places:
         return Origin("")
-    return Origin(assigned_name(places), *function_at(places[0]))
+    named = [place for place in places if not place.code.co_name.startswith("__")]  # an operator says nothing
+    return Origin(assigned_name(places), *function_at((named or places)[0]))
 
 
 def model_places(equation: JaxprEqn) -> Iterator[Place]:
@@ -118,7 +119,8 @@ def model_places(equation: JaxprEqn) -> Iterator[Place]:
     if traceback is None:
         return
     for code, instruction in zip(*traceback.raw_frames(), strict=True):
-        if not any(part in code.co_filename for part in LIBRARY):
+        file = code.co_filename.replace("\\", "/")
+        if not any(part in file for part in LIBRARY):
             positions = list(code.co_positions())
             yield Place(code, positions[instruction // 2] if instruction // 2 < len(positions) else (None,) * 4)
 
@@ -144,7 +146,7 @@ def function_at(place: Place) -> tuple[str, str]:
     node: ast.AST | None = nodes.get(place.span)
     while node is not None and not isinstance(node, ast.FunctionDef):
         node = parents.get(node)
-    name = place.code.co_qualname.replace(".<locals>", "")
+    name = place.code.co_qualname.replace(".<locals>", "").removesuffix(".<genexpr>")
     if node is None:
         return name, ""
     return name, (ast.get_docstring(node) or "").partition("\n")[0]
