@@ -146,3 +146,22 @@ def test_extremes_of_a_signal_are_violated_when_they_pass_their_bounds():
         }
         for name, hits in passed.items():
             assert float(data[f"violated_at_{name}"][draw]) == pytest.approx(t[np.argmax(hits)])
+
+
+@pytest.mark.parametrize(
+    ("metric", "side", "bound", "told"),
+    [
+        ("error_max", "max", -1.5, r"requirement\.0\.max: must be >= 0 m, as every error_max is; got -1\.5"),
+        ("iae", "min", -1.0, r"requirement\.0\.min: must be >= 0"),
+        ("growth_rate", "max", -1.5, ""),
+    ],
+)
+def test_a_size_has_no_negative_bound(case_2, metric, side, bound, told):
+    """Every draw would violate it, or none: it is a slip of the sign."""
+    study = case_2.override({"units": {"output": "m", "command": "m/s"}})
+    change = {"requirement": [{"metric": metric, side: bound}]}
+    if not told:
+        assert study.override(change).requirements[0].maximum == bound
+        return
+    with pytest.raises(dj.ConfigError, match=told):
+        study.override(change)

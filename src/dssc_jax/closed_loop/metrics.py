@@ -4,7 +4,7 @@ A metric is the start of its accumulator and two pure functions, ``update`` and 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -93,6 +93,7 @@ class Metric(NamedTuple):
         course: How the value changes while samples are added.
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
         margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
+        least: The least value that it can have: 0 of a size.
     """
 
     unit: str
@@ -106,6 +107,7 @@ class Metric(NamedTuple):
     course: Course = Course.OPEN
     certain_after: Callable[[Accumulator], Scalar] | None = None
     margin: LoopMargin | None = None
+    least: float = -math.inf
 
     @property
     def worst(self) -> float:
@@ -200,7 +202,7 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
 def share_of_time(meaning: str, holds: Callable[[Sample], Scalar], needs: tuple[str, ...]) -> Metric:
     """The share of time for which a flag of a channel holds."""
     update = total(lambda sample: as_float(holds(sample), sample.e))
-    return Metric("1", f"share of time {meaning}", update, mean, needs, counted=True)
+    return Metric("1", f"share of time {meaning}", update, mean, needs, counted=True, least=0.0)
 
 
 def vehicle_metric(
@@ -212,8 +214,8 @@ def vehicle_metric(
     counted: bool = False,
     course: Course = Course.OPEN,
 ) -> Metric:
-    """A metric of the vehicle."""
-    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted, course)
+    """A metric of the vehicle, which is a size."""
+    return Metric(unit, meaning, update, value, FLYING, Scope.VEHICLE, start, counted, course, least=0.0)
 
 
 def rotor_limited(instant: Instant) -> Scalar:
@@ -230,12 +232,12 @@ SLIDING = ("sliding_margin",)
 SAMPLING = ("integral_gain", "tau_m")
 FLYING = ("tilt",)
 METRICS: dict[str, Metric] = {
-    "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean),
-    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself, course=RISES),
-    "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean),
-    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES),
+    "error_rms": Metric("y", "rms of the output error e", total(lambda s: s.e * s.e), root_mean, least=0.0),
+    "error_max": Metric("y", "largest |e|", peak(lambda s: s.e), itself, course=RISES, least=0.0),
+    "sigma_rms": Metric("y/s", "rms of sigma", total(lambda s: s.sigma * s.sigma), root_mean, least=0.0),
+    "sigma_max": Metric("y/s", "largest |sigma|", peak(lambda s: s.sigma), itself, course=RISES, least=0.0),
     "settling_time": Metric(
-        "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES
+        "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES, least=0.0
     ),
     "command_tv": Metric(
         "u",
@@ -243,12 +245,15 @@ METRICS: dict[str, Metric] = {
         total(lambda s: jnp.abs(s.u - s.u_previous)),
         itself,
         course=RISES,
+        least=0.0,
     ),
-    "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean),
-    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES),
-    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES),
+    "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean, least=0.0),
+    "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES, least=0.0),
+    "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES, least=0.0),
     "outside_sliding": share_of_time("outside sliding", lambda s: s.info.sliding_margin < 0.0, SLIDING),
-    "sampling_ratio": Metric("1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING, course=RISES),
+    "sampling_ratio": Metric(
+        "1", "largest sampling ratio", peak(sampling_ratio), itself, SAMPLING, course=RISES, least=0.0
+    ),
     "sampling_ratio_above_1": share_of_time(
         "with a sampling ratio above 1", lambda s: sampling_ratio(s) > 1.0, SAMPLING
     ),
@@ -334,22 +339,6 @@ class Measure:
 def suffixed(kind: str, channel: str) -> str:
     """A metric's name followed by that of its channel, if the channel has one."""
     return f"{kind}_{channel}" if channel else kind
-
-
-def available_metrics(
-    channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
-) -> dict[str, tuple[str, int | None]]:
-    """Metrics that a loop can have: name -> kind and channel."""
-    kinds: dict[str, tuple[str, int | None]] = {}
-    for kind, metric in metrics.items():
-        if metric.scope is Scope.VEHICLE:
-            if set(metric.needs) <= set(vehicle):
-                kinds[kind] = (kind, None)
-            continue
-        for index, (channel, fields) in enumerate(channels.items()):
-            if set(metric.needs) <= set(fields):
-                kinds[suffixed(kind, channel)] = (kind, index)
-    return kinds
 
 
 def starts(measures: tuple[Measure, ...], margins: Mapping[str, Scalar] = NO_MARGINS) -> tuple[Accumulator, ...]:

@@ -164,10 +164,10 @@ def smallest_thrust(acc: Scalar, instant: Instant, window: Window) -> Scalar:
 
 
 PERFORMANCE: dict[str, Metric] = {
-    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself, course=RISES),
-    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES),
+    "error_rate_max": Metric("y/s", "largest |e'|", peak(lambda s: s.e_dot), itself, course=RISES, least=0.0),
+    "iae": Metric("y s", "integral of |e|", total(lambda s: jnp.abs(s.e)), integral, course=RISES, least=0.0),
     "itae": Metric(
-        "y s^2", "integral of time, from the window's start, times |e|", timed_error, integral, course=RISES
+        "y s^2", "integral of time, from the window's start, times |e|", timed_error, integral, course=RISES, least=0.0
     ),
     "overshoot": Metric(
         "y",
@@ -177,12 +177,19 @@ PERFORMANCE: dict[str, Metric] = {
         start=Beyond(),
         course=RISES,
     ),
-    "steady_state_error": Metric("y", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean),
+    "steady_state_error": Metric(
+        "y", "|mean of e| over the window", total(lambda s: s.e), magnitude_of_mean, least=0.0
+    ),
     "command_energy": Metric(
-        "u^2 s", "integral of the robust command's square", total(lambda s: s.u * s.u), integral, course=RISES
+        "u^2 s",
+        "integral of the robust command's square",
+        total(lambda s: s.u * s.u),
+        integral,
+        course=RISES,
+        least=0.0,
     ),
     "chattering_index": Metric(
-        "1", "share of the robust command above the chattering frequency", bands, fast_share, start=Bands()
+        "1", "share of the robust command above the chattering frequency", bands, fast_share, start=Bands(), least=0.0
     ),
     "noise_amplification": Metric(
         "1",
@@ -190,6 +197,7 @@ PERFORMANCE: dict[str, Metric] = {
         amplified,
         amplification,
         start=Amplified(),
+        least=0.0,
     ),
     "noise_drift": Metric(
         "u/s",
@@ -200,13 +208,20 @@ PERFORMANCE: dict[str, Metric] = {
         start=DriftSum(),
     ),
     "total_command_tv": Metric(
-        "u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path(), course=RISES
+        "u", "total variation of u + u_n", path, lambda acc, *_: acc.length, start=Path(), course=RISES, least=0.0
     ),
     "roll_max": Metric(
-        "rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE, course=RISES
+        "rad", "largest |roll|", peak(lambda i: i.plant.phi), itself, ("phi",), Scope.VEHICLE, course=RISES, least=0.0
     ),
     "pitch_max": Metric(
-        "rad", "largest |pitch|", peak(lambda i: i.plant.theta), itself, ("theta",), Scope.VEHICLE, course=RISES
+        "rad",
+        "largest |pitch|",
+        peak(lambda i: i.plant.theta),
+        itself,
+        ("theta",),
+        Scope.VEHICLE,
+        course=RISES,
+        least=0.0,
     ),
     "rotor_thrust_max": Metric(
         "N", "largest commanded thrust of a rotor", largest_thrust, itself, ("rotor",), Scope.VEHICLE, course=RISES

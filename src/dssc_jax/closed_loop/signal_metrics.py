@@ -1,5 +1,6 @@
 """Metrics of any signal by its name, which is that of its column in a trajectory."""
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
@@ -178,6 +179,7 @@ class SignalMetric(NamedTuple):
         value: As in that.
         start: As in that.
         course: As in that.
+        least: As in that.
     """
 
     meaning: str
@@ -185,16 +187,17 @@ class SignalMetric(NamedTuple):
     value: Callable[..., Scalar] = itself
     start: object = 0.0
     course: Course = Course.OPEN
+    least: float = -math.inf
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
-    "rms": SignalMetric("rms of the", lambda of: total(lambda i: jnp.square(of(i))), root_mean),
-    "max_abs": SignalMetric("largest size of the", peak, course=Course.RISES),
+    "rms": SignalMetric("rms of the", lambda of: total(lambda i: jnp.square(of(i))), root_mean, least=0.0),
+    "max_abs": SignalMetric("largest size of the", peak, course=Course.RISES, least=0.0),
     "highest": SignalMetric("highest", running(jnp.maximum), start=-jnp.inf, course=Course.RISES),
     "lowest": SignalMetric("lowest", running(jnp.minimum), start=jnp.inf, course=Course.FALLS),
     "mean": SignalMetric("mean", total, mean),
     "final": SignalMetric("last", lambda of: lambda acc, i, window: of(i)),
-    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled(), Course.RISES),
+    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled(), Course.RISES, 0.0),
 }
 """The metrics that a study takes of any signal."""
 
@@ -204,7 +207,16 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
     update = form.update(signal.of)
-    return Metric(signal.unit, meaning, update, form.value, scope=Scope.VEHICLE, start=form.start, course=form.course)
+    return Metric(
+        signal.unit,
+        meaning,
+        update,
+        form.value,
+        scope=Scope.VEHICLE,
+        start=form.start,
+        course=form.course,
+        least=form.least,
+    )
 
 
 def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:

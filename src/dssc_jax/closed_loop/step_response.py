@@ -167,14 +167,17 @@ def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
 
 
 STEP_RESPONSE: dict[str, Metric] = {
-    "rise_time": Metric("s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise()),
+    "rise_time": Metric(
+        "s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise(), least=0.0
+    ),
     "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES),
     "settling_time_percent": Metric(
         "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True, course=RISES,
+        counted=True, course=RISES, least=0.0,
     ),
     "following_gain": Metric(
-        "1", "amplitude of the output over that of a sine reference", following, following_gain, start=Following()
+        "1", "amplitude of the output over that of a sine reference", following, following_gain,
+        start=Following(), least=0.0,
     ),
     "following_lag": Metric(
         "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following()

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from dssc_jax.closed_loop.infos import fields_of, first_infos
 from dssc_jax.closed_loop.loop import Loop, LoopParams, Settled
-from dssc_jax.closed_loop.metrics import Measure, available_metrics
+from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.closed_loop.rehearsal import rehearse
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.closed_loop.signal_metrics import SampledSignal, sampled_signals
@@ -28,7 +28,7 @@ from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted, medians
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
-from dssc_jax.study.measuring import kinds_of, measured
+from dssc_jax.study.measuring import available_metrics, kinds_of, measured
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
 from dssc_jax.study.schema import (

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from dssc_jax.closed_loop.loop import Loop
-from dssc_jax.closed_loop.metrics import Metric, Scope, available_metrics
+from dssc_jax.closed_loop.metrics import Metric, Scope
 from dssc_jax.closed_loop.signal_metrics import SampledSignal
 from dssc_jax.core.contracts import NoParams, Plant
 from dssc_jax.core.errors import ConfigError
@@ -23,7 +23,7 @@ from dssc_jax.study.build import clock, info_fields, signals_of, validate_fixed,
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import KNOWN, kinds_of, measured
+from dssc_jax.study.measuring import KNOWN, available_metrics, kinds_of, measured
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable

@@ -57,6 +57,22 @@ def short(name: str) -> str:
     return name.rpartition(":")[2]
 
 
+def available_metrics(
+    channels: Mapping[str, Sequence[str]], vehicle: Sequence[str], metrics: Mapping[str, Metric]
+) -> dict[str, tuple[str, int | None]]:
+    """Metrics that a loop can have: name -> kind and channel."""
+    kinds: dict[str, tuple[str, int | None]] = {}
+    for kind, metric in metrics.items():
+        if metric.scope is Scope.VEHICLE:
+            if set(metric.needs) <= set(vehicle):
+                kinds[kind] = (kind, None)
+            continue
+        for index, (channel, fields) in enumerate(channels.items()):
+            if set(metric.needs) <= set(fields):
+                kinds[suffixed(kind, channel)] = (kind, index)
+    return kinds
+
+
 def measured(
     config: StudyTable,
     names: dict[str, tuple[str, int | None]],
@@ -139,6 +155,7 @@ def measured(
         name = metric + window.suffix(base)
         measures.setdefault(name, measure(name, metric, window))
         requirement = Requirement(measures[name], *table.bounds)
+        require_meaningful(requirement, place)
         require_new(requirement, requirements, place)
         requirements.append(requirement)
     for requirement in enveloped(config, channels, units):
@@ -151,6 +168,19 @@ def measured(
             "plot.metric", f"unknown metric '{config.plot.metric}'; {nearest(config.plot.metric, measures)}"
         )
     return tuple(measures.values()), tuple(requirements)
+
+
+def require_meaningful(requirement: Requirement, place: str) -> None:
+    """Require that the value of a size is not bounded by a negative number.
+
+    Raises:
+        ConfigError: every draw would violate the bound, or none.
+    """
+    measure = requirement.measure
+    for side, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
+        if bound is not None and bound < measure.metric.least:
+            rule = f"must be >= {measure.metric.least:g} {measure.unit}, as every {measure.kind} is; got {bound:g}"
+            raise ConfigError(f"{place}.{side}", rule)
 
 
 def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
