@@ -111,8 +111,11 @@ def fields(params: type, prefix: str, preset: "NamedTuple | None") -> Iterator[F
                 yield f"{prefix}{name}.NAME", "", "a table for each, by its name in the study", "", "absent"
                 yield from fields(spec.named, f"{prefix}{name}.NAME.", None)
         elif spec.listed is not None:
-            yield f"{prefix}{name}", "", "a list of tables, each with the entries below", "", "none"
-            yield from fields(spec.listed, f"{prefix}{name}.0.", None)
+            members = default if isinstance(default, tuple) and default else (None,)
+            count = "none" if members == (None,) else f"{len(members)} tables"
+            yield f"{prefix}{name}", "", "a list of tables, each with the entries below", "", count
+            for index, member in enumerate(members):
+                yield from fields(spec.listed, f"{prefix}{name}.{index}.", member)
         elif spec.nested:
             inner = None if default in (None, REQUIRED) else default
             if default is None:
