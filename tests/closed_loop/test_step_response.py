@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+import tomli_w
 from scipy import signal
 
 import dssc_jax as dj
+from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 
 NATURAL, DAMPING, T_S, SIZE = 2.0, 0.4, 1e-3, 3.0
@@ -175,3 +177,23 @@ def test_envelopes_of_a_vehicles_channel():
 def test_bad_envelopes_are_refused(envelope, complaint):
     with pytest.raises(ConfigError, match=complaint):
         loop(envelope=[envelope])
+
+
+def test_a_step_after_the_start_of_the_window_is_no_value_and_told(capsys, tmp_path):
+    """A value from the output at the window's start to a goal that moves later would be a wrong number."""
+    table = {
+        "name": "late",
+        "draws": 4,
+        "loop": {"duration": 4.0, "sample_time": 0.01},
+        "plant": {"kind": "normal_form", "initial": [1e-3, 0.0]},
+        "controller": {"kind": "pi", "l0": 2.0, "k_p": {"uniform": [3.0, 4.0]}, "k_i": 0.0},
+        "reference": {"kind": "step", "size": 1.0, "at": 0.1},
+        "requirement": [{"metric": "overshoot_percent", "max": 5.0}],
+    }
+    path = tmp_path / "late.toml"
+    path.write_text(tomli_w.dumps(table))
+    assert guarded(["run", str(path), "--out", str(tmp_path / "out")]) == 0
+    told = "4 draws have no value, and violate overshoot_percent <= 5 %: the window must begin with a step"
+    assert told in " ".join(capsys.readouterr().out.split())
+    right = dj.Study.from_table(table | {"metrics": {"after": 0.1}})
+    assert np.isfinite(dj.run(right, check=False).dataset["overshoot_percent"].values).all()

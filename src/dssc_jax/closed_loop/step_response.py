@@ -2,7 +2,7 @@
 
 A step response is measured from the window's first sample: the step is from the output there, y_0, to the desired
 output there, r_0. Its progress is p = (y - y_0)/(r_0 - y_0), 0 at the start and 1 at the goal. Let the window begin
-with the step (``after`` equal to its time).
+with the step (``after`` equal to its time): where the desired output moves later, the values are NaN.
 
 References:
     K. J. Astrom, R. M. Murray, Feedback Systems, 2nd ed. (2021), section 6.3 (rise time, overshoot, settling time).
@@ -22,24 +22,28 @@ from dssc_jax.lanes.functions.approximations import atan2
 
 LOW = 0.1
 HIGH = 0.9
+STILL = 1e-6  # of a step: a desired output that moves by less does not move
+NO_STEP = "the window must begin with a step of the reference, which then stays; set `after` to the time of the step"
+NO_SINE = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]
 """Times [s] and values of a bound, by rising time; two points of one time are a jump."""
 
 
 class StepSize(NamedTuple):
-    """Samples so far, the output at the first of them, and the desired output there."""
+    """Samples so far, the output at the first of them, the desired output there, and how far that has moved since."""
 
     samples: Scalar = 0.0
     start: Scalar = 0.0
     goal: Scalar = 0.0
+    moved: Scalar = 0.0
 
     def after(self, sample: Sample) -> "StepSize":
         """The step after one more sample; the first one defines it."""
         first = self.samples == 0.0
-        output = sample.e + sample.reference.y
-        return StepSize(
-            self.samples + 1.0, jnp.where(first, output, self.start), jnp.where(first, sample.reference.y, self.goal)
-        )
+        desired = sample.reference.y
+        goal = jnp.where(first, desired, self.goal)
+        start = jnp.where(first, sample.e + desired, self.start)
+        return StepSize(self.samples + 1.0, start, goal, jnp.maximum(self.moved, jnp.abs(desired - goal)))
 
     def progress(self, sample: Sample) -> Scalar:
         """The share p of the step that is done; 0 where there is no step."""
@@ -48,8 +52,9 @@ class StepSize(NamedTuple):
         return jnp.where(size == 0.0, 0.0, done / jnp.where(size == 0.0, 1.0, size))
 
     def judged(self, value: Scalar) -> Scalar:
-        """The value of a metric of this step; NaN where there is no step."""
-        return jnp.where(self.goal == self.start, jnp.nan, value)
+        """The value of a metric of this step; NaN where there is no step, or where its goal moves."""
+        size = jnp.abs(self.goal - self.start)
+        return jnp.where((size > 0.0) & (self.moved <= STILL * size), value, jnp.nan)
 
 
 class Rise(NamedTuple):
@@ -168,19 +173,24 @@ def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
 
 STEP_RESPONSE: dict[str, Metric] = {
     "rise_time": Metric(
-        "s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise(), least=0.0
+        "s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise(), least=0.0,
+        undefined=NO_STEP,
     ),
-    "overshoot_percent": Metric("%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES),
+    "overshoot_percent": Metric(
+        "%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES, least=0.0,
+        undefined=NO_STEP,
+    ),
     "settling_time_percent": Metric(
         "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True, course=RISES, least=0.0,
+        counted=True, course=RISES, least=0.0, undefined=NO_STEP,
     ),
     "following_gain": Metric(
         "1", "amplitude of the output over that of a sine reference", following, following_gain,
-        start=Following(), least=0.0,
+        start=Following(), least=0.0, undefined=NO_SINE,
     ),
     "following_lag": Metric(
-        "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following()
+        "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following(),
+        undefined=NO_SINE,
     ),
 }  # fmt: skip
 

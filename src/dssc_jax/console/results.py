@@ -14,7 +14,7 @@ from dssc_jax.console.terminal import output, show_table
 from dssc_jax.results.influence import idle_text
 from dssc_jax.results.result import headline
 from dssc_jax.results.schema import outcome_codes
-from dssc_jax.results.summary import SummaryRow, margins_missing, most_violated
+from dssc_jax.results.summary import SummaryRow, most_violated, values_missing
 from dssc_jax.statistics import compare_failures, describe_probability, rounded_probability
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def show_point(study: "Study", point: SummaryRow, equal: bool = False) -> None:
             timing = str(requirement["first"]), "-" if time is None else f"{time:.4g}"
             rows.append((rule.short, *cells, str(requirement["alone"]), *timing))
         show_table(("requirement", "violated by", *share, "by it alone", "first", "median time [s]"), rows)
-    for text in margins_missing(point):
+    for text in values_missing(point):
         output().print(text, markup=False)
     if point["overlaps"]:
         rows = []

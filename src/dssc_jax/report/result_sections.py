@@ -30,7 +30,7 @@ from dssc_jax.report.vector import inline
 from dssc_jax.results.influence import by_influence, idle_text
 from dssc_jax.results.result import Result, headline
 from dssc_jax.results.schema import ENDINGS, outcome_codes
-from dssc_jax.results.summary import SummaryRow, extreme_points, margins_missing, most_violated
+from dssc_jax.results.summary import SummaryRow, extreme_points, most_violated, values_missing
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Described, Study
 
@@ -105,7 +105,7 @@ def ways(subject: Subject) -> list[h.Node]:
     return [
         table(f"Outcomes of {counted(draws, 'draw')}{subject.point_phrase}", head, rows),
         h.p[note],
-        *(h.p[f"{text}."] for text in margins_missing(point)),
+        *(h.p[f"{text}."] for text in values_missing(point)),
         *together(point, result.study),
     ]
 

@@ -172,6 +172,7 @@ def requirements(
     ``alone`` counts the completed draws that violate only this requirement, ``first`` the draws that violate it before
     all others, and ``violated_at`` is the median over the draws that violate it of the time at which that was certain.
     Of a margin, ``unstable`` and ``no_operating_point`` count the completed draws whose loop has none for that reason.
+    Of a metric that may have no value, ``undefined`` counts those without one, and ``defined_if`` is what it needs.
     """
     early = ended_early(lanes["outcome"])
     first, _ = first_violation(study.requirements, lanes)
@@ -191,12 +192,16 @@ def requirements(
             values = lanes[requirement.measure.name]
             columns["unstable"] = np.count_nonzero(values == margin.kind.neutral, axis=-1).tolist()
             columns["no_operating_point"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
+        if requirement.measure.metric.undefined:
+            values = lanes[requirement.measure.name]
+            columns["undefined"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
+            head["defined_if"] = requirement.measure.metric.undefined
         table.append([head | row for row in rows(columns)])
     return table
 
 
-def margins_missing(point: SummaryRow) -> list[str]:
-    """For the required margins of a point: how many draws have none, and why, in words."""
+def values_missing(point: SummaryRow) -> list[str]:
+    """For the required margins and metrics of a point: how many draws have none, and why, in words."""
     named: dict[tuple[int, int], list[str]] = {}
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)
@@ -207,6 +212,11 @@ def margins_missing(point: SummaryRow) -> list[str]:
         reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
         reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
+    for row in point["requirements"]:
+        if row.get("undefined"):
+            sentences.append(
+                f"{row['undefined']:,} draws have no value, and violate {row['text']}: {row['defined_if']}"
+            )
     return sentences
 
 
