@@ -51,6 +51,11 @@ def warn_of_signals(study: Study) -> None:
                     f"warning: {name} in [sensor] measures is exact, though kind = '{kind}' of [sensor] is not: a "
                     f"measured signal has its own sensor; give [sensor.{name}] that kind and its numbers"
                 )
+        if kind == "ideal" and study.config.sensor.get("y", {}).get("kind", kind) != kind:
+            say(
+                "warning: [sensor.y] acts on y as a measured signal; the error, such as that of an integral, is read "
+                "through [sensor], which is exact: give [sensor] that kind and its numbers, too"
+            )
         return
     sensors = [f"[sensor.{signal.name}]" for signal in loop.measures if signal.name in study.config.sensor]
     if sensors:

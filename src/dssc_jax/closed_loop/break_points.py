@@ -109,14 +109,23 @@ def sample_map(
         :func:`start_state`; break points are in the order of :func:`break_points`.
     """
     _, unravel = ravel_pytree(initial_state(loop, params, key))
-    opened = replace(loop, sensor=tuple(map(with_added_measurement, loop.sensor)))
+    opened = replace(
+        loop,
+        sensor=tuple(map(with_added_measurement, loop.sensor)),
+        signal_sensor=tuple(map(with_added_measurement, loop.signal_sensor)),
+    )
+    outputs = output_names(loop)
 
     def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
         signals = added.reshape(len(loop.channels), len(BreakPoint))
         sensors = []
         for i, sensor in enumerate(params.sensor):
             sensors.append(WithAdded(sensor, Measurement(signals[i, 1], signals[i, 2])))
-        with_inputs = params._replace(sensor=tuple(sensors))
+        signal_sensors = []
+        for signal, sensor in zip(loop.measures, params.signal_sensor, strict=True):
+            place = outputs.get(signal.name)
+            signal_sensors.append(WithAdded(sensor, Measurement(0.0 if place is None else signals[place], 0.0)))
+        with_inputs = params._replace(sensor=tuple(sensors), signal_sensor=tuple(signal_sensors))
         after, recorded = step(opened, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
         read = []
         for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True):
@@ -129,6 +138,15 @@ def sample_map(
 def break_points(loop: Loop) -> list[str]:
     """Name of each break point, in the order of the channels."""
     return place_names(loop.channels)
+
+
+def output_names(loop: Loop) -> dict[str, tuple[int, int]]:
+    """The names that y and y' of each channel have among measured signals: (channel, break point) by name."""
+    places = {}
+    for index, channel in enumerate(loop.channels):
+        prefix = f"{channel}_" if channel else ""
+        places |= {f"{prefix}y": (index, 1), f"{prefix}y_dot": (index, 2)}
+    return places
 
 
 def start_state(loop: Loop, params: LoopParams, key: jax.Array) -> jax.Array:

@@ -184,3 +184,31 @@ def test_times_lie_in_the_flight(study):
     for times in ((3.0,), (1.0, 0.5), (-1.0,)):
         with pytest.raises(dj.ConfigError, match="must ascend within"):
             dj.loop_margins(study, times=times)
+
+
+def test_y_is_broken_in_all_its_sensors():
+    """Where LQG measures y alone, all of the loop passes y: the loops broken there and at the command are one.
+
+    The error of the integral and the estimator read y through sensors of their own; one of both stayed closed.
+    """
+    study = dj.Study.from_table(
+        {
+            "name": "measured",
+            "draws": 3,
+            "loop": {"duration": 2.0, "sample_time": 0.01},
+            "plant": {"kind": "normal_form", "k_p": {"uniform": [0.8, 1.2]}},
+            "sensor": {"measures": ["y"]},
+            "controller": {
+                "kind": "lqg",
+                "integral_weight": 4.0,
+                "state_weights": [1.0, 0.1],
+                "command_weight": 0.1,
+                "disturbance_std": [1.0],
+                "signal_std": [0.01],
+            },
+        }
+    )
+    margins = dj.loop_margins(study).dataset
+    for name in ("gain_upper", "phase", "disk"):
+        values = margins[name].sel(operating_point="equilibrium")
+        np.testing.assert_allclose(values.sel(loop="output"), values.sel(loop="input"), rtol=1e-6)
