@@ -59,7 +59,8 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
             if name in swept:
                 raise ConfigError(place, f"'{name}' is swept, and a swept number has no law; take the pair out")
             if name not in laws:
-                raise ConfigError(place, f"'{name}' is no uncertain number of this study; {nearest(name, laws)}")
+                rule = f"'{name}' is no uncertain number of this study; {nearest(name, laws)}"
+                raise ConfigError(place, f"{rule}; where it has a number in place of its law, take the pair out")
         if frozenset(names) in seen:
             raise ConfigError(place, "this pair is given twice")
         seen.add(frozenset(names))

@@ -247,3 +247,15 @@ def test_a_stable_box_without_a_bound_says_so(worst):
     assert "with a disk margin of at least" in worst.headline
     assert "with no bound of its margins" in unbounded.headline
     assert "nan" not in unbounded.headline
+
+
+def test_correlated_numbers_have_the_box_of_independent_ones():
+    """A correlation of two laws is no rule for numbers in their place: it refused every point of the box."""
+    pair = {"plant.a.1.1, plant.b.1": 0.5}
+    numbers = dj.Study.from_table(TABLE).laws
+    assert set(numbers) == {"plant.a.1.1", "plant.b.1"}
+    tied = dj.worst_loop(dj.Study.from_table(TABLE | {"correlation": pair}), cells=50)
+    free = dj.worst_loop(dj.Study.from_table(TABLE), cells=50)
+    found = tied.numbers("input", "gain_upper")
+    assert found == pytest.approx(free.numbers("input", "gain_upper"))
+    assert not tied.witness("input", "gain_upper").laws

@@ -1,5 +1,6 @@
 """The box of a study's uncertain numbers, in coordinates u between -1 and 1."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,11 @@ def box_of(study: Study, sigma: float) -> Box:
     return Box(tuple(sides))
 
 
+def at_numbers(study: Study, numbers: Mapping[str, float]) -> Study:
+    """The study with numbers in place of some of its laws, whose correlations go with them."""
+    return study.override({"correlation": {}, **numbers})
+
+
 def admissible_growths(study: Study, box: Box) -> list[float]:
     """The factors of :data:`GROWTHS` at whose corners the study accepts all numbers, largest first; always 1."""
     return [growth for growth in GROWTHS if growth == 1.0 or admits(study, box, growth)]
@@ -96,9 +102,9 @@ def admits(study: Study, box: Box, growth: float) -> bool:
     try:
         for end in (growth, -growth):
             numbers = box.numbers(np.full(len(box.sides), end))
-            study.override(numbers)
+            at_numbers(study, numbers)
             for name, value in numbers.items():
-                study.override({name: value})
+                at_numbers(study, {name: value})
     except ConfigError:
         return False
     return True

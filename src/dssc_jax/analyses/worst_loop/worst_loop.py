@@ -10,7 +10,7 @@ from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINE
 from dssc_jax.analyses.loop_margins.loop_margins import in_loop
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
-from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
+from dssc_jax.analyses.worst_loop.box import admissible_growths, at_numbers, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
 from dssc_jax.analyses.worst_loop.joint import joint_case
@@ -220,7 +220,7 @@ def defined_instability(
         if not np.isfinite(instability.growth):
             return growth, instability
         try:
-            study.override(broken.numbers(instability.point))
+            at_numbers(study, broken.numbers(instability.point))
         except ConfigError:
             if growth == 1.0:
                 raise
