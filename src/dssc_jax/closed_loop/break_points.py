@@ -114,7 +114,7 @@ def sample_map(
         sensor=tuple(map(with_added_measurement, loop.sensor)),
         signal_sensor=tuple(map(with_added_measurement, loop.signal_sensor)),
     )
-    outputs = output_names(loop)
+    places = measured_places(loop.channels)
 
     def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
         signals = added.reshape(len(loop.channels), len(BreakPoint))
@@ -123,8 +123,8 @@ def sample_map(
             sensors.append(WithAdded(sensor, Measurement(signals[i, 1], signals[i, 2])))
         signal_sensors = []
         for signal, sensor in zip(loop.measures, params.signal_sensor, strict=True):
-            place = outputs.get(signal.name)
-            signal_sensors.append(WithAdded(sensor, Measurement(0.0 if place is None else signals[place], 0.0)))
+            addition = added[places[signal.name]] if signal.name in places else 0.0
+            signal_sensors.append(WithAdded(sensor, Measurement(addition, 0.0)))
         with_inputs = params._replace(sensor=tuple(sensors), signal_sensor=tuple(signal_sensors))
         after, recorded = step(opened, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
         read = []
@@ -140,12 +140,14 @@ def break_points(loop: Loop) -> list[str]:
     return place_names(loop.channels)
 
 
-def output_names(loop: Loop) -> dict[str, tuple[int, int]]:
-    """The names that y and y' of each channel have among measured signals: (channel, break point) by name."""
+def measured_places(channels: Sequence[str]) -> dict[str, int]:
+    """The index of the break point of y and y' of each channel, by their names among measured signals."""
+    names = place_names(channels)
     places = {}
-    for index, channel in enumerate(loop.channels):
-        prefix = f"{channel}_" if channel else ""
-        places |= {f"{prefix}y": (index, 1), f"{prefix}y_dot": (index, 2)}
+    for channel in channels:
+        for signal, point in (("y", BreakPoint.OUTPUT), ("y_dot", BreakPoint.RATE)):
+            name = f"{channel}_{signal}" if channel else signal
+            places[name] = names.index(f"{channel} {point}".strip())
     return places
 
 

@@ -94,7 +94,7 @@ class Metric(NamedTuple):
         certain_after: ``accumulator -> number of samples after which the sign of the final value was certain``.
         margin: For a margin of the linearised loop: which one, and where. The accumulator starts at its value.
         least: The least value that it can have: 0 of a size.
-        undefined: What has to be so that its value is not NaN, in words; empty: nothing.
+        defined_if: What has to be so that its value is not NaN, in words; empty: nothing.
     """
 
     unit: str
@@ -109,7 +109,7 @@ class Metric(NamedTuple):
     certain_after: Callable[[Accumulator], Scalar] | None = None
     margin: LoopMargin | None = None
     least: float = -math.inf
-    undefined: str = ""
+    defined_if: str = ""
 
     @property
     def worst(self) -> float:

@@ -23,8 +23,8 @@ from dssc_jax.lanes.functions.approximations import atan2
 LOW = 0.1
 HIGH = 0.9
 STILL = 1e-6  # of a step: a desired output that moves by less does not move
-NO_STEP = "the window must begin with a step of the reference, which then stays; set `after` to the time of the step"
-NO_SINE = "the reference must move within the window"
+BEGINS_WITH_STEP = "the window must begin with a step of the reference, which then stays; set `after` to its time"
+MOVES = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]
 """Times [s] and values of a bound, by rising time; two points of one time are a jump."""
 
@@ -174,23 +174,23 @@ def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
 STEP_RESPONSE: dict[str, Metric] = {
     "rise_time": Metric(
         "s", "time in which a step response goes from 10 % to 90 %", rise, rise_time, start=Rise(), least=0.0,
-        undefined=NO_STEP,
+        defined_if=BEGINS_WITH_STEP,
     ),
     "overshoot_percent": Metric(
         "%", "overshoot of a step response", largest, overshoot, start=Peak(), course=RISES, least=0.0,
-        undefined=NO_STEP,
+        defined_if=BEGINS_WITH_STEP,
     ),
     "settling_time_percent": Metric(
         "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True, course=RISES, least=0.0, undefined=NO_STEP,
+        counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
     ),
     "following_gain": Metric(
         "1", "amplitude of the output over that of a sine reference", following, following_gain,
-        start=Following(), least=0.0, undefined=NO_SINE,
+        start=Following(), least=0.0, defined_if=MOVES,
     ),
     "following_lag": Metric(
         "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following(),
-        undefined=NO_SINE,
+        defined_if=MOVES,
     ),
 }  # fmt: skip
 

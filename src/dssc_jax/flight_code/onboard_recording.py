@@ -33,15 +33,19 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
         params = study.params(values)
         key = draw_key(study.config.seed, index)
         real = jnp.result_type(float)
+        estimation = estimation_of(loop, params)
+
+        def seen(state: State) -> State:
+            """What the software measures."""
+            known = state if estimation is None else estimation.seen(params.plant, state)
+            return without_held(software, known)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], list[Row]]:
             state, k = carry
             rows: list[Row] = []
 
             def observe(earlier: State, drive: PlantInput, after: State) -> None:
-                estimation = estimation_of(loop, params)
-                known = earlier if estimation is None else estimation.seen(params.plant, earlier)
-                readings = jax.tree.leaves(without_held(software, known))
+                readings = jax.tree.leaves(seen(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 row = (*readings, *commands, NO_FLAGS, *jax.tree.leaves(software.held(after)))
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
@@ -51,9 +55,7 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             return (following, k + 1), rows
 
         begin = initial_state(loop, params, key)
-        estimation = estimation_of(loop, params)
-        known = begin.plant if estimation is None else estimation.seen(params.plant, begin.plant)
-        held = software.start(params.plant, without_held(software, known), None)  # as its C starts: never settled
+        held = software.start(params.plant, seen(begin.plant), None)  # as its C starts: never settled
         begin = as_arrays(begin._replace(plant=software.holding(begin.plant, held)))
         return jax.lax.scan(sample, (begin, jnp.zeros((), jnp.int32)), length=samples)[1]
 

@@ -192,10 +192,10 @@ def requirements(
             values = lanes[requirement.measure.name]
             columns["unstable"] = np.count_nonzero(values == margin.kind.neutral, axis=-1).tolist()
             columns["no_operating_point"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
-        if requirement.measure.metric.undefined:
+        if requirement.measure.metric.defined_if:
             values = lanes[requirement.measure.name]
             columns["undefined"] = np.count_nonzero(np.isnan(values) & ~early, axis=-1).tolist()
-            head["defined_if"] = requirement.measure.metric.undefined
+            head["defined_if"] = requirement.measure.metric.defined_if
         table.append([head | row for row in rows(columns)])
     return table
 

@@ -18,6 +18,8 @@ NO_NUMBERS = re.compile(rb"#(N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!)")
 """What spreadsheets write in place of a number; the rest of such a line is no comment."""
 FIRST_LINES = 100
 """Lines that tell the form."""
+LAST_LINES = 100
+"""Lines that tell the usual length of a number."""
 SHORT = 0.7
 """Of the usual length of a column's numbers: a shorter one at the end of a file may be cut off."""
 
@@ -141,11 +143,11 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
 
 def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
     """Warn of a file without a last line break whose last number is shorter than those before it."""
-    if content.endswith(b"\n"):
-        return
-    *others, last = [cells(line.text, separator)[-1].strip() for line in csv_lines(content)]
-    lengths = sorted(map(len, others[1:]))
-    if lengths and len(last) < SHORT * lengths[len(lengths) // 2]:
+    lines = content.rsplit(b"\n", LAST_LINES)[1:]  # without the header
+    numbers = [cells(line, separator)[-1].strip() for line in lines] or [b""]
+    last = numbers[-1]
+    lengths = sorted(map(len, numbers))
+    if 0 < len(last) < SHORT * lengths[len(lengths) // 2]:
         warnings.warn(
             f"'{path.name}' ends without a line break, so that its last number, {last.decode()}, may be cut off; it is "
             "taken as it is",

@@ -11,10 +11,9 @@ from dssc_jax.analyses.loop_margins.operation import operation
 from dssc_jax.analyses.loop_margins.result import BrokenLoop, LoopMargins, Status, margins_dataset, multiloop_columns
 from dssc_jax.closed_loop.break_points import break_points
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.influences import closure
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.evaluation import require_independent
-from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
+from dssc_jax.engine.linearisation.matrices import Operating
 from dssc_jax.engine.linearisation.response import (
     ClassicalMargins,
     classical_margins,
@@ -88,14 +87,6 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
 
 
-def in_loop(matrices: StateMatrices, draws: np.ndarray, point: int) -> np.ndarray:
-    """Indices of the states that a break point's input reaches and its output depends on, in any of some draws."""
-    influences = np.any(matrices.a[draws] != 0.0, axis=0)
-    forward = closure(np.any(matrices.b[draws, :, point] != 0.0, axis=0), influences.T)
-    backward = closure(np.any(matrices.c[draws, point] != 0.0, axis=0), influences)
-    return np.flatnonzero(forward & backward)
-
-
 class Part(NamedTuple):
     """The states of a broken loop of n draws, which have an operating point within the limits; the loop is closed.
 
@@ -120,7 +111,7 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
         closed = operating.closed(point)
-        kept = in_loop(matrices, closed, point)
+        kept = matrices.loop_states(point, closed)
         if kept.size:
             a = matrices.a[np.ix_(closed, kept, kept)]
             b = matrices.b[closed][:, kept, point]

@@ -75,7 +75,7 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
     found = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
-    findings = resting.linearise.beyond(values, indices, states, 1, found)
+    findings = resting.linearise.with_opened(values, indices, states, 1, found)
     taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
     plain = settled & ~np.any((found == Finding.CORNER) | (found == Finding.DEFECT), axis=1)
     cornered = np.any(findings == Finding.CORNER, axis=1)
@@ -108,7 +108,7 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     operating = {}
     for t, k, states in zip(times, samples, flown, strict=True):
         findings = examine(values, indices, states, k)
-        findings = linearise.beyond(values, indices, states, k, findings)
+        findings = linearise.with_opened(values, indices, states, k, findings)
         matrices = linearise(values, indices, states, k, findings)
         finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"

@@ -87,7 +87,7 @@ def box_of(study: Study, sigma: float) -> Box:
     return Box(tuple(sides))
 
 
-def at_numbers(study: Study, numbers: Mapping[str, float]) -> Study:
+def with_numbers(study: Study, numbers: Mapping[str, float]) -> Study:
     """The study with numbers in place of some of its laws, whose correlations go with them."""
     return study.override({"correlation": {}, **numbers})
 
@@ -102,9 +102,9 @@ def admits(study: Study, box: Box, growth: float) -> bool:
     try:
         for end in (growth, -growth):
             numbers = box.numbers(np.full(len(box.sides), end))
-            at_numbers(study, numbers)
+            with_numbers(study, numbers)
             for name, value in numbers.items():
-                at_numbers(study, {name: value})
+                with_numbers(study, {name: value})
     except ConfigError:
         return False
     return True

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
-from dssc_jax.analyses.worst_loop.box import Box, at_numbers
+from dssc_jax.analyses.worst_loop.box import Box, with_numbers
 from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
 from dssc_jax.core.quantities import Quantity
@@ -152,7 +152,7 @@ class WorstLoop(Analysis):
 
     def witness(self, loop: str, margin: str) -> Study:
         """The study with the numbers of :meth:`numbers` in place of their laws."""
-        return at_numbers(self.study, self.numbers(loop, margin))
+        return with_numbers(self.study, self.numbers(loop, margin))
 
     def unstable(self, loop: str) -> dict[str, float]:
         """Numbers of the nearest unstable loop found; empty: none was found."""
@@ -169,7 +169,7 @@ class WorstLoop(Analysis):
                 numbers[name] = value * np.exp(BEYOND * (np.log(value) - 0.5 * (np.log(low) + np.log(high))))
             else:
                 numbers[name] = value + BEYOND * (value - 0.5 * (low + high))
-        return at_numbers(self.study, numbers) if numbers else None
+        return with_numbers(self.study, numbers) if numbers else None
 
     def witnesses(self) -> dict[str, Study]:
         """The studies of all worst cases, by loop and margin; ``LOOP-stability`` is unstable."""
@@ -182,7 +182,7 @@ class WorstLoop(Analysis):
             if unstable is not None:
                 studies[f"{name}-stability"] = unstable
         for name, worst in self.multiloop.items():
-            studies[f"{name.replace(' ', '-')}-disk"] = at_numbers(self.study, worst.numbers)
+            studies[f"{name.replace(' ', '-')}-disk"] = with_numbers(self.study, worst.numbers)
         return studies
 
     @property

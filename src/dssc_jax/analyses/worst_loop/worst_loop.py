@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
-from dssc_jax.analyses.loop_margins.loop_margins import in_loop
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
-from dssc_jax.analyses.worst_loop.box import admissible_growths, at_numbers, box_of
+from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of, with_numbers
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
 from dssc_jax.analyses.worst_loop.joint import joint_case
@@ -123,7 +122,7 @@ def worst_loop(
     family.require_no_other_uncertainty()
     broken_loops = {}
     for name in selected:
-        kept = in_loop(operating.matrices, operating.reached, names.index(name))
+        kept = operating.matrices.loop_states(names.index(name), operating.reached)
         if kept.size:
             broken_loops[name] = BrokenFamily(family, kept, [names.index(name)])
     if not broken_loops:
@@ -220,7 +219,7 @@ def defined_instability(
         if not np.isfinite(instability.growth):
             return growth, instability
         try:
-            at_numbers(study, broken.numbers(instability.point))
+            with_numbers(study, broken.numbers(instability.point))
         except ConfigError:
             if growth == 1.0:
                 raise

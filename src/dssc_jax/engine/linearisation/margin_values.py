@@ -141,7 +141,7 @@ class MarginValues:
         if settled.any():
             states = np.where(settled[:, None], states, states[settled][0])
             findings = self.examine(values, indices, states, 1)
-            findings = self.resting.linearise.beyond(values, indices, states, 1, findings)
+            findings = self.resting.linearise.with_opened(values, indices, states, 1, findings)
             require_smooth_at(self.study, self.resting.places, findings[settled])
             outside = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):

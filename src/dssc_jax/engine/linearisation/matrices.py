@@ -32,6 +32,15 @@ class StateMatrices(NamedTuple):
         driven = closure(self.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
         return driven & closure(self.c[:, point] != 0.0, influences)
 
+    def loop_states(self, point: int, draws: np.ndarray) -> np.ndarray:
+        """Indices of the states by which a signal comes back to a break point in any of some draws.
+
+        Args:
+            point: Index of the break point.
+            draws: Which draws, shape (n,).
+        """
+        return np.flatnonzero(np.any(self.returning(point)[draws], axis=0))
+
     def opened(self) -> np.ndarray:
         """In which draws no signal comes back to any break point, shape (n,)."""
         returning = [self.returning(point) for point in range(self.b.shape[2])]
@@ -44,13 +53,13 @@ class Operating(NamedTuple):
     Args:
         matrices: Of all draws.
         reached: Which draws have an operating point, shape (draws,).
-        beyond: Which draws lie there beyond the boundary of a part, shape (draws,).
+        limited: Which draws lie there beyond the boundary of a part, shape (draws,).
         taken: What is taken for parts that lie at a corner there, in words.
     """
 
     matrices: StateMatrices
     reached: np.ndarray
-    beyond: np.ndarray
+    limited: np.ndarray
     taken: tuple[str, ...]
 
     def closed(self, point: int) -> np.ndarray:
@@ -59,4 +68,4 @@ class Operating(NamedTuple):
         Args:
             point: Index of the break point.
         """
-        return self.reached & (np.any(self.matrices.returning(point), axis=1) | ~self.beyond)
+        return self.reached & (np.any(self.matrices.returning(point), axis=1) | ~self.limited)

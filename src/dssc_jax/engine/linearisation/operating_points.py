@@ -117,19 +117,13 @@ class Linearisation:
         draw = np.arange(len(states))
         return self._derivatives(values, indices, states, k, findings, draw, np.zeros_like(draw))[0]
 
-    def beyond(
+    def with_opened(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
         """The findings in which a part on its boundary counts as beyond it where another part opens the loop.
 
         There the derivative of the part does not matter: so it is where an actuator has the limit of its controller.
-
-        Args:
-            values: Of the uncertain numbers, each of shape (n,).
-            indices: Draw indices, shape (n,).
-            states: Shape (n, states).
-            k: Index of the sample.
-            findings: Shape (n, parts).
+        Arguments as for a call.
         """
         inner = np.array([place.inner for place in self.places])
         doubtful = (findings == Finding.DEFECT) & inner & np.any(findings == Finding.BEYOND, axis=1)[:, None]

@@ -96,23 +96,25 @@ def lowest_foot(ground: Ground, rotation: Mat3) -> Scalar:
     return -ground.gear_height * rotation.c.z - tilted
 
 
-def has_crashed(ground: Ground, height: Scalar, foot: Scalar, climb: Scalar, slope: Scalar, dt: Scalar) -> Scalar:
+def has_crashed(
+    ground: Ground, height: Scalar, foot: Scalar, climb: Scalar, acceleration: Scalar, dt: Scalar
+) -> Scalar:
     """Whether the vehicle hits the ground in a sample: a foot touches too fast, or the centre of mass is below it.
 
-    A foot that is above the ground touches it with the rate (climb^2 - 2 slope gap)^(1/2), as the acceleration hardly
-    changes within a sample. Later its rate is no longer that of the touch, because the ground has braked it.
+    A foot that is above the ground touches it with the rate (climb^2 - 2 acceleration gap)^(1/2), as the acceleration
+    hardly changes within a sample. Later its rate is no longer that of the touch, because the ground has braked it.
 
     Args:
         ground: The plane and the feet.
         height: Height z of the centre of mass at the sample [m].
         foot: Height of the lowest foot over it, from :func:`lowest_foot` [m].
         climb: Rate of the centre of mass [m/s].
-        slope: Its vertical acceleration [m/s^2].
+        acceleration: Its vertical acceleration [m/s^2].
         dt: Duration of the sample [s].
     """
     gap = height + foot - ground.height
     limit = ground.fastest_landing
-    touches = (gap > 0.0) & (gap + climb * dt + 0.5 * slope * dt * dt <= 0.0)
-    falls = touches & (climb * climb - 2.0 * slope * gap > limit * limit)
+    touches = (gap > 0.0) & (gap + climb * dt + 0.5 * acceleration * dt * dt <= 0.0)
+    falls = touches & (climb * climb - 2.0 * acceleration * gap > limit * limit)
     sinks = (gap <= 0.0) & (climb < -limit)
     return falls | sinks | (height < ground.height)

@@ -233,8 +233,8 @@ def into_ground(params: UavParams, state: UavState, drive: PlantInput, t: Scalar
     if ground is None:
         return False
     foot = lowest_foot(ground, state.attitude.matrix())
-    slope = derivative(params, state, drive, t).velocity.z
-    return has_crashed(ground, state.position.z, foot, state.velocity.z, slope, dt)
+    acceleration = derivative(params, state, drive, t).velocity.z
+    return has_crashed(ground, state.position.z, foot, state.velocity.z, acceleration, dt)
 
 
 def input_gain(params: UavParams) -> tuple[Scalar, ...]:
