@@ -7,7 +7,13 @@ import tomli_w
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.conversions import conversion_text, likeness, reference_conversion, reference_shift
+from dssc_jax.flight_logs.conversions import (
+    conversion_text,
+    followed_conversion,
+    likeness,
+    reference_conversion,
+    reference_shift,
+)
 from dssc_jax.flight_logs.fit import fit_log, sampled_log
 from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, MinimumSearch, NormalEquations, Readings
 from dssc_jax.flight_logs.reader import Column, FlightLog
@@ -48,6 +54,22 @@ def test_multiples_are_named(factor, unit, words):
     logged = factor * SINE
     logged[10:40] = np.nan
     assert conversion_text(logged, SINE, 0.01, unit) == words
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (1.0, ""),
+        (100.0, "follows its reference times 100 (centimetres in place of metres)"),
+        (3.28084, "follows its reference times 3.281 (feet in place of metres)"),
+        (-1.0, ""),
+        (2.4, ""),  # a resonance
+    ],
+)
+def test_an_output_in_another_unit_than_its_reference_is_told(factor, words):
+    """A fit would call it a gain: it follows with a lag and an overshoot, in centimetres. A sign may be a lag."""
+    lagging = factor * 0.6 * np.sin(np.pi * TIME - 0.5)
+    assert followed_conversion(lagging, SINE, "m") == words
 
 
 def test_references_of_other_channels_and_times():

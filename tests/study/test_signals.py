@@ -244,6 +244,14 @@ def test_a_sensor_of_a_signal_that_is_not_measured_is_refused():
         car(sensor={"kind": "ideal", "travel": {"kind": "noisy", "position_std": 0.01}})
 
 
+@pytest.mark.parametrize("common", ["ideal", "noisy"])
+def test_a_sensor_of_y_that_the_error_is_not_read_through_is_told(common, capsys):
+    """The integral of LQG reads the error through [sensor]: a bias of [sensor.y] alone did not reach it."""
+    sensor = {"kind": common, "measures": ["y"], "y": {"kind": "noisy", "position_bias": 0.05}}
+    warn_of_signals(car(sensor=sensor, controller={"kind": "state_feedback", "k_1": 800.0, "signals": [100.0]}))
+    assert ("the error, such as that of an integral, is read" in capsys.readouterr().err) == (common == "ideal")
+
+
 @pytest.mark.parametrize(
     ("sensor", "warns"),
     [

@@ -10,6 +10,7 @@ MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
+IN_PHASE = 0.2  # relative difference of the part in phase with a reference from a multiple of it
 FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
 
 
@@ -88,16 +89,24 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
     """The multiple of its reference that a logged output follows, in words; empty: it follows none.
 
-    A closed loop follows its reference, so such an output is in another unit. The opposite sign is none: a slow loop
-    may lag by half a period.
+    A closed loop follows its reference, so such an output is in another unit. It is one if the part of the output in
+    phase with its reference is nearly that multiple of it. The opposite sign is none: a slow loop may lag by half a
+    period.
 
     Args:
         logged: The output, NaN where missing, shape (samples,).
         reference: The reference of its channel in the study at the same times.
         unit: Of the output.
     """
-    text = conversion_text(logged, reference, FOLLOWED, unit)
-    return f"follows its reference {text}" if text and text != OPPOSITE else ""
+    known = np.isfinite(logged)
+    square = float(reference[known] @ reference[known])
+    factor = float(logged[known] @ reference[known]) / square if square > 0.0 else 0.0
+    for conversion in CONVERSIONS:
+        text = conversion.text(unit)
+        near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
+        if near and text != OPPOSITE and conversion_text(logged, reference, FOLLOWED, unit) == text:
+            return f"follows its reference {text}"
+    return ""
 
 
 def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:
