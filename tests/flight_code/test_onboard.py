@@ -1,5 +1,6 @@
 """The inner loop and the mixer in C: the same bits as the analysis, on this processor and on ARM."""
 
+import re
 import shutil
 import subprocess
 
@@ -83,9 +84,10 @@ static NAME_readings leaning(double length)
 int main(void)
 {
     const double lengths[] = {1.0, 1.0005, 1.01, 0.0, NAN};
-    NAME inner_loop = {0};
+    NAME inner_loop;
+    NAME_init(&inner_loop);
     NAME_readings seen = leaning(1.0);
-    printf("%u", NAME_init(&inner_loop, &seen));
+    printf("%u", NAME_start(&inner_loop, &seen));
     for (int i = 0; i < 5; i++) {
         const NAME before = inner_loop;
         seen = leaning(lengths[i]);
@@ -110,11 +112,85 @@ def test_a_quaternion_that_is_no_rotation_is_refused(tmp_path):
     assert answer == "0 0 0 1 kept 1 kept 1 kept"
 
 
-def test_numbers_with_laws_are_refused():
-    """The code has constants: a law of what the inner loop believes has no place in it."""
-    study = study_of("px4", FLIGHT).override({"plant.believed.mass": {"uniform": [1.0, 1.4]}})
-    with pytest.raises(ConfigError, match=r"plant\.believed\.mass: has a law"):
-        FlightFolder(study)
+def test_gains_with_laws_are_parameters(tmp_path):
+    """The bench gives each flight the gains of its draw; the code itself has the medians."""
+    require("make", "gcc")
+    laws = {
+        "plant.believed.mass": {"uniform": [1.0, 1.4]},
+        "plant.inner_loop.rate_p": [{"uniform": [0.1, 0.2]}, 0.15, 0.2],
+    }
+    folder_of(study_of("px4", FLIGHT, frequency=200.0, substeps=2, draws=2).override(laws), tmp_path)
+    assert "inner loop: 0 of " in made(tmp_path, "check")
+    (source,) = tmp_path.glob("*_inner_loop.c")
+    text = source.read_text()
+    assert "inner_loop->parameters.believed_mass = 1.2;" in text
+    source.write_text(re.sub(r"(parameters.rate_p_0 = )[0-9.]+", r"\g<1>9.0", text))
+    assert "inner loop: 0 of " in made(tmp_path, "inner-loop-check")
+    source.write_text(re.sub(r"(parameters.rate_p_1 = )[0-9.]+", r"\g<1>0.16", text))
+    assert "inner loop: 0 of " not in made(tmp_path, "inner-loop-check", fails=True)
+
+
+def test_other_numbers_with_laws_are_refused():
+    """A settled start depends on the draw's mass, which is no gain."""
+    laws = {"plant.inner_loop.start": "settled", "plant.vehicle.mass": {"uniform": [1.0, 1.4]}}
+    with pytest.raises(ConfigError, match=r"plant\.vehicle\.mass: has a law"):
+        FlightFolder(study_of("px4", FLIGHT).override(laws))
+
+
+TAKEOVER = """
+#include "NAME.h"
+#include <math.h>
+#include <stdio.h>
+
+int main(void)
+{
+    NAME loop;
+    NAME_readings seen = {0};
+    NAME_driven driven = {2.9, 3.0, 2.95, 3.05};
+    NAME_commands wanted = {0};
+    double deviation = 0.0;
+    seen.velocity_x = wanted.x = 0.5;
+    seen.velocity_z = wanted.z = -0.25;
+    seen.attitude_w = sqrt(1.0 - 0.05 * 0.05 - 0.04 * 0.04 - 0.3 * 0.3);
+    seen.attitude_x = 0.05;
+    seen.attitude_y = -0.04;
+    seen.attitude_z = 0.3;
+    NAME_init(&loop);
+    loop.parameters.GAIN = 0.21;
+    printf("%u ", NAME_check(&loop.parameters));
+    printf("%u", NAME_transfer(&loop, &seen, &driven));
+    for (int sample = 0; sample < 3; sample++) {
+        printf(" %u", NAME_sample(&loop, &seen, &wanted));
+        printf(" %u", NAME_tick(&loop, &seen));
+        deviation = fmax(deviation, fabs(loop.rotor_0 - driven.rotor_0));
+        deviation = fmax(deviation, fabs(loop.rotor_1 - driven.rotor_1));
+        deviation = fmax(deviation, fabs(loop.rotor_2 - driven.rotor_2));
+        deviation = fmax(deviation, fabs(loop.rotor_3 - driven.rotor_3));
+    }
+    printf(" %.1e %g", deviation, loop.parameters.GAIN);
+    driven.rotor_2 = NAN;
+    printf(" %u", NAME_transfer(&loop, &seen, &driven));
+    loop.parameters.GAIN = -0.21;
+    printf(" %u", NAME_check(&loop.parameters) != 0u);
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("kind", ["px4", "crazyflie"])
+def test_takeover_in_steady_flight_is_bumpless(kind, tmp_path):
+    """Leaning against a wind, with the rotors of another controller, which go on as before; parameters stay."""
+    require("gcc")
+    folder_of(study_of(kind, FLIGHT, frequency=200.0, substeps=2, draws=2), tmp_path)
+    (header,) = tmp_path.glob("*_inner_loop.h")
+    (tmp_path / "calls.c").write_text(TAKEOVER.replace("NAME", header.stem).replace("GAIN", "rate_p_0"))
+    built = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", "calls.c", f"{header.stem}.c", "-o", "calls", "-lm"]
+    subprocess.run(built, cwd=tmp_path, check=True)
+    answer = subprocess.run(["./calls"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    *flags, deviation, kept, refused, told = answer.split()
+    assert flags == ["0"] * 8
+    assert float(deviation) < 1e-9
+    assert (kept, refused, told) == ("0.21", "1", "1")
 
 
 def test_the_article_s_inner_loop_is_not_generated():

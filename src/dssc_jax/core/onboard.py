@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.core.signals import Params, PlantInput, State
+from dssc_jax.core.signals import Params, PlantInput, Scalar, State
 from dssc_jax.core.vectors import Vec3
 
 WHOLE = 1e-9
@@ -49,6 +49,10 @@ class Onboard(NamedTuple):
         integrals: ``(params) -> names`` of the plant's numbers at which integrals start that a flight in the air has
             filled, dotted.
         settled: ``(params) -> whether they start in the equilibrium of the draw``; the numbers then add to it.
+        drives: Field of its part of the state with the numbers that drive actuators.
+        tunable: Fields of the plant's parameters whose numbers its C may change in flight.
+        taken_over: ``(params, state, driven) -> held``: its part of the plant's state from which it goes on driving the
+            actuators as another software did, in steady motion; None: it cannot.
     """
 
     period: Callable[[Params], float | None]
@@ -62,6 +66,9 @@ class Onboard(NamedTuple):
     directions: tuple[str, ...] = ()
     integrals: Callable[[Params], tuple[str, ...]] = no_integrals
     settled: Callable[[Params], bool] = not_settled
+    drives: str = ""
+    tunable: tuple[str, ...] = ()
+    taken_over: Callable[[Params, State, tuple[Scalar, ...]], State] | None = None
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
         """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""

@@ -12,15 +12,14 @@ from jax.tree_util import keystr, tree_flatten_with_path
 from dssc_jax.closed_loop.control import ControlState, control, initial_control, transfer_control
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
-from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
+from dssc_jax.flight_code.parameters import Parameter, parameters_where
 from dssc_jax.lanes.c.names import member_names, prefix_name, underscored
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.program import Program
 from dssc_jax.lanes.tracing.origins import Origin, translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
 from dssc_jax.study import Study
-from dssc_jax.study.laws import Uncertain
 
 FLOWN_SLOTS = ("controller", "differentiator")
 COMMAND = ("u", "u_n", "u_p")
@@ -56,16 +55,6 @@ def takes_signals(study: Study) -> bool:
     """Whether a controller takes measured signals beside y and y'."""
     pairs = zip(study.loop.controller, study.template.controller, strict=True)
     return any(controller.takes(gains) for controller, gains in pairs)
-
-
-class Parameter(NamedTuple):
-    """A number of the controller that may be changed in flight."""
-
-    key: str  # its key in Study.params: its name in the study, or its path if the study computes it
-    name: str  # its name in C
-    quantity: Quantity | None  # unit, meaning and range; None if the study computes it
-    value: float  # the study's value, or that at the medians of laws
-    uncertain: bool  # whether it has a law in the study, or follows from one
 
 
 class TracedFunction(NamedTuple):
@@ -208,36 +197,21 @@ def command_parts(command: Command) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
-    """The numbers of a channel's differentiator and controller, in the order of their fields.
+    """The numbers of a channel's differentiator and controller."""
+    channel = study.loop.channels[index]
 
-    Numbers that decide the shape of the program (choices, counts) stay constants.
-    """
-    names = {path: name for name, number in study.numbers.items() for path in number.paths}
-    leaves, _ = tree_flatten_with_path(study.template)
-    parameters: dict[str, Parameter] = {}
-    for path, leaf in leaves:
-        dotted = keystr(path, simple=True, separator=".")
-        slot, place, *fields = dotted.split(".")
-        if slot not in FLOWN_SLOTS or int(place) != index or not isinstance(leaf, float | Uncertain):
-            continue
-        uncertain = isinstance(leaf, Uncertain)
-        value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
-        number = study.numbers.get(names.get(dotted, ""))
-        key = dotted
-        quantity = None
-        if number is not None:
-            if not number.quantity.law:
-                continue
-            key = number.name
-            quantity = number.quantity
-            fields = number.name.split(".")[1:]
-        if fields and fields[0] == study.loop.channels[index]:
+    def belongs(path: str) -> bool:
+        slot, place, *_ = path.split(".")
+        return slot in FLOWN_SLOTS and int(place) == index
+
+    def name(key: str) -> str:
+        """The fields of a number behind the slot, its position or channel; those of a differentiator tell so."""
+        slot, *fields = key.split(".")
+        if fields[0] in {str(index), channel}:
             fields = fields[1:]
-        if slot != "controller":
-            fields = [slot, *fields]
-        parameters[key] = Parameter(key, "_".join(fields), quantity, value, uncertain)
-    c_names = member_names(parameter.name for parameter in parameters.values())
-    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))
+        return "_".join(fields if slot == "controller" else [slot, *fields])
+
+    return parameters_where(study, belongs, name)
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:

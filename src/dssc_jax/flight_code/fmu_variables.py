@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.signals import ReferencePoint
-from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
+from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
+from dssc_jax.flight_code.parameters import Parameter
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_literal

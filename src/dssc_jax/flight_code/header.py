@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 from dssc_jax.core.signals import ReferencePoint
 from dssc_jax.flight_code.c_files import header_file
-from dssc_jax.flight_code.controller import COMMAND, FlightCode, Parameter, SampledController
+from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController
+from dssc_jax.flight_code.parameters import parameter_comment
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.text import comment
 from dssc_jax.study import Study
@@ -81,16 +82,6 @@ def member_text(kind: str, name: str, explanation: str) -> str:
         return f"{kind} {name};"
     plain = explanation.replace("*/", "* /").replace("/*", "/ *").encode("ascii", "replace").decode()
     return f"{kind} {name};  /* {plain} */"
-
-
-def parameter_comment(number: int, parameter: Parameter) -> str:
-    """Number, unit, meaning, range and the study's value of a parameter."""
-    quantity = parameter.quantity
-    median = ", median of its law" if parameter.uncertain else ""
-    if quantity is None:
-        return f"{number}: computed from the study; {parameter.value!r}{median}"
-    interval = f", {quantity.interval}" if quantity.interval else ""
-    return f"{number}: {quantity.unit}: {quantity.meaning}{interval}; {parameter.value!r}{median}"
 
 
 def is_angle(study: Study, controller: SampledController) -> bool:

@@ -1,6 +1,7 @@
 """Sampled software on board of a plant, such as the inner loops with the mixer, traced for its C.
 
-Its numbers are constants of the code: a number with a law that it reads is refused.
+Its gains are parameters of the code. All other numbers of the study are constants: one that it reads and that has a law
+is refused.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.flight_code.controller import TracedFunction
+from dssc_jax.flight_code.parameters import Parameter, parameters_where
 from dssc_jax.lanes.c.names import member_names
 from dssc_jax.lanes.tracing.origins import translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
@@ -26,17 +28,20 @@ from dssc_jax.study import Study
 
 @dataclass(frozen=True)
 class TracedSoftware:
-    """Software on board; every function's inputs are laws, readings, held numbers and commands, in this order.
+    """Software on board. The inputs of a function: parameters, laws, readings, held numbers, commands, in this order.
 
     Args:
         prefix: Of its functions and types in C.
-        laws: Names of the study's laws, of which it must read none.
+        parameters: Its numbers that may be changed in flight.
+        laws: Names of the study's other laws, of which it must read none.
         readings: Names of what it measures, in C.
         held: Names of its state in C.
         commands: Names of its commands in C, one for each channel.
         start: The held numbers before the first sample.
         sample: Those after the part that runs at a sample of the loop.
         tick: Those after a tick.
+        transfer: Those from which it goes on driving as another software did; None: it cannot.
+        driven: Names of the held numbers that drive actuators.
         ticks: Ticks in a sample.
         period: Time between two ticks [s].
         precision: Bits of a number.
@@ -45,6 +50,7 @@ class TracedSoftware:
     """
 
     prefix: str
+    parameters: tuple[Parameter, ...]
     laws: tuple[str, ...]
     readings: tuple[str, ...]
     held: tuple[str, ...]
@@ -52,6 +58,8 @@ class TracedSoftware:
     start: TracedFunction
     sample: TracedFunction
     tick: TracedFunction
+    transfer: TracedFunction | None
+    driven: tuple[str, ...]
     ticks: int
     period: float
     precision: int
@@ -90,11 +98,13 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     period = None if software is None else software.period(study.template.plant)
     if software is None or period is None:
         return None
-    laws = tuple(sorted(study.laws))
+    parameters = software_parameters(study, software)
+    keys = [parameter.key for parameter in parameters]
+    laws = tuple(sorted(set(study.laws).difference(keys)))
     count = len(loop.channels)
 
     def params_of(values: Sequence[Scalar]) -> Any:
-        return study.params(dict(zip(laws, values, strict=True))).plant
+        return study.params(dict(zip((*keys, *laws), values, strict=True))).plant
 
     def start(values: Sequence[Scalar], readings: State) -> State:
         return as_arrays(software.start(params_of(values), readings, None))
@@ -108,10 +118,14 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     def tick(values: Sequence[Scalar], readings: State, held: State) -> State:
         return as_arrays(software.held(software.tick(params_of(values), software.holding(readings, held), period)))
 
+    def transfer(values: Sequence[Scalar], readings: State, driven: tuple[Scalar, ...]) -> State:
+        assert software.taken_over is not None  # traced only if there is one
+        return as_arrays(software.taken_over(params_of(values), readings, driven))
+
     try:
         with arithmetic(study.config.loop.precision):
             number = jax.ShapeDtypeStruct((), jnp.result_type(float))
-            values = (number,) * len(laws)
+            values = (number,) * (len(keys) + len(laws))
             plant_state = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
             estimation = loop.mimo_plant.estimation
             if estimation is not None and estimation.chosen(study.template.plant):
@@ -124,6 +138,11 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             started = traced(start, values, readings)
             sampled = traced(sample, values, readings, held, commands)
             ticked = traced(tick, values, readings, held)
+            names = names_of(held)
+            driven = tuple(held_name for held_name in names if held_name.startswith(f"{software.drives}_"))
+            transferred = None
+            if software.taken_over is not None:
+                transferred = traced(transfer, values, readings, (number,) * len(driven))
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     labels = member_names(channel or "command" for channel in loop.channels)
@@ -133,19 +152,37 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         directions.append(tuple(reading for reading in measured if reading.startswith(f"{field}_")))
     return TracedSoftware(
         f"{name}_inner_loop",
+        parameters,
         laws,
         measured,
-        names_of(held),
+        names,
         tuple(labels),
         started,
         sampled,
         ticked,
+        transferred,
+        driven,
         round(loop.sample_time / period),
         period,
         study.config.loop.precision,
         software.outputs(study.template.plant),
         tuple(directions),
     )
+
+
+def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...]:
+    """The numbers of the software that its C may change in flight."""
+
+    def belongs(path: str) -> bool:
+        slot, field, *_ = [*path.split("."), ""]
+        return slot == "plant" and field in software.tunable
+
+    def name(key: str) -> str:
+        """The fields of a number behind the plant, and behind the first of the fields, that of the gains."""
+        _, field, *fields = key.split(".")
+        return "_".join(fields if field == software.tunable[0] else [field, *fields])
+
+    return parameters_where(study, belongs, name)
 
 
 def traced(function: Callable[..., State], *shapes: Any) -> TracedFunction:

@@ -20,11 +20,14 @@ from dssc_jax.study import Study
 NO_FLAGS = 0.0
 
 Row: TypeAlias = tuple[Scalar, ...]
-"""Readings, commands, flags (none) and held numbers of one tick."""
+"""Readings, commands, parameters with a law, flags (none) and held numbers of one tick."""
 
 
-def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], jax.Array], list[Row]]:
+def recording_lane(
+    study: Study, traced: TracedSoftware, samples: int
+) -> Callable[[dict[str, Scalar], jax.Array], list[Row]]:
     """The program of a lane: (numbers by name, draw index) -> for each tick of a sample a column of each number."""
+    uncertain = [parameter.key for parameter in traced.parameters if parameter.uncertain]
     loop = study.loop
     software = loop.mimo_plant.software
     assert software is not None
@@ -47,7 +50,8 @@ def recording_lane(study: Study, samples: int) -> Callable[[dict[str, Scalar], j
             def observe(earlier: State, drive: PlantInput, after: State) -> None:
                 readings = jax.tree.leaves(seen(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
-                row = (*readings, *commands, NO_FLAGS, *jax.tree.leaves(software.held(after)))
+                given = (values[key] for key in uncertain)
+                row = (*readings, *commands, *given, NO_FLAGS, *jax.tree.leaves(software.held(after)))
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
 
             advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, observe)
@@ -67,8 +71,9 @@ def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: in
 
     A flight ends before the first row with a number that is not finite: the software in C keeps its state there.
     """
-    lane = recording_lane(study, samples)
-    for ticks in recorded_columns(study, lane, draws, traced.precision):
+    lane = recording_lane(study, traced, samples)
+    constants = {parameter.key: parameter.value for parameter in traced.parameters}
+    for ticks in recorded_columns(study, lane, draws, traced.precision, constants):
         parts = [np.stack(columns, axis=1) for columns in ticks]
         rows = np.stack(parts, axis=1).reshape(-1, parts[0].shape[1])
         is_finite = np.isfinite(rows).all(axis=1)

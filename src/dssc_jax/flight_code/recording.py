@@ -16,9 +16,9 @@ from dssc_jax.closed_loop.sample import LoopState, held_between_samples, initial
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.compiled_lanes import compiled_lanes
-from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values, takes_signals
+from dssc_jax.flight_code.replay_bench import numbers_of_draws
 from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
@@ -87,10 +87,9 @@ def recorded_draws(
         batch = max(1, BATCH_BYTES // group_bytes) * width
         for first in range(0, draws, batch):
             indices = np.arange(first, min(first + batch, draws))
-            drawn = draw_values(study, indices)
-            drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
-            values = {name: drawn.get(name, np.full(len(indices), constants.get(name))) for name in names}
-            channels = lanes.start((values, indices), len(indices), usable_cores())()
+            values = numbers_of_draws(study, indices, constants)
+            inputs = {name: values[name] for name in names}
+            channels = lanes.start((inputs, indices), len(indices), usable_cores())()
             for place in range(len(indices)):
                 for controller, columns in zip(controllers, channels, strict=True):
                     parameters = [values[parameter.key][place] for parameter in controller.parameters]

@@ -4,7 +4,7 @@ The bench replays recorded flights, row by row. A row has the inputs of one call
 it: the flags first, then the numbers of the state.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -86,7 +86,11 @@ def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
 
 
 def recorded_columns(
-    study: Study, lane: Callable[[dict[str, Any], jax.Array], Any], draws: int, precision: int
+    study: Study,
+    lane: Callable[[dict[str, Any], jax.Array], Any],
+    draws: int,
+    precision: int,
+    constants: Mapping[str, float] | None = None,
 ) -> Iterator[Any]:
     """What a lane records of the first draws of a study, in strict arithmetic: for each draw a tree of columns.
 
@@ -95,6 +99,8 @@ def recorded_columns(
         lane: (numbers by name, draw index) -> a tree of columns.
         draws: How many draws.
         precision: Bits of a number.
+        constants: Numbers without a law that are inputs of the lane all the same, by their keys in ``Study.params``;
+            what follows from them is then rounded at each operation, as it is in C.
 
     Raises:
         Unsupported: The lane has no strict machine code.
@@ -102,13 +108,23 @@ def recorded_columns(
     with arithmetic(precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         index = jax.ShapeDtypeStruct((), jnp.uint32)
-        lanes = compiled_lanes(lane, dict.fromkeys(study.laws, number), index, strict=True)
+        constants = constants or {}
+        names = sorted({*study.laws, *constants})
+        lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=True)
         width = lanes.signature.width
         for first in range(0, draws, width):
             indices = np.arange(first, min(first + width, draws))
-            recorded = lanes.start((draw_values(study, indices), indices), len(indices), usable_cores())()
+            values = numbers_of_draws(study, indices, constants)
+            recorded = lanes.start(({name: values[name] for name in names}, indices), len(indices), usable_cores())()
             for place in range(len(indices)):
                 yield jax.tree.map(lambda column, place=place: column[place], recorded)
+
+
+def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Laws of draws, what follows from them, and constants, by their keys in ``Study.params``; one value a draw."""
+    drawn = draw_values(study, indices)
+    drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
+    return {name: np.full(len(indices), value) for name, value in constants.items()} | drawn
 
 
 def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:

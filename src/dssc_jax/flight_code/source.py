@@ -6,15 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from dssc_jax.flight_code.c_files import absolute_value, finite, finite_function, joined_definitions, source_file
-from dssc_jax.flight_code.controller import (
-    COMMAND,
-    FlightCode,
-    Parameter,
-    SampledController,
-    TracedFunction,
-)
+from dssc_jax.flight_code.controller import COMMAND, FlightCode, SampledController, TracedFunction
 from dssc_jax.flight_code.header import file_comment
 from dssc_jax.flight_code.library import description_text
+from dssc_jax.flight_code.parameters import assignments, checks
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.lanes.c.text import CText
@@ -88,36 +83,13 @@ def source_text(code: FlightCode) -> str:
 
 def init_functions(controller: SampledController) -> str:
     """``init``, ``reset`` and ``check``."""
-    literals = {
-        parameter.name: c_literal(controller.real.type(parameter.value), controller.real)
-        for parameter in controller.parameters
-    }
-    checks = []
-    for number, parameter in enumerate(controller.parameters, start=1):
-        conditions = " && ".join(parameter_conditions(controller.real, parameter))
-        checks += [f"if (!({conditions})) {{", f"    return {number}u;", "}"]
-    literals = literals or {"unused": "0"}
     return fill(
         "init.c",
         name=controller.prefix,
-        parameters=[f"controller->parameters.{name} = {literal};" for name, literal in literals.items()],
+        parameters=assignments("controller->parameters", controller.parameters, controller.real),
         states=[f"controller->state.{state} = 0;" for state in controller.states or ("unused",)],
-        checks=checks or "(void)parameters;",
+        checks=checks(controller.parameters, controller.real),
     )
-
-
-def parameter_conditions(real: np.dtype, parameter: Parameter) -> list[str]:
-    """Conditions that an admissible parameter satisfies, and NaN does not."""
-    member = f"parameters->{parameter.name}"
-    conditions = [f"is_finite({member})"]
-    quantity = parameter.quantity
-    if quantity is None:
-        return conditions
-    bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
-    for sign, bound in bounds.items():
-        if bound is not None:
-            conditions.append(f"{member} {sign} {c_literal(real.type(bound), real)}")
-    return conditions
 
 
 def parameter_pointer(controller: SampledController, function: FunctionText) -> str:

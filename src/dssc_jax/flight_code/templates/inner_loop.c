@@ -16,21 +16,34 @@ static unsigned keep(@{name} *inner_loop, const @{name} *kept)
     return 0u;
 }
 
-unsigned @{name}_init(@{name} *inner_loop, const @{name}_readings *seen)
+void @{name}_init(@{name} *inner_loop)
 {
-    @{name} updated;
+    const @{name} nothing = {0};
+    *inner_loop = nothing;
+    @{parameters}
+}
+
+unsigned @{name}_check(const @{name}_parameters *parameters)
+{
+    @{checks}
+    return 0;
+}
+
+unsigned @{name}_start(@{name} *inner_loop, const @{name}_readings *seen)
+{
+    @{name} updated = *inner_loop;
     if (!are_readings_valid(seen)) {
         return 1u;
     }
-    @{unread}
 @{start}
     return keep(inner_loop, &updated);
 }
 
+@{transfer}
 unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted)
 {
     const @{name} held = *inner_loop;
-    @{name} updated;
+    @{name} updated = held;
     if (!are_readings_valid(seen) || !(@{commands_finite})) {
         return 1u;
     }
@@ -41,7 +54,7 @@ unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const
 unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen)
 {
     const @{name} held = *inner_loop;
-    @{name} updated;
+    @{name} updated = held;
     if (!are_readings_valid(seen)) {
         return 1u;
     }

@@ -13,7 +13,16 @@ from dssc_jax.models.uav.estimators import Estimator, NoEstimator
 from dssc_jax.models.uav.estimators.sensors import Motion, Random
 from dssc_jax.models.uav.inner_loops import SampledInnerLoop
 from dssc_jax.models.uav.inner_loops.article import InnerGains
-from dssc_jax.models.uav.inner_loops.sampled import Readings, Trim, allocated_moment, conjugate, product
+from dssc_jax.models.uav.inner_loops.sampled import (
+    Angles,
+    Readings,
+    Trim,
+    allocated_moment,
+    angles_of,
+    conjugate,
+    given_wrench,
+    product,
+)
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.trim import trim
@@ -101,6 +110,18 @@ def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> Held
     if trimmed is None:
         return HeldLoop(software, params.first_thrust, params.first_thrusts, 0.0)
     return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, 0.0)
+
+
+def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...]) -> HeldLoop:
+    """A sampled inner loop that goes on with given rotor thrusts [N], in steady flight at its readings."""
+    craft = params.craft
+    readings = readings_of(state)
+    loop = required_loop(params)
+    software = loop.init(craft, readings, params.first_carrying)
+    wrench = given_wrench(craft, thrusts)
+    angles = Angles(*angles_of(readings.attitude.matrix()))
+    software = loop.trimmed(craft, software, Trim(angles, wrench.thrust, wrench.moment, thrusts))
+    return HeldLoop(software, wrench.thrust, thrusts, 0.0)
 
 
 def first_integrals(params: UavParams) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from dssc_jax.models.uav.onboard import (
     software_tick,
     start_estimate,
     starts_settled,
+    taken_over,
     trim_of,
     velocity_commands,
 )
@@ -293,6 +294,9 @@ UAV = Plant(
         directions=("attitude",),
         integrals=first_integrals,
         settled=starts_settled,
+        drives="rotor",
+        tunable=("inner_loop", "believed"),
+        taken_over=taken_over,
     ),
     estimation=Estimation(
         chosen=lambda params: estimator_of(params) is not None,

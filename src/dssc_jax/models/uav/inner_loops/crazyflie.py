@@ -24,8 +24,7 @@ from dssc_jax.core.numerics import clip, is_zero, wrap_angle
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Scalar
 from dssc_jax.core.vectors import Mat3, Vec3
-from dssc_jax.lanes.functions.approximations import atan2
-from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench, limited, require_integral
+from dssc_jax.models.uav.inner_loops.sampled import Craft, Readings, Trim, Wrench, angles_of, limited, require_integral
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.vehicle import GRAVITY
 
@@ -286,14 +285,11 @@ def pid(
 
 
 def over_gain(value: Scalar, gain: Scalar) -> Scalar:
-    """The integral that gives a value; 0 where its gain is known to be 0."""
-    return 0.0 if is_zero(gain) else value / gain
-
-
-def angles_of(rotation: Mat3) -> Vec3:
-    """Roll, pitch and yaw [rad]."""
-    flat = jnp.sqrt(rotation.c.y * rotation.c.y + rotation.c.z * rotation.c.z)
-    return Vec3(atan2(rotation.c.y, rotation.c.z), atan2(-rotation.c.x, flat), atan2(rotation.b.x, rotation.a.x))
+    """The integral that gives a value; 0 without a gain."""
+    if is_zero(gain):
+        return 0.0
+    missing = gain == 0.0
+    return jnp.where(missing, 0.0, value / jnp.where(missing, 1.0, gain))
 
 
 def heading_velocity(velocity: Vec3, rotation: Mat3) -> Vec3:

@@ -4,12 +4,13 @@ import math
 from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
+import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import clip, dot, root_abs
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import Scalar
-from dssc_jax.core.vectors import Quaternion, Vec3, quaternion_from_euler
+from dssc_jax.core.vectors import Mat3, Quaternion, Vec3, quaternion_from_euler
 from dssc_jax.lanes.functions.approximations import atan2
 from dssc_jax.models.uav.inner_loops.start import Start
 
@@ -96,6 +97,12 @@ def body_angles(upward: Vec3, psi: Scalar) -> Angles:
     return Angles(atan2(-left, root_abs(forward * forward + upward.z * upward.z)), atan2(forward, upward.z), psi)
 
 
+def angles_of(rotation: Mat3) -> Vec3:
+    """Roll, pitch and yaw [rad]."""
+    flat = jnp.sqrt(rotation.c.y * rotation.c.y + rotation.c.z * rotation.c.z)
+    return Vec3(atan2(rotation.c.y, rotation.c.z), atan2(-rotation.c.x, flat), atan2(rotation.b.x, rotation.a.x))
+
+
 class StartsSettled(Protocol):
     """An inner loop that may start settled."""
 
@@ -131,6 +138,12 @@ def require_integral(gains: StartsSettled, gain: str) -> None:
 def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
     """The moment of rotor thrusts in the geometry that the inner loop knows [N m]."""
     return Vec3(*(dot(row, thrusts) for row in craft.moments))
+
+
+def given_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
+    """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those."""
+    rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
+    return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
 
 
 def limited(vector: Vec3, limit: Vec3) -> Vec3:

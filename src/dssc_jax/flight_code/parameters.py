@@ -1,0 +1,91 @@
+"""The numbers of generated code that may be changed in flight: of a controller, of software on board."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jax.tree_util import keystr, tree_flatten_with_path
+
+from dssc_jax.core.quantities import Quantity
+from dssc_jax.lanes.c.names import member_names
+from dssc_jax.lanes.c.operations import c_literal
+from dssc_jax.study import Study
+from dssc_jax.study.laws import Uncertain
+
+
+class Parameter(NamedTuple):
+    """A number of the code that may be changed in flight."""
+
+    key: str  # its key in Study.params: its name in the study, or its path if the study computes it
+    name: str  # its name in C
+    quantity: Quantity | None  # unit, meaning and range; None if the study computes it
+    value: float  # the study's value, or that at the medians of laws
+    uncertain: bool  # whether it has a law in the study, or follows from one
+
+
+def parameters_where(study: Study, belongs: Callable[[str], bool], name: Callable[[str], str]) -> tuple[Parameter, ...]:
+    """Numbers of the study's loop, in the order of their fields.
+
+    Numbers that decide the shape of the program (choices, counts) stay constants.
+
+    Args:
+        study: The study.
+        belongs: Whether a number at a dotted path in the loop's parameters is one.
+        name: Its name in C, from its name in the study, or its path if the study computes it.
+    """
+    names = {path: known for known, number in study.numbers.items() for path in number.paths}
+    leaves, _ = tree_flatten_with_path(study.template)
+    parameters: dict[str, Parameter] = {}
+    for path, leaf in leaves:
+        dotted = keystr(path, simple=True, separator=".")
+        if not belongs(dotted) or not isinstance(leaf, float | Uncertain):
+            continue
+        number = study.numbers.get(names.get(dotted, ""))
+        if number is not None and not number.quantity.law:
+            continue
+        key = dotted if number is None else number.name
+        quantity = None if number is None else number.quantity
+        uncertain = isinstance(leaf, Uncertain)
+        value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
+        parameters[key] = Parameter(key, name(key), quantity, value, uncertain)
+    c_names = member_names(parameter.name for parameter in parameters.values())
+    return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))
+
+
+def parameter_comment(number: int, parameter: Parameter) -> str:
+    """Number, unit, meaning, range and the study's value of a parameter."""
+    quantity = parameter.quantity
+    median = ", median of its law" if parameter.uncertain else ""
+    if quantity is None:
+        return f"{number}: computed from the study; {parameter.value!r}{median}"
+    interval = f", {quantity.interval}" if quantity.interval else ""
+    return f"{number}: {quantity.unit}: {quantity.meaning}{interval}; {parameter.value!r}{median}"
+
+
+def assignments(structure: str, parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
+    """Statements that give a structure in C the study's values."""
+    literals = {parameter.name: c_literal(real.type(parameter.value), real) for parameter in parameters}
+    return [f"{structure}.{name} = {literal};" for name, literal in (literals or {"unused": "0"}).items()]
+
+
+def checks(parameters: tuple[Parameter, ...], real: np.dtype) -> list[str]:
+    """Statements that return the number of the first inadmissible one of changed parameters."""
+    lines: list[str] = []
+    for number, parameter in enumerate(parameters, start=1):
+        conditions = " && ".join(parameter_conditions(parameter, real))
+        lines += [f"if (!({conditions})) {{", f"    return {number}u;", "}"]
+    return lines or ["(void)parameters;"]
+
+
+def parameter_conditions(parameter: Parameter, real: np.dtype) -> list[str]:
+    """Conditions that an admissible parameter satisfies, and NaN does not."""
+    member = f"parameters->{parameter.name}"
+    conditions = [f"is_finite({member})"]
+    quantity = parameter.quantity
+    if quantity is None:
+        return conditions
+    bounds = {">": quantity.above, ">=": quantity.at_least, "<": quantity.below, "<=": quantity.at_most}
+    for sign, bound in bounds.items():
+        if bound is not None:
+            conditions.append(f"{member} {sign} {c_literal(real.type(bound), real)}")
+    return conditions
