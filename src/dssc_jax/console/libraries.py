@@ -28,7 +28,8 @@ class ParameterSummary(TypedDict):
 
 
 class ControllerSummary(TypedDict):
-    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters and telemetry.
+    """A controller: its sample time [s], the bits of its numbers, its bytes, its parameters,
+    and the units of its measured signals and telemetry.
 
     ``samples_not_finite`` counts those of a trial flight whose command is not finite; ``without_effect`` names the
     parameters that change no command of one.
@@ -38,6 +39,7 @@ class ControllerSummary(TypedDict):
     precision: int
     bytes: int
     parameters: dict[str, ParameterSummary]
+    measured: dict[str, str]
     telemetry: dict[str, str]
     samples_not_finite: int
     without_effect: list[str]
@@ -74,6 +76,7 @@ def controller_summary(controller: NativeController) -> ControllerSummary:
         "precision": 8 * controller.real,
         "bytes": controller.size,
         "parameters": parameters,
+        "measured": {number.name: number.quantity.unit for number in controller.measured},
         "telemetry": {number.name: number.quantity.unit for number in controller.telemetry},
         "samples_not_finite": samples_not_finite(controller),
         "without_effect": list(parameters_without_effect(controller)),
@@ -92,6 +95,9 @@ def show_library(library: NativeLibrary, file: Path) -> None:
             rows.append((parameter, default, described["unit"], described["meaning"], described["admissible"]))
         if rows:
             show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
+        measured = ", ".join(f"{signal} [{unit}]" for signal, unit in summary["measured"].items())
+        if measured:
+            say(f"measured signals: {measured}; a study lists them in [sensor] measures")
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
         say(f"telemetry: {reported or 'none'}")
         for parameter, described in summary["parameters"].items():

@@ -195,6 +195,7 @@ class Controller(NamedTuple):
             controller synthesises no such law.
         describing: ``(gains) -> HarmonicBalance``, the describing function of a switching law; None: it is not known.
         takes: ``(gains) -> n``: how many measured signals it takes from ``measurement.signals``; 0: y and y' alone.
+        signals: The measured signals that it takes by name, in its order; (): those of the study, in the study's order.
         fit: ``(gains, LoopSetting) -> gains`` when the study is built: gains that follow from the nominal plant and the
             sample time, or checks of them; raises ConfigError. None: the gains are all that it needs.
         tunable: Names of the gains that a comparison tunes, dotted within the controller's table, or a function of the
@@ -217,6 +218,7 @@ class Controller(NamedTuple):
     synthesised: Callable[[Params], tuple[Scalar, Scalar]] | None = None
     describing: Callable[[Params], HarmonicBalance] | None = None
     takes: Callable[[Params], int] = takes_none
+    signals: tuple[NamedSignal, ...] = ()
     fit: Callable[[Params, LoopSetting], Params] | None = None
     tunable: tuple[str, ...] | Callable[[Params], tuple[str, ...]] = ()
     from_dssc: Callable[[Params], TomlTable] | None = None

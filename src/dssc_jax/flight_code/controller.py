@@ -35,6 +35,7 @@ class MeasuredSignal(NamedTuple):
     name: str  # in C
     unit: str
     meaning: str
+    signal: str = ""  # its name in the study, of one that is measured beside y and y'
 
 
 def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
@@ -47,7 +48,7 @@ def measured_signals(study: Study, index: int) -> tuple[MeasuredSignal, ...]:
     if takes_signals(study):
         names = member_names([*OF_CHANNEL, *(f"signal_{signal.name}" for signal in loop.measures)])
         for name, signal in zip(list(names)[len(OF_CHANNEL) :], loop.measures, strict=True):
-            signals.append(MeasuredSignal(name, signal.unit or "1", f"measured {signal.quantity.meaning}"))
+            signals.append(MeasuredSignal(name, signal.unit or "1", f"measured {signal.quantity.meaning}", signal.name))
     return tuple(signals)
 
 

@@ -5,22 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from dssc_jax.core.quantities import Quantity, quantities_of
-from dssc_jax.flight_code.controller import FlightCode, SampledController, takes_signals
+from dssc_jax.flight_code.controller import OF_CHANNEL, FlightCode, SampledController
+from dssc_jax.flight_code.parameters import Parameter
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_literal
+from dssc_jax.lanes.passes.liveness import read_inputs
 
 DOUBLE = np.dtype(float)
-NO_LIBRARY = """#ifdef DSSC_JAX_LIBRARY
-#error "a library takes y and y_dot only, and this controller takes other measured signals, too"
-#endif
-"""
 
 
 def description_text(code: FlightCode) -> str:
-    """The end of the source, which only the build of a library compiles: a refusal, if a controller takes signals."""
-    if takes_signals(code.study):
-        return NO_LIBRARY
+    """The end of the source, which only the build of a library compiles."""
     return fill(
         "description.c",
         channels="\n".join(channel_text(code, controller) for controller in code.controllers),
@@ -33,7 +29,7 @@ def channel_text(code: FlightCode, controller: SampledController) -> str:
     name = controller.prefix
     computed = Quantity("1", "computed from the study")
     rows: list[str] = []
-    for parameter in controller.parameters:
+    for parameter in read_parameters(controller):
         quantity = parameter.quantity or computed
         low, high = limits(quantity, controller.real)
         texts = f"{c_string(quantity.unit)}, {c_string(quantity.meaning)}"
@@ -45,15 +41,30 @@ def channel_text(code: FlightCode, controller: SampledController) -> str:
         quantity = known.get(info, Quantity("1", info))
         texts = f"{c_string(units.of(quantity.unit))}, {c_string(quantity.meaning)}"
         reported.append(f"DSSC_JAX_TELEMETRY({name}, {info}, {texts})")
+    measured: list[str] = []
+    for signal in controller.measured[len(OF_CHANNEL) :]:
+        texts = f"{c_string(signal.signal)}, {c_string(signal.unit)}, {c_string(signal.meaning)}"
+        measured.append(f"DSSC_JAX_MEASURED({name}, {signal.name}, {texts})")
     sample_time = c_literal(DOUBLE.type(code.study.loop.sample_time), DOUBLE)
     return fill(
         "description_channel.c",
         name=name,
         sample_time=sample_time,
-        tables=[*table_lines(f"{name}_parameter_table", rows), *table_lines(f"{name}_telemetry_table", reported)],
+        tables=[
+            *table_lines(f"{name}_parameter_table", rows),
+            *table_lines(f"{name}_telemetry_table", reported),
+            *table_lines(f"{name}_measured_table", measured),
+        ],
         parameters=table_argument(f"{name}_parameter_table", rows),
         telemetry=table_argument(f"{name}_telemetry_table", reported),
+        measured=table_argument(f"{name}_measured_table", measured),
     )
+
+
+def read_parameters(controller: SampledController) -> list[Parameter]:
+    """The parameters that start or step read; others, such as those of metrics, are no parameters of a library."""
+    read = read_inputs(controller.start.program) | read_inputs(controller.step.program)
+    return [parameter for position, parameter in enumerate(controller.parameters) if position in read]
 
 
 def table_lines(name: str, rows: Sequence[str]) -> list[str]:

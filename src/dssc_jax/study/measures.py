@@ -122,13 +122,34 @@ def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal])
 
 
 def require_signals(controller: Controller, gains: Params, measures: Sequence[NamedSignal]) -> None:
-    """Require that a controller gets as many measured signals as it takes.
+    """Require that a controller gets the measured signals that it takes, or as many.
 
     Raises:
         ConfigError: it does not.
     """
+    if controller.signals:
+        require_named_signals(controller.signals, measures)
+        return
     count = controller.takes(gains)
     if count and count != len(measures):
         names = ", ".join(signal.name for signal in measures) or "none"
         rule = f"takes {count} measured signals, and {len(measures)} are measured: {names}; list them in [sensor]"
         raise ConfigError("controller", f"{rule} {MEASURES}")
+
+
+def require_named_signals(taken: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
+    """Require that signals are measured, in the unit in which they are taken.
+
+    Raises:
+        ConfigError: One is not, or in another unit.
+    """
+    known = {signal.name: signal for signal in measures}
+    for signal in taken:
+        if signal.name not in known:
+            measured = ", ".join(known) or "none"
+            rule = f"takes the measured signal '{signal.name}', and measured are: {measured}; list it in [sensor]"
+            raise ConfigError("controller", f"{rule} {MEASURES}")
+        unit = known[signal.name].unit or "1"
+        if signal.unit != unit:
+            rule = f"takes '{signal.name}' in {signal.unit}, and the study measures it in {unit}"
+            raise ConfigError("controller", rule)

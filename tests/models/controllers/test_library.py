@@ -120,15 +120,38 @@ def test_what_is_generated_gives_the_same_bits_when_it_is_loaded_again(place, pr
     assert {"sigma_tilde", "flag"} <= set(again.loop.controller[0].info._fields)
 
 
-def test_generated_code_that_takes_measured_signals_is_no_library(place):
-    gains = {"kind": "lqg", "command_weight": 1e-6, "state_weights": [100.0, 1.0, 10000.0, 0.5], "signal_std": [0.001]}
-    gains |= {"disturbance_std": [20.0, 0.1], "state_std": [1e-4, 1e-3, 1e-5, 1e-2]}
-    folder = FlightFolder(car(controller=gains, sensor={"measures": ["travel"]}))
+def lqg_car(**changes):
+    """A quarter car whose LQG controller measures the travel and the tyre's force."""
+    gains = {"kind": "lqg", "command_weight": 1e-6, "state_weights": [100.0, 1.0, 10000.0, 0.5]}
+    gains |= {"disturbance_std": [20.0, 0.1], "state_std": [1e-4, 1e-3, 1e-5, 1e-2], "signal_std": [0.001, 1.0]}
+    sensor = {"measures": ["travel", "tyre_force"], "travel": {"kind": "noisy", "position_std": 1e-3}}
+    return car(controller=gains, sensor=sensor, draws=DRAWS, seed=2, **changes)
+
+
+def test_generated_code_that_takes_measured_signals_gives_the_same_bits(place):
+    """Each signal by its name, also where the study measures more, in another order."""
+    original = lqg_car()
+    folder = FlightFolder(original)
     for name, text in folder.texts().items():
         (place / name).write_text(text)
     (source,) = [text for name, text in folder.texts().items() if name.endswith("_controller.c")]
-    with pytest.raises(ConfigError, match="takes other measured signals"):
-        built(place, "signals", source)
+    library = dj.allow_native(built(place, "signals", source))
+    (controller,) = library.controllers
+    taken = [(signal.name, signal.quantity.unit) for signal in controller.measured]
+    assert taken == [("travel", "m"), ("tyre_force", "N")]
+    gains = {"kind": "library", "file": str(place / "signals.so"), "sha256": library.sha256}
+    again = dj.Study.from_table({**original.table, "controller": gains})
+    assert differing_bits(commands(original, constants=study_values(folder.code.controllers)), commands(again)) == 0
+    turned = again.override({"sensor": {"measures": ["tyre_force", "acceleration", "travel"]}})
+    straight = again.override({"sensor": {"measures": ["travel", "tyre_force"]}})
+    assert np.std(dj.simulate(turned, 0)["u"].values) > 1.0
+    np.testing.assert_array_equal(dj.simulate(turned, 0)["u"].values, dj.simulate(straight, 0)["u"].values)
+    with pytest.raises(ConfigError, match="the measured signal 'tyre_force', and measured are: travel; list it in"):
+        again.override({"sensor": {"measures": ["travel"]}})
+    outputs = original.table["plant"]["outputs"]
+    milli = {**outputs, "travel": {**outputs["travel"], "unit": "mm"}}
+    with pytest.raises(ConfigError, match="takes 'travel' in m, and the study measures it in mm"):
+        again.override({"plant.outputs": milli})
 
 
 def test_a_library_runs_beside_measured_signals(template):
@@ -250,7 +273,7 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
         ("DSSC_JAX_LIBRARY_OF(&my_description);", "", "exports no dssc_jax_controllers"),
         ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
         ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
-        ("    real k_d;", "    float k_d;", "must be numbers of one type"),
+        ("    real k_d;", "    float k_d;", "must have one type"),
         (
             "    controller->state.filtered = 0;\n    controller->started = false;",
             "(void)controller;",

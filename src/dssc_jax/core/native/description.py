@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import Quantity
 SYMBOL = "dssc_jax_controllers"
 """The one symbol that a library must export."""
 
-VERSION = 2
+VERSION = 3
 MOST_CONTROLLERS = 64
 MOST_NUMBERS = 256
 MOST_BYTES = 1 << 16
@@ -23,6 +23,7 @@ TINY = float(np.finfo(np.float32).tiny)
 """A positive lower limit that is not larger than this stands for "above 0"."""
 
 SIGNALS = 5
+"""Signals that every controller gets: measurement and reference."""
 COMMANDS = 2
 RESERVED = ("kind", "file", "name", "sha256", "flag")
 """Names that no parameter or telemetry value may have: entries of a study's table, and the flag."""
@@ -62,6 +63,8 @@ class ControllerRow(ctypes.Structure):
         ("parameters", ctypes.POINTER(NumberRow)),
         ("telemetry_count", ctypes.c_size_t),
         ("telemetry", ctypes.POINTER(NumberRow)),
+        ("measured_count", ctypes.c_size_t),
+        ("measured", ctypes.POINTER(NumberRow)),
         ("init", ctypes.c_void_p),
         ("reset", ctypes.c_void_p),
         ("step", ctypes.c_void_p),
@@ -70,7 +73,7 @@ class ControllerRow(ctypes.Structure):
 
 @dataclass(frozen=True)
 class NativeNumber:
-    """A parameter or a telemetry value: its name, its quantity, and its place in the exchange in bytes."""
+    """A parameter, a measured signal or a telemetry value: its name, quantity, and place in the exchange in bytes."""
 
     name: str
     quantity: Quantity
@@ -93,6 +96,7 @@ class NativeController:
         flag: Place of the step's flag.
         parameters: Its parameters.
         telemetry: Its telemetry.
+        measured: The measured signals that it takes beside y and y', by their names in a study.
         init: Address of a function that takes the exchange and sets the parameters to their defaults.
         reset: Address of one that begins a flight.
         step: Address of one that computes a sample.
@@ -109,9 +113,15 @@ class NativeController:
     flag: int
     parameters: tuple[NativeNumber, ...]
     telemetry: tuple[NativeNumber, ...]
+    measured: tuple[NativeNumber, ...]
     init: int
     reset: int
     step: int
+
+    @property
+    def inputs(self) -> tuple[int, ...]:
+        """Places of all that a step gets: the signals of every controller, then the other measured ones."""
+        return (*self.signals, *(number.offset for number in self.measured))
 
 
 def described_controllers(library: ctypes.CDLL) -> tuple[NativeController, ...]:
@@ -159,6 +169,7 @@ def described_controller(row: ControllerRow) -> NativeController:
         row.flag,
         described_numbers(name, row.parameters, row.parameter_count),
         described_numbers(name, row.telemetry, row.telemetry_count),
+        described_numbers(name, row.measured, row.measured_count),
         row.init or 0,
         row.reset or 0,
         row.step or 0,
@@ -174,13 +185,14 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
         ConfigError: They do not.
     """
     rows = [*row.parameters[: row.parameter_count], *row.telemetry[: row.telemetry_count]]
-    places = [*controller.signals, *controller.commands, controller.total, controller.flag]
+    rows += row.measured[: row.measured_count]
+    places = [*controller.inputs, *controller.commands, controller.total, controller.flag]
     places += [number.offset for number in (*controller.parameters, *controller.telemetry)]
     rules = {
         "the sample time must be positive": controller.sample_time > 0.0,
         "numbers must be float or double": controller.real in (4, 8),
         f"at most {MOST_BYTES} bytes": 0 < controller.size <= controller.exchange <= MOST_BYTES,
-        "parameters and telemetry must be numbers of one type": all(part.size == controller.real for part in rows),
+        "all numbers of its tables must have one type": all(part.size == controller.real for part in rows),
         "places must be whole words within the exchange": all(
             place % 4 == 0 and place <= controller.exchange - 4 for place in places
         ),
@@ -195,7 +207,7 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
 
 
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:
-    """The numbers in a table of a controller's description: its parameters, or its telemetry.
+    """The numbers in a table of a controller's description: its parameters, its telemetry, or its measured signals.
 
     In the table an infinite bound means none, and a bound just above zero means that zero is excluded.
 

@@ -204,9 +204,9 @@ def flown_with(controller: NativeController, memories: dict[int, np.ndarray]) ->
     real = np.dtype(f"f{controller.real}")
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
-            angles = np.arange(1.0, 1.0 + len(controller.signals)) * (0.1 * k + flight + 1.0)
+            angles = np.arange(1.0, 1.0 + len(controller.inputs)) * (0.1 * k + flight + 1.0)
             signals = (LARGEST_SIGNAL ** (k / TRIED_SAMPLES) * np.cos(angles)).astype(real)
-            for place, signal in zip(controller.signals, signals, strict=True):
+            for place, signal in zip(controller.inputs, signals, strict=True):
                 memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
             step(memory.ctypes.data)
             for place in (*controller.commands, controller.total):

@@ -13,7 +13,7 @@
 #include <math.h>
 #include <stddef.h>
 
-#define DSSC_JAX_LIBRARY_VERSION 2u
+#define DSSC_JAX_LIBRARY_VERSION 3u
 
 typedef struct {
     const char *name;
@@ -40,6 +40,8 @@ typedef struct {
     const dssc_jax_number *parameters;
     size_t telemetry_count;
     const dssc_jax_number *telemetry;
+    size_t measured_count;           /* measured signals beside y and y_dot */
+    const dssc_jax_number *measured; /* by their names in a study */
     void (*init)(void *exchange);
     void (*reset)(void *exchange);
     void (*step)(void *exchange);
@@ -57,6 +59,13 @@ typedef struct {
     {                                                                                                    \
         #FIELD, UNIT, MEANING, offsetof(NAME##_exchange, telemetry.FIELD),                               \
             sizeof(((NAME##_telemetry *)0)->FIELD), -INFINITY, INFINITY                                  \
+    }
+
+/* A row of the table of measured signals: the member of the measurement, and the signal's name in a study. */
+#define DSSC_JAX_MEASURED(NAME, FIELD, SIGNAL, UNIT, MEANING)                                            \
+    {                                                                                                    \
+        SIGNAL, UNIT, MEANING, offsetof(NAME##_exchange, measurement.FIELD),                             \
+            sizeof(((NAME##_measurement *)0)->FIELD), -INFINITY, INFINITY                                \
     }
 
 /* What a call exchanges: all that a controller keeps, gets and gives. */
@@ -85,6 +94,12 @@ typedef struct {
 
 /* The description of a controller: its sample time, and its tables (arrays of dssc_jax_number; NULL, 0: none). */
 #define DSSC_JAX_CONTROLLER(NAME, SAMPLE_TIME, PARAMETERS, PARAMETER_COUNT, TELEMETRY, TELEMETRY_COUNT)  \
+    DSSC_JAX_CONTROLLER_OF_SIGNALS(NAME, SAMPLE_TIME, PARAMETERS, PARAMETER_COUNT, TELEMETRY,            \
+                                   TELEMETRY_COUNT, NULL, 0)
+
+/* The same of a controller that takes measured signals beside y and y_dot. */
+#define DSSC_JAX_CONTROLLER_OF_SIGNALS(NAME, SAMPLE_TIME, PARAMETERS, PARAMETER_COUNT, TELEMETRY,        \
+                                       TELEMETRY_COUNT, MEASURED, MEASURED_COUNT)                        \
     static const dssc_jax_controller NAME##_description = {                                              \
         DSSC_JAX_LIBRARY_VERSION, #NAME, SAMPLE_TIME,                                                    \
         sizeof(((NAME##_command *)0)->u), sizeof(NAME##_controller), sizeof(NAME##_exchange),            \
@@ -94,6 +109,7 @@ typedef struct {
         {offsetof(NAME##_exchange, command.u), offsetof(NAME##_exchange, command.u_n)},                  \
         offsetof(NAME##_exchange, command.u_p),                                                          \
         offsetof(NAME##_exchange, flag), PARAMETER_COUNT, PARAMETERS, TELEMETRY_COUNT, TELEMETRY,        \
+        MEASURED_COUNT, MEASURED,                                                                        \
         NAME##_init_exchange, NAME##_reset_exchange, NAME##_step_exchange}
 
 #define DSSC_JAX_COUNT(TABLE) (sizeof(TABLE) / sizeof((TABLE)[0]))

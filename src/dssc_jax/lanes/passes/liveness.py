@@ -16,6 +16,13 @@ from dssc_jax.lanes.program import (
 )
 
 
+def read_inputs(program: Program) -> set[int]:
+    """Positions of the inputs that a result depends on."""
+    alive = reachable(program)
+    nodes = (node for block in all_blocks(program.body) for node in block.nodes if id(node) in alive)
+    return {int(node.detail) for node in nodes if isinstance(node, Value) and node.operation == "input"}
+
+
 def reachable(program: Program) -> set[int]:
     """Identities of the values, loops and branches that a result depends on."""
     seen: set[int] = set()

@@ -14,6 +14,7 @@ import numpy as np
 
 from dssc_jax.core.contracts import Controller
 from dssc_jax.core.errors import ConfigError, nearest
+from dssc_jax.core.named import NamedSignal
 from dssc_jax.core.native.allowed import loaded_native
 from dssc_jax.core.native.description import NativeController
 from dssc_jax.core.native.libraries import (
@@ -67,7 +68,7 @@ class NativeCalls:
         occupied = {place.offset for place in parameters}
         starts = [start for start in range(0, controller.size, controller.real) if start not in occupied]
         words = tuple(MemoryPlace(word, start) for start in starts)
-        signals = tuple(MemoryPlace(real, offset) for offset in controller.signals)
+        signals = tuple(MemoryPlace(real, offset) for offset in controller.inputs)
         commands = tuple(MemoryPlace(real, offset) for offset in controller.commands)
         telemetry = tuple(MemoryPlace(real, number.offset) for number in controller.telemetry)
         flag = MemoryPlace(np.dtype(np.uint32), controller.flag)
@@ -117,7 +118,7 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         if isinstance(dt, float) and not np.isclose(dt, controller.sample_time, rtol=1e-9, atol=0.0):
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
-        signals = (measurement.y, measurement.y_dot, *reference)
+        signals = (measurement.y, measurement.y_dot, *reference, *measurement.signals[: len(controller.measured)])
         results = calls.called(calls.step, *calls.values(gains), *state, *signals)
         words = tuple(results[: len(state)])
         robust, nominal, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
@@ -128,10 +129,18 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         init,
         step,
         smooth=not_smooth(WITHOUT_DERIVATIVE),
+        takes=lambda gains: len(controller.measured),
+        signals=taken_signals(controller),
         info=info,
         native=library.file,
         without_effect=parameters_without_effect(controller),
     )
+
+
+def taken_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
+    """The measured signals that the controller takes beside y and y'."""
+    numbers = controller.measured
+    return tuple(NamedSignal(number.name, number.quantity.unit, number.quantity.meaning) for number in numbers)
 
 
 def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
