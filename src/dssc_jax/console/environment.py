@@ -8,20 +8,12 @@ from typing import TypedDict
 
 import jax
 
-from dssc_jax.console.kinds import HEADS, KindDescription, kinds
+from dssc_jax.console.kinds import HEADS, KindDescription, MetricDescription, kinds, metric_description
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core import files
 from dssc_jax.engine import kernels
 from dssc_jax.study.laws import LAWS
 from dssc_jax.study.measuring import KNOWN
-
-
-class MetricDescription(TypedDict):
-    """Unit and meaning of a metric, and of what it is measured."""
-
-    unit: str
-    meaning: str
-    of: str
 
 
 class Environment(TypedDict):
@@ -49,9 +41,7 @@ def machine() -> str:
 
 def environment() -> Environment:
     """Versions, devices, compiler and registries."""
-    metrics: dict[str, MetricDescription] = {}
-    for name, metric in KNOWN.items():
-        metrics[name] = {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
+    metrics = {name: metric_description(metric) for name, metric in KNOWN.items()}
     packages = ("dssc_jax", "jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "optax")
     return {
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},

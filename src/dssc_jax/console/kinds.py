@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias, TypedDict
 
+from dssc_jax.closed_loop.metrics import Metric
 from dssc_jax.console.terminal import output, show_table
 from dssc_jax.core.contracts import Preset
 from dssc_jax.core.errors import ConfigError, nearest
@@ -33,6 +34,14 @@ class KindDescription(TypedDict):
     fields: list[str]
     options: dict[str, list[str]]
     about: dict[str, dict[str, str]]
+
+
+class MetricDescription(TypedDict):
+    """Unit and meaning of a metric, and of what it is measured."""
+
+    unit: str
+    meaning: str
+    of: str
 
 
 def registries() -> dict[str, Registry]:
@@ -171,28 +180,52 @@ def entry_of(model: Any, name: str) -> Entry:
     raise ConfigError(name, f"must be a model or its parameters, got {type(model).__name__}")
 
 
-def show_kind(name: str) -> None:
-    """Print the fields of a kind, for every table that has a kind of this name; a law; or a metric.
+def entries_named(name: str) -> dict[str, Entry]:
+    """The kinds of a name by table, or a user's own model.
 
     Args:
         name: Its name, or that of a user's own model, ``module:OBJECT``, which is imported.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is none, and neither a law nor a metric.
     """
+    if ":" in name:
+        return {"your own": entry_of(imported(name, name), name)}
     by_table = registries()
     entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
-    if ":" in name:
-        entries = {"your own": entry_of(imported(name, name), name)}
+    if not entries and name not in LAWS and name not in KNOWN:
+        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
+        raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
+    return entries
+
+
+def described_name(name: str) -> dict[str, Any]:
+    """The kinds of a name by table, a law and a metric, for JSON; arguments and errors as of :func:`entries_named`."""
+    described: dict[str, Any] = {}
+    kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
+    if kinds_by_table:
+        described["kinds"] = kinds_by_table
+    if name in LAWS:
+        described["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
+    if name in KNOWN:
+        described["metric"] = metric_description(KNOWN[name])
+    return described
+
+
+def metric_description(metric: Metric) -> MetricDescription:
+    """Unit and meaning of a metric, and of what it is measured."""
+    return {"unit": metric.unit, "meaning": metric.meaning, "of": metric.scope.value}
+
+
+def show_kind(name: str) -> None:
+    """Print the fields of the kinds of a name, a law, or a metric; arguments and errors as of :func:`entries_named`."""
+    entries = entries_named(name)
     if name in LAWS:
         law = LAWS[name]
         output().print(f"law {name} = {law.signature}: {law.rule[0]}", markup=False)
     if name in KNOWN:
         metric = KNOWN[name]
         output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
-    if not entries and name not in LAWS and name not in KNOWN:
-        valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
-        raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
     for slot, entry in entries.items():
         output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
         rows = rows_of(entry)

@@ -192,5 +192,5 @@ def test_screening_of_a_study_by_command(tmp_path, capsys, monkeypatch):
 
 
 def test_correlated_numbers_are_not_screened():
-    with pytest.raises(dj.ConfigError, match="use method = 'shapley'"):
+    with pytest.raises(dj.ConfigError, match="use the method 'shapley'"):
         dj.sensitivity(dj.Study.from_table(TABLE).override(CORRELATED), "morris")

@@ -136,11 +136,12 @@ class ScoreBall(SearchSet):
         return -self.radius, self.radius
 
     def spread(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """See :class:`SearchSet`: directions of normal points, and radii for an even density."""
+        """See :class:`SearchSet`: the median draw, then directions of normal points, and radii for an even density."""
         points = inside(qmc.Sobol(self.size + 1, rng=rng).random(count))
         directions = special.ndtri(points[:, :-1])
         lengths = np.linalg.norm(directions, axis=1)
         scale = self.radius * points[:, -1] ** (1.0 / self.size) / np.where(lengths > 0.0, lengths, 1.0)
+        scale[0] = 0.0
         return directions * scale[:, None]
 
     def projected(self, points: np.ndarray) -> np.ndarray:

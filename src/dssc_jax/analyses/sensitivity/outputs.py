@@ -114,6 +114,6 @@ def require_uncorrelated(study: Study, purpose: str) -> None:
     if study.correlated:
         raise ConfigError(
             study.source,
-            f"{purpose} independent inputs, but {', '.join(study.correlated)} are correlated: use method = 'shapley', "
-            "leave them fixed, or make them independent: correlation = {}",
+            f"{purpose} independent inputs, but {', '.join(study.correlated)} are correlated: use the method "
+            "'shapley', leave them fixed, or make them independent: correlation = {}",
         )

@@ -7,21 +7,21 @@ from dssc_jax.cli.declarations.overview import Info
 from dssc_jax.cli.exit_codes import DONE
 from dssc_jax.cli.loading import show_code
 from dssc_jax.console.environment import environment, show_environment
-from dssc_jax.console.kinds import show_kind
-from dssc_jax.core.errors import ConfigError
+from dssc_jax.console.kinds import described_name, show_kind
 from dssc_jax.study.importing import allow_imports
 
 
 def run(options: Info) -> int:
     """Show the machine and all kinds, or the fields of one kind."""
     if options.kind is not None:
-        if options.as_json:
-            raise ConfigError("--json", "covers all kinds; omit KIND")
         if options.allow_local:
             allow_imports(Path.cwd())
         if ":" in options.kind:
             show_code("command", {"kind": options.kind})
-        show_kind(options.kind)
+        if options.as_json:
+            print(json.dumps(described_name(options.kind)))
+        else:
+            show_kind(options.kind)
         return DONE
     machine = environment()
     if options.as_json:
