@@ -51,6 +51,11 @@ def gusty(params, state, drive, t):
     return Swing(state.rate, drive.command - jnp.sin(state.angle) + RANDOM.normal())
 
 
+def gusty_in_three_axes(params, state, drive, t):
+    gust = jnp.dot(jnp.asarray(RANDOM.normal(size=3)), jnp.array([1.0, 2.0, 3.0]) * state.rate)
+    return Swing(state.rate, drive.command - jnp.sin(state.angle) + gust)
+
+
 def of_python(params, state, drive, t):
     return Swing(state.rate, -math.sin(state.angle))
 
@@ -66,7 +71,11 @@ PLANTS = {
     "a name that is not there": (PLANT._replace(derivative=misspelled), "`derivative` fails in line .*'speed'"),
     "a Python branch": (PLANT._replace(derivative=branching), "`derivative` fails in line .*jnp.where"),
     "a function of math": (PLANT._replace(derivative=of_python), "`derivative` fails in line .*jax.numpy"),
-    "a random number": (PLANT._replace(derivative=gusty), "gives other values when the same call is repeated"),
+    "a random number": (PLANT._replace(derivative=gusty), "`derivative` gives other values when the same call is"),
+    "random numbers in an array": (
+        PLANT._replace(derivative=gusty_in_three_axes),
+        "`derivative` gives other values when the same call is repeated",
+    ),
     "a plain tuple": (
         PLANT._replace(derivative=lambda p, at, u, t: (at.rate, at.angle)),
         r"`derivative` must return .* as Swing\(angle=number, rate=number\), got \(number, number\)",
@@ -138,3 +147,11 @@ def relu(params, state, drive, t):
 def test_parts_without_fault_pass(slopes, monkeypatch):
     plant = PLANT._replace(derivative=slopes)
     assert study(monkeypatch, plant=plant, controller=CONTROLLER).loop.plant is plant
+
+
+@pytest.mark.parametrize("slopes", [gusty, gusty_in_three_axes])
+def test_only_the_part_that_is_not_pure_is_named(slopes, monkeypatch):
+    with pytest.raises(ConfigError) as caught:
+        study(monkeypatch, plant=PLANT._replace(derivative=slopes), controller=CONTROLLER)
+    assert "plant" in caught.value.where
+    assert "controller" not in caught.value.where

@@ -1,9 +1,8 @@
 """One sample of a loop, traced without numbers, so that a fault in a user's part is told by its function and line."""
 
 import inspect
-import re
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import CodeType
@@ -14,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from dssc_jax.closed_loop.loop import Loop, LoopParams
+from dssc_jax.closed_loop.repeatability import first_difference
 from dssc_jax.closed_loop.sample import LoopState, actuate, initial_state, plant_input, step
 from dssc_jax.core.adapters import quiet_inputs
 from dssc_jax.core.errors import ConfigError
@@ -74,21 +74,26 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
         ConfigError: It is another one: a user's function draws random numbers of its own, reads a clock, or counts.
     """
 
-    def program() -> str:
-        def first_sample() -> tuple[LoopState, State, LoopState]:  # a new function, which JAX has not traced yet
+    def program() -> Callable[[], tuple[LoopState, State, LoopState]]:
+        def first_sample() -> tuple[LoopState, State, LoopState]:
             key = jax.random.key(0)
             state = initial_state(loop, params, key)
             return state, first_slopes(loop, params, state), step(loop, params, key, state, 0)[0]
 
-        return re.sub(r"0x[0-9a-f]+", "", str(jax.make_jaxpr(first_sample)()))  # without addresses
+        return first_sample
 
-    if program() != program():
-        parts = " and ".join(sorted({function.part for function in user_functions(loop).values()}))
-        raise ConfigError(
-            parts,
-            "gives other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
-            "a pure function, which is traced once: give what is random a law, a [[disturbance]] or a [sensor]",
-        )
+    codes = first_difference(program)
+    if codes is None:
+        return
+    functions = user_functions(loop)
+    called = [functions[code] for code in codes if code in functions]
+    parts = called[-1].part if called else " and ".join(sorted({function.part for function in functions.values()}))
+    subject = f"`{called[-1].field}` gives" if called else "gives"
+    raise ConfigError(
+        parts,
+        f"{subject} other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
+        "a pure function, which is traced once: give what is random a law, a [[disturbance]] or a [sensor]",
+    )
 
 
 def check_results(loop: Loop, params: LoopParams) -> None:
