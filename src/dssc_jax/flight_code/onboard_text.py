@@ -1,6 +1,5 @@
 """The files of software on board: header and source in C99 that is C++ as well, its bench, and the README's section."""
 
-import re
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -22,14 +21,13 @@ from dssc_jax.flight_code.replay_bench import ReplayBench, bench_files
 from dssc_jax.flight_code.template_files import fill
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.c.text import CText, comment
+from dssc_jax.lanes.passes.liveness import read_inputs
 from dssc_jax.lanes.program import Value
 
 LABEL = "inner loop"
 RECORDING = "inner_loop.bin"
 LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "driven", "parameters", "p"}
 """Names in the template files, which no computed variable may have."""
-LAW = "law_"
-"""Beginning of the name of a law's value, which no line may contain."""
 
 
 class Written(NamedTuple):
@@ -47,24 +45,25 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
     Raises:
         ConfigError: It reads a number that has a law.
     """
-    parameters = [f"p->{parameter.name}" for parameter in software.parameters]
-    laws = [f"{LAW}{place}" for place in range(len(software.laws))]
+    used = read_inputs(function.program)
+    first_law = len(software.parameters)
+    first_reading = first_law + len(software.laws)
+    for place, name in enumerate(software.laws, start=first_law):
+        if place in used:
+            rule = "has a law, and is a constant in the inner loop's C"
+            raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
+    members = [f"p->{parameter.name}" for parameter in software.parameters]
     readings = [f"seen->{name}" for name in software.readings]
-    inputs = [*parameters, *laws, *readings, *arguments]
+    inputs = [*members, *software.laws, *readings, *arguments]
     text = CText(function.program, function.origins, inputs, software.real, LOCAL_NAMES)
     outputs = [output for output in function.program.outputs if isinstance(output, Value)]
     text.compute(outputs)
     text.line("")
     for name, output in zip(software.held, outputs, strict=True):
         text.line(f"updated.{name} = {text.read(output)};")
-    body = "\n".join(line.split("/*")[0] for line in text.lines)
-    for place, name in enumerate(software.laws):
-        if re.search(rf"\b{LAW}{place}\b", body):
-            rule = "has a law, and is a constant in the inner loop's C"
-            raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
-    read = [name for name in software.readings if re.search(rf"\bseen->{name}\b", body)]
-    used = [parameter.name for parameter in software.parameters if re.search(rf"\bp->{parameter.name}\b", body)]
-    return Written(text.lines, used, read, [*text.tables, *text.notation.helpers(), *text.functions.values()])
+    parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in used]
+    seen = [name for place, name in enumerate(software.readings, start=first_reading) if place in used]
+    return Written(text.lines, parameters, seen, [*text.tables, *text.notation.helpers(), *text.functions.values()])
 
 
 class SoftwareFiles(NamedTuple):
