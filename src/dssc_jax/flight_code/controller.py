@@ -212,7 +212,7 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
             fields = fields[1:]
         return "_".join(fields if slot == "controller" else [slot, *fields])
 
-    return parameters_where(study, belongs, name)
+    return parameters_where(study, belongs, name, study.units[index])
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:

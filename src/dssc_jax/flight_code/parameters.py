@@ -1,12 +1,14 @@
 """The numbers of generated code that may be changed in flight: of a controller, of software on board."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from jax.tree_util import keystr, tree_flatten_with_path
 
-from dssc_jax.core.quantities import Quantity
+from dssc_jax.core.quantities import Quantity, quantities_of
+from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.lanes.c.names import member_names
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.study import Study
@@ -18,12 +20,14 @@ class Parameter(NamedTuple):
 
     key: str  # its key in Study.params: its name in the study, or its path if the study computes it
     name: str  # its name in C
-    quantity: Quantity | None  # unit, meaning and range; None if the study computes it
+    quantity: Quantity | None  # unit, meaning and range; None if its field declares none
     value: float  # the study's value, or that at the medians of laws
     uncertain: bool  # whether it has a law in the study, or follows from one
 
 
-def parameters_where(study: Study, belongs: Callable[[str], bool], name: Callable[[str], str]) -> tuple[Parameter, ...]:
+def parameters_where(
+    study: Study, belongs: Callable[[str], bool], name: Callable[[str], str], units: ChannelUnits = UNNAMED_UNITS
+) -> tuple[Parameter, ...]:
     """Numbers of the study's loop, in the order of their fields.
 
     Numbers that decide the shape of the program (choices, counts) stay constants.
@@ -32,6 +36,7 @@ def parameters_where(study: Study, belongs: Callable[[str], bool], name: Callabl
         study: The study.
         belongs: Whether a number at a dotted path in the loop's parameters is one.
         name: Its name in C, from its name in the study, or its path if the study computes it.
+        units: Units of y and u, for numbers that the study computes.
     """
     names = {path: known for known, number in study.numbers.items() for path in number.paths}
     leaves, _ = tree_flatten_with_path(study.template)
@@ -44,12 +49,25 @@ def parameters_where(study: Study, belongs: Callable[[str], bool], name: Callabl
         if number is not None and not number.quantity.law:
             continue
         key = dotted if number is None else number.name
-        quantity = None if number is None else number.quantity
+        quantity = declared_quantity(study.template, dotted, units) if number is None else number.quantity
         uncertain = isinstance(leaf, Uncertain)
         value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
         parameters[key] = Parameter(key, name(key), quantity, value, uncertain)
     c_names = member_names(parameter.name for parameter in parameters.values())
     return tuple(parameter._replace(name=name) for parameter, name in zip(parameters.values(), c_names, strict=True))
+
+
+def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity | None:
+    """The quantity that a field of parameters declares, for a number at a dotted path; None: none, as in a matrix."""
+    quantity = None
+    part = params
+    for step in path.split("."):
+        if step.isdecimal():
+            part = part[int(step)]
+        else:
+            quantity = quantities_of(type(part)).get(step)
+            part = getattr(part, step)
+    return None if quantity is None else replace(quantity, unit=units.of(quantity.unit))
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:

@@ -40,7 +40,8 @@ unsigned @{name}_start(@{name} *inner_loop, const @{name}_readings *seen)
 }
 
 @{transfer}
-unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted)
+unsigned @{name}_sample(
+    @{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted)
 {
     const @{name} held = *inner_loop;
     @{name} updated = held;

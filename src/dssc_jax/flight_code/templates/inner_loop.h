@@ -39,7 +39,8 @@ unsigned @{name}_start(@{name} *inner_loop, const @{name}_readings *seen);
 
 /* At each sample of the controllers, before the first of @{ticks} ticks. Finite commands are limited, not refused.
  * Returns 0; or 1 or 2, and keeps the state: rotors stay at their last thrusts, so act on a flag that lasts. */
-unsigned @{name}_sample(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted);
+unsigned @{name}_sample(
+    @{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted);
 
 /* One tick: the commands of the rotors. Returns 0; or 1 or 2, and keeps the state. */
 unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen);

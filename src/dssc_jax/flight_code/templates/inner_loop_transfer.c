@@ -1,4 +1,5 @@
-unsigned @{name}_transfer(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_driven *driven)
+unsigned @{name}_transfer(
+    @{name} *inner_loop, const @{name}_readings *seen, const @{name}_driven *driven)
 {
     @{name} updated = *inner_loop;
     if (!are_readings_valid(seen) || !(@{driven_finite})) {

@@ -6,4 +6,5 @@ typedef struct {
 /* A bumpless takeover in flight, directly before a sample: the integrals hold the present attitude, thrust and moments, so
  * in steady flight at the commanded velocity, within its limits, the rotors go on as before. Keeps the parameters. Returns
  * 0; 1: an argument is not valid, as for start; 2: the state would not be finite. With 1 or 2 nothing changes. */
-unsigned @{name}_transfer(@{name} *inner_loop, const @{name}_readings *seen, const @{name}_driven *driven);
+unsigned @{name}_transfer(
+    @{name} *inner_loop, const @{name}_readings *seen, const @{name}_driven *driven);

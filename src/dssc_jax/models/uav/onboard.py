@@ -244,6 +244,7 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
         "a body vector (a, b, c) becomes (a, -b, -c), and yaw counts counter-clockwise from x.",
         f"A rotor gives at most {params.rotor_limit:.6g} N as the mixer knows it. PX4's command of a motor, from 0 to "
         f"1, is its thrust over that: `rotor_0`/{params.rotor_limit:.6g} where THR_MDL_FAC = 0.",
+        "Parameters that end in `_0`, `_1`, `_2` are those of roll, pitch and yaw; of `velocity_integral` of x, y, z.",
         "Places of rotors are in metres from the centre of mass.",
     ]
     for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
