@@ -27,7 +27,7 @@ def description_text(code: FlightCode) -> str:
 def channel_text(code: FlightCode, controller: SampledController) -> str:
     """The tables and the description of one channel."""
     name = controller.prefix
-    computed = Quantity("1", "computed from the study")
+    computed = Quantity("", "computed from the study")
     rows: list[str] = []
     for parameter in read_parameters(controller):
         quantity = parameter.quantity or computed

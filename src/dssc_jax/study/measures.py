@@ -146,9 +146,10 @@ def require_named_signals(taken: Sequence[NamedSignal], measures: Sequence[Named
     known = {signal.name: signal for signal in measures}
     for signal in taken:
         if signal.name not in known:
-            measured = ", ".join(known) or "none"
-            rule = f"takes the measured signal '{signal.name}', and measured are: {measured}; list it in [sensor]"
-            raise ConfigError("controller", f"{rule} {MEASURES}")
+            rule = f"takes the measured signal '{signal.name}', which is not in [sensor] {MEASURES}: list it there"
+            if known:
+                rule += f", or name it in the code as the study does; {nearest(signal.name, known)}"
+            raise ConfigError("controller", rule)
         unit = known[signal.name].unit or "1"
         if signal.unit != unit:
             rule = f"takes '{signal.name}' in {signal.unit}, and the study measures it in {unit}"

@@ -174,6 +174,17 @@ def test_the_box_grows_no_farther_than_its_numbers_are_defined():
     assert loop.stable
 
 
+def test_a_witness_lies_as_far_out_as_its_numbers_are_defined():
+    """2 % beyond the unstable loop the power is that of a negative number."""
+    plant = TABLE["plant"] | {"a": [[0.0, 1.0], [0.0, "=40 - 60*(2.5001 - q)**0.1"]], "b": [0.0, 1.0]}
+    study = dj.Study.from_table(TABLE | {"plant": plant, "parameters": {"q": {"uniform": [1.0, 2.0]}}})
+    found = dj.worst_loop(study, cells=500)
+    assert found.answer.loops["input"].growth_found == pytest.approx(2.0, rel=0.01)
+    witness = found.unstable_witness("input")
+    assert witness is not None
+    assert found.unstable("input")["parameters.q"] <= witness.numbers["parameters.q"].value < 2.5001
+
+
 def test_laws_without_ends_are_cut(worst):
     study = dj.Study.from_table(TABLE | {"draws": 4}).override({"plant.b.1": {"normal": [1.0, 0.05]}})
     side = dj.worst_loop(study, sigma=2.0, cells=100).answer.box["plant.b.1"]

@@ -13,14 +13,15 @@ from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
 from dssc_jax.analyses.worst_loop.box import Box, with_numbers
 from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
+from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
 
 ALL_COMMANDS = "all commands"
 """The name under which the margin of all commands at once stands."""
-BEYOND = 0.02
-"""How much farther from the middle of the box an unstable witness lies than the nearest unstable point found."""
+BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
+"""Shares by which an unstable witness may lie farther from the middle of the box than the point found."""
 
 
 class LoopCase(NamedTuple):
@@ -159,17 +160,31 @@ class WorstLoop(Analysis):
         return present(self.dataset["unstable"].sel(loop=loop))
 
     def unstable_witness(self, loop: str) -> Study | None:
-        """The study with numbers 2 % beyond those of :meth:`unstable`, from the middle of the box; None: none found."""
+        """The study with numbers up to 2 % beyond those of :meth:`unstable`, from the middle of the box.
+
+        Nearer ones are taken where the study has no such loop, as beyond the root of a difference. None: none is found.
+        """
+        if not self.unstable(loop):
+            return None
+        for beyond in BEYOND:
+            try:
+                return with_numbers(self.study, self.numbers_beyond(loop, beyond))
+            except ConfigError:
+                continue
+        return with_numbers(self.study, self.unstable(loop))
+
+    def numbers_beyond(self, loop: str, share: float) -> dict[str, float]:
+        """Numbers that are farther from the middle of the box than those of :meth:`unstable`, by a share."""
         numbers = {}
         for name, value in self.unstable(loop).items():
             side = self.dataset.sel(number=name)
             low = float(side["low"])
             high = float(side["high"])
             if bool(side["logarithmic"]):
-                numbers[name] = value * np.exp(BEYOND * (np.log(value) - 0.5 * (np.log(low) + np.log(high))))
+                numbers[name] = value * np.exp(share * (np.log(value) - 0.5 * (np.log(low) + np.log(high))))
             else:
-                numbers[name] = value + BEYOND * (value - 0.5 * (low + high))
-        return with_numbers(self.study, numbers) if numbers else None
+                numbers[name] = value + share * (value - 0.5 * (low + high))
+        return numbers
 
     def witnesses(self) -> dict[str, Study]:
         """The studies of all worst cases, by loop and margin; ``LOOP-stability`` is unstable."""
