@@ -1,5 +1,6 @@
 """The inner loop and the mixer in C: the same bits as the analysis, on this processor and on ARM."""
 
+import platform
 import re
 import shutil
 import subprocess
@@ -60,6 +61,10 @@ def test_same_bits_as_the_analysis(kind, precision, commands, start, tmp_path):
     assert ", 2 flights" in output
     if shutil.which("aarch64-linux-gnu-gcc") and shutil.which("qemu-aarch64"):
         assert "inner loop: 0 of " in made(tmp_path, "arm64")
+    assert re.search(r"inner loop: 200000 hostile rows, \d+ with a flag, 0 numbers lost", made(tmp_path, "sanitized"))
+    assert re.search(r"inner loop: [1-9]\d* of \d+ values differ", made(tmp_path, "inner-loop-detected"))
+    assert "inner loop: cycles of a tick" in made(tmp_path, "cycles") or platform.machine() != "x86_64"
+    assert "_tick\t" in made(tmp_path, "stack")
     bench = (tmp_path / "inner_loop.bin").read_bytes()
     changed = bytearray(bench)
     changed[-3] ^= 1

@@ -75,7 +75,7 @@ class FlightFolder:
         return further | {
             f"{name}_controller.h": header_text(self.code),
             f"{name}_controller.c": source_text(self.code),
-            "bench.c": fill("bench.c", same_bits=template_text("same_bits.c")),
+            "bench.c": fill("bench.c", same_bits=template_text("same_bits.c"), hostile=template_text("hostile.c")),
             "bench_channels.h": channels_text(self.code),
             "Makefile": fill("Makefile", name=name, includes=includes),
             "README.md": readme_text(self.code, sections),

@@ -228,7 +228,12 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
         *(f"results[{place}] = held->{member};" for place, member in enumerate(software.held, start=1)),
         "return flags;",
     ]
-    return ReplayBench(LABEL, name, software.precision, "tick", inputs, ("flags", *software.held), advance)
+    disturb = [
+        "real *const numbers = (real *)&held->parameters;",
+        "numbers[random_bits() % (sizeof held->parameters / sizeof(real))] = hostile_number();",
+    ]
+    results = ("flags", *software.held)
+    return ReplayBench(LABEL, name, software.precision, "tick", inputs, results, advance, disturb, True, True)
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:

@@ -20,6 +20,8 @@ from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 
+SINGLE = 32  # bits of a number
+
 
 class ReplayBench(NamedTuple):
     """A bench.
@@ -33,6 +35,9 @@ class ReplayBench(NamedTuple):
         results: Names of the results in a row.
         advance: Statements in C that give the inputs ``row`` to the state ``held``, fill ``results`` and return the
             flags; ``k`` is the number of the row.
+        disturb: Statements in C that set numbers of ``held`` which a caller may change to ``hostile_number()``.
+        stays_finite: Whether all results are finite whatever the inputs.
+        shows_arithmetic: Whether results show every rounding, so that fast arithmetic is always detected.
     """
 
     label: str
@@ -42,6 +47,9 @@ class ReplayBench(NamedTuple):
     inputs: int
     results: Sequence[str]
     advance: Sequence[str]
+    disturb: Sequence[str] = ("(void)held;",)
+    stays_finite: bool = False
+    shows_arithmetic: bool = False
 
 
 def magic(label: str) -> str:
@@ -72,6 +80,10 @@ def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
         names=", ".join(c_string(name) for name in bench.results),
         advance=bench.advance,
         row=bench.row,
+        hostile=template_text("hostile.c"),
+        limits="FLT" if bench.precision == SINGLE else "DBL",
+        disturb=bench.disturb,
+        stays_finite="1" if bench.stays_finite else "0",
     )
     makefile = fill(
         "replay_bench.mk",
@@ -81,6 +93,7 @@ def bench_files(bench: ReplayBench, recording: str) -> dict[str, str]:
         variable=stem.upper(),
         name=bench.prefix,
         recording=recording,
+        detected=f"detected: {target}-detected" if bench.shows_arithmetic else "",
     )
     return {f"{stem}_bench.c": source, f"{stem}.mk": makefile}
 

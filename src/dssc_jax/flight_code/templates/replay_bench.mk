@@ -3,7 +3,8 @@
 @{variable}_NEEDED := $(@{variable}_FILES) @{name}.h
 @{variable}_RECORDING ?= @{recording}
 
-.PHONY: @{target}-check @{target}-cpp @{target}-clang @{target}-arm64 @{target}-armhf @{target}-sanitized @{target}-clean
+.PHONY: @{target}-check @{target}-cpp @{target}-clang @{target}-arm64 @{target}-armhf @{target}-sanitized
+.PHONY: @{target}-detected @{target}-cycles @{target}-stack @{target}-clean
 
 check: @{target}-check
 cpp: @{target}-cpp
@@ -11,6 +12,9 @@ clang: @{target}-clang
 arm64: @{target}-arm64
 armhf: @{target}-armhf
 sanitized: @{target}-sanitized
+@{detected}
+cycles: @{target}-cycles
+stack: @{target}-stack
 clean: @{target}-clean
 
 @{target}-check: @{target}-bench
@@ -36,9 +40,20 @@ clean: @{target}-clean
 @{target}-sanitized: $(@{variable}_NEEDED)
 	$(CC) $(STRICT) -g -fsanitize=address,undefined -fno-sanitize-recover=all $(@{variable}_FILES) -o @{target}-bench-sanitized -lm
 	./@{target}-bench-sanitized $(@{variable}_RECORDING)
+	./@{target}-bench-sanitized --hostile 200000 $(@{variable}_RECORDING)
+
+@{target}-detected: $(@{variable}_NEEDED)
+	$(CC) $(STRICT) -ffast-math -DDSSC_JAX_ANY_ARITHMETIC $(@{variable}_FILES) -o @{target}-bench-fast -lm
+	! ./@{target}-bench-fast $(@{variable}_RECORDING)
+
+@{target}-cycles: @{target}-bench
+	./@{target}-bench --cycles $(@{variable}_RECORDING)
+
+@{target}-stack: @{name}.c @{name}.h
+	$(CC) $(STRICT) -fstack-usage -c @{name}.c -o @{target}-stack.o && cat @{target}-stack.su
 
 @{target}-bench: $(@{variable}_NEEDED)
 	$(CC) $(STRICT) $(@{variable}_FILES) -o $@@ -lm
 
 @{target}-clean:
-	rm -f @{target}-bench @{target}-bench-* @{target}-cpp.o
+	rm -f @{target}-bench @{target}-bench-* @{target}-cpp.o @{target}-stack.o @{target}-stack.su
