@@ -220,13 +220,20 @@ def test_rate_of_the_loops_is_that_of_the_file_and_unused_limits_are_named():
     assert any("400 Hz" in note for note in silent.notes)
 
 
+def test_a_parameter_without_a_value_is_refused_with_its_line():
+    """The next line is none of its words."""
+    text = "param set-default CA_ROTOR3_KM   # a value was forgotten\nparam set-default MC_ROLL_P 6.5\n"
+    with pytest.raises(dj.ConfigError, match=r"CA_ROTOR3_KM: must be a number, got '' in line 1"):
+        read_airframe(text, mass=2.0)
+
+
 def test_coordinates_that_only_some_rotors_lack_are_named():
     """They count as PX4's default; where all rotors lack one, as level ones do their height, nothing is to be told."""
     text = with_properties()
-    assert not any("taken as 0" in note for note in read_airframe(text).notes)
+    assert not any("taken as 0" in warning for warning in read_airframe(text).warnings)
     lines = [line for line in text.splitlines() if "CA_ROTOR2_PY" not in line]
     found = read_airframe("\n".join(lines))
-    assert "taken as 0, PX4's default, though other rotors have them: CA_ROTOR2_PY" in found.notes
+    assert "taken as 0, PX4's default, though other rotors have them: CA_ROTOR2_PY" in found.warnings
 
 
 def test_gains_of_the_position_control_are_told_with_their_values():

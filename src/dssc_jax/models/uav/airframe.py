@@ -29,9 +29,8 @@ from dssc_jax.models.uav.plausibility import implausible
 from dssc_jax.models.uav.vehicle import GRAVITY
 
 LINE = re.compile(
-    r"^\s*(?:param\s+(?:set|set-default)\s+(?P<set>\w+)\s+(?P<to>\S+)"  # an airframe's start-up script
+    r"[ \t]*(?:param[ \t]+(?:set|set-default)[ \t]+(?P<set>\w+)[ \t]*(?P<to>[^\s#]*)"  # an airframe's start-up script
     r"|\d+\s+\d+\s+(?P<name>\w+)\s+(?P<value>\S+)\s+\d+\s*$)",  # a ground station's file: vehicle, component, .., type
-    re.MULTILINE,
 )
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
 READ = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
@@ -95,13 +94,16 @@ def parameters_in(text: str) -> dict[str, float]:
         ConfigError: the value of a parameter that is read is no number.
     """
     values: dict[str, float] = {}
-    for line in LINE.finditer(text):
+    for number, text_line in enumerate(text.splitlines(), start=1):
+        line = LINE.match(text_line)
+        if line is None:
+            continue
         name, value = (line["set"], line["to"]) if line["set"] else (line["name"], line["value"])
         try:
             values[name] = float(value)
         except ValueError:
             if name.startswith(READ) and not value.startswith("$"):  # a variable of the shell is not known
-                raise ConfigError(name, f"must be a number, got {value!r}") from None
+                raise ConfigError(name, f"must be a number, got {value!r} in line {number}") from None
             values.pop(name, None)
     return values
 
@@ -128,8 +130,8 @@ def unused(known: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
         notes.append(f"not used: {', '.join(settings)}")
 
 
-def note_missing_places(known: Mapping[str, float], notes: list[str]) -> None:
-    """Add a note of the coordinates that only some rotors lack in the file; they count as 0, PX4's default."""
+def missing_places(known: Mapping[str, float]) -> list[str]:
+    """A warning of the coordinates that only some rotors lack in the file; they count as 0, PX4's default."""
     missing = []
     count = int(known["CA_ROTOR_COUNT"])
     for axis in "XYZ":
@@ -137,8 +139,7 @@ def note_missing_places(known: Mapping[str, float], notes: list[str]) -> None:
         absent = [name for name in names if name not in known]
         if len(absent) < count:
             missing += absent
-    if missing:
-        notes.append(f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}")
+    return [f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}"] if missing else []
 
 
 def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None:
@@ -290,5 +291,5 @@ def read_airframe(
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     unused(parameters, cascade, notes)
-    note_missing_places(parameters, notes)
+    warnings += missing_places(parameters)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))
