@@ -340,6 +340,14 @@ def test_the_integration_error_is_told_with_its_remedy():
     assert mended.warning == ""
 
 
+@pytest.mark.parametrize(("samples", "told"), [(1.5, True), (2.0, False)])
+def test_the_fraction_of_a_delay_is_told_whatever_else_is_integrated(samples, told):
+    delay = {"unmodelled": {"kind": "delay", "samples": samples}}
+    assert (
+        "a delay's fraction of a sample" in integration_error(with_substeps("pendulum", 8).override(delay)).text
+    ) == told
+
+
 def test_a_changed_verdict_is_told():
     study = with_substeps("pendulum", 1)
     first, two = (

@@ -28,6 +28,7 @@ DIVERGING = 1e3
 MOST_SUBSTEPS = 1000  # that a study may have
 
 FRACTION = ", but for the fraction of a delay, which acts through the mean of its commands over the sample"
+AVERAGED = "a delay's fraction of a sample acts through the mean of its commands over the sample"
 
 
 class IntegrationError(NamedTuple):
@@ -72,7 +73,8 @@ class IntegrationError(NamedTuple):
         changes = f"{self.metric} changes by at most {size} of its {self.scale}" if self.metric else "no metric changes"
         flips = "no verdict changes" if not self.verdicts else f"{self.verdicts} verdicts change"
         halved = f"with {2 * self.substeps} substeps instead of {self.substeps} (order {self.order})"
-        return f"{halved}, {changes} and {flips} in {self.draws} draws"
+        text = f"{halved}, {changes} and {flips} in {self.draws} draws"
+        return f"{text}; {AVERAGED}" if self.averaged else text
 
     @property
     def warning(self) -> str:
@@ -102,9 +104,9 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     """
     loop = study.loop
     order = order_between_samples(held_parts(loop))
+    parts = zip(loop.unmodelled, study.template.unmodelled, strict=True)
+    averaged = any(model.averages(params) for model, params in parts)
     if is_exact(held_parts(loop)):
-        parts = zip(loop.unmodelled, study.template.unmodelled, strict=True)
-        averaged = any(model.averages(params) for model, params in parts)
         return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order, averaged)
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = int(np.prod(shape))
@@ -121,7 +123,7 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     excess = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
     doublings = int(np.ceil(np.log2(excess) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
-    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy, order)
+    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy, order, averaged)
 
 
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:

@@ -150,7 +150,7 @@ def require_named_signals(taken: Sequence[NamedSignal], measures: Sequence[Named
             if known:
                 rule += f", or name it in the code as the study does; {nearest(signal.name, known)}"
             raise ConfigError("controller", rule)
-        unit = known[signal.name].unit or "1"
-        if signal.unit != unit:
+        unit = known[signal.name].unit
+        if unit and signal.unit != unit:
             rule = f"takes '{signal.name}' in {signal.unit}, and the study measures it in {unit}"
             raise ConfigError("controller", rule)

@@ -152,6 +152,8 @@ def test_generated_code_that_takes_measured_signals_gives_the_same_bits(place):
     milli = {**outputs, "travel": {**outputs["travel"], "unit": "mm"}}
     with pytest.raises(ConfigError, match="takes 'travel' in m, and the study measures it in mm"):
         again.override({"plant.outputs": milli})
+    unknown = {**outputs, "travel": {"c": outputs["travel"]["c"]}}
+    assert again.override({"plant.outputs": unknown}).loop.measures[0].unit == ""
 
 
 def test_a_library_runs_beside_measured_signals(template):
@@ -273,6 +275,11 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
         ("DSSC_JAX_LIBRARY_OF(&my_description);", "", "exports no dssc_jax_controllers"),
         ("my, T_S, my_parameter", "my, 0.0, my_parameter", "the sample time must be positive"),
         ('my, k_d, "u s/y"', 'my, k_p, "u s/y"', "has a number 'k_p' in its controller my"),
+        (
+            "    real y_dot; /* its",
+            "    real current; real y_dot; /* its",
+            "3 numbers in its",
+        ),
         ("    real k_d;", "    float k_d;", "must have one type"),
         (
             "    controller->state.filtered = 0;\n    controller->started = false;",

@@ -24,6 +24,8 @@ TINY = float(np.finfo(np.float32).tiny)
 
 SIGNALS = 5
 """Signals that every controller gets: measurement and reference."""
+MEASUREMENT = 2
+"""Of these, y and y'."""
 COMMANDS = 2
 RESERVED = ("kind", "file", "name", "sha256", "flag")
 """Names that no parameter or telemetry value may have: entries of a study's table, and the flag."""
@@ -55,6 +57,7 @@ class ControllerRow(ctypes.Structure):
         ("real", ctypes.c_size_t),
         ("controller", ctypes.c_size_t),
         ("exchange", ctypes.c_size_t),
+        ("measurement", ctypes.c_size_t),
         ("signals", ctypes.c_size_t * SIGNALS),
         ("commands", ctypes.c_size_t * COMMANDS),
         ("total", ctypes.c_size_t),
@@ -175,6 +178,7 @@ def described_controller(row: ControllerRow) -> NativeController:
         row.step or 0,
     )
     require_consistent(controller, row)
+    require_measured(controller, row)
     return controller
 
 
@@ -204,6 +208,23 @@ def require_consistent(controller: NativeController, row: ControllerRow) -> None
     for rule, holds in rules.items():
         if not holds:
             raise ConfigError("", f"describes its controller {controller.name} wrongly: {rule}")
+
+
+def require_measured(controller: NativeController, row: ControllerRow) -> None:
+    """Require that the study gives every member of the measurement.
+
+    Raises:
+        ConfigError: The measurement has other members, which would stay 0.
+    """
+    listed = MEASUREMENT + len(controller.measured)
+    members = row.measurement / controller.real
+    if members != listed:
+        names = ", ".join(["y", "y_dot", *(number.name for number in controller.measured)])
+        rule = (
+            f"has a controller {controller.name} with {members:g} numbers in its measurement, and the study gives "
+            f"{listed}: {names}; list others by DSSC_JAX_MEASURED and DSSC_JAX_CONTROLLER_OF_SIGNALS, or remove them"
+        )
+        raise ConfigError("", rule)
 
 
 def described_numbers(controller: str, rows: "ctypes._Pointer[NumberRow]", count: int) -> tuple[NativeNumber, ...]:

@@ -32,6 +32,7 @@ typedef struct {
     size_t real;        /* bytes of a number: 4 or 8 */
     size_t controller;  /* bytes of NAME_controller, with which the exchange begins */
     size_t exchange;    /* bytes of the whole exchange */
+    size_t measurement; /* bytes of NAME_measurement: of y, y_dot and the measured signals of the table, of nothing else */
     size_t signals[5];  /* offsets of the measurement's y, y_dot and the reference's y, y_dot, y_ddot */
     size_t commands[2]; /* offsets of the command's u and u_n */
     size_t total;       /* offset of u_p, their sum */
@@ -103,6 +104,7 @@ typedef struct {
     static const dssc_jax_controller NAME##_description = {                                              \
         DSSC_JAX_LIBRARY_VERSION, #NAME, SAMPLE_TIME,                                                    \
         sizeof(((NAME##_command *)0)->u), sizeof(NAME##_controller), sizeof(NAME##_exchange),            \
+        sizeof(NAME##_measurement),                                                                      \
         {offsetof(NAME##_exchange, measurement.y), offsetof(NAME##_exchange, measurement.y_dot),         \
          offsetof(NAME##_exchange, reference.y), offsetof(NAME##_exchange, reference.y_dot),             \
          offsetof(NAME##_exchange, reference.y_ddot)},                                                   \
