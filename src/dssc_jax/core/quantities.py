@@ -72,5 +72,5 @@ def extent(value: Any) -> tuple[float, float]:
 
 
 def nominal(value: Any) -> float:
-    """A number, or the median of the law that replaces it."""
-    return float(getattr(value, "median", value))
+    """A number, or the nominal value of the law that replaces it."""
+    return float(getattr(value, "nominal", value))

@@ -53,7 +53,7 @@ from dssc_jax.design.pid_gains import SLOWEST, pid
 from dssc_jax.design.regulators import lqg, state_feedback
 from dssc_jax.models.controllers import CONTROLLERS
 from dssc_jax.study.components import parse_component
-from dssc_jax.study.fitting import medians, setting_of
+from dssc_jax.study.fitting import nominal_params, setting_of
 from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
@@ -258,7 +258,7 @@ def setting_for(study: Study) -> LoopSetting:
     """What a controller of the study is fitted to."""
     loop = study.loop
     with arithmetic():
-        return setting_of(loop.plant, medians(study.template).plant, loop.sample_time, loop.measures)
+        return setting_of(loop.plant, nominal_params(study.template).plant, loop.sample_time, loop.measures)
 
 
 def ssc(subject: Subject, omega: float, ratio: float) -> TomlTable:

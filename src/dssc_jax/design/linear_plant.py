@@ -24,7 +24,7 @@ from dssc_jax.design.linearised_plant import LinearisedPlant
 from dssc_jax.models.controllers.lqg import sampled_system
 from dssc_jax.study.actuators import acting_elements
 from dssc_jax.study.components import Component
-from dssc_jax.study.fitting import medians
+from dssc_jax.study.fitting import nominal_params
 from dssc_jax.study.study import Study
 
 GRID = 600  # frequencies of the sensitivity's peak
@@ -147,7 +147,7 @@ def actuators_before(study: Study) -> ActuatorsBefore:
     left_out = kinds_between(study)
     for element, params in acting_elements(study.table, study.config):
         if element.model.linear is not None or element.model.superposes:
-            linear.append((element, medians(params)))
+            linear.append((element, nominal_params(params)))
         else:
             left_out.append(element.kind)
     if not linear:

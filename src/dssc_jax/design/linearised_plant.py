@@ -15,7 +15,7 @@ from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import NominalPlant
 from dssc_jax.core.signals import PlantInput, Scalar
-from dssc_jax.study.fitting import MATCHED, medians
+from dssc_jax.study.fitting import MATCHED, nominal_params
 from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20
@@ -92,7 +92,7 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
     if loop.plant.begin is not None:
         rule = f"keeps its state outside of JAX ({loop.plant.native}), so it has no derivative"
         raise ConfigError(place, f"{rule}; first gains need a linear plant near it, such as kind = 'state_space'")
-    params = medians(study.template).plant
+    params = nominal_params(study.template).plant
     with arithmetic():
         start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), loop.plant.init(params)))
         quiet = jnp.zeros(1 + len(quiet_inputs(loop.plant, params)))

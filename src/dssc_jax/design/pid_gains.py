@@ -15,7 +15,7 @@ from dssc_jax.core.signals import Params, State
 from dssc_jax.core.toml import TomlTable
 from dssc_jax.design.linear_plant import LinearPlant, Subject
 from dssc_jax.study.actuators import acting_elements
-from dssc_jax.study.fitting import medians
+from dssc_jax.study.fitting import nominal_params
 
 PHASE_MARGIN = math.radians(60.0)
 LEAST_MARGIN = math.radians(45.0)  # where one lead element gives no more with the slowest integral
@@ -74,7 +74,7 @@ def limits(subject: Subject) -> TomlTable:
         return {}
     low, high = -subject.limit, subject.limit
     for element, params in acting_elements(subject.study.table, subject.study.config):
-        numbers = medians(params)
+        numbers = nominal_params(params)
         state = element.model.init(numbers)
         if not jax.tree.leaves(state):
             low, high = (limited(element.model, numbers, state, end) for end in (low, high))

@@ -13,7 +13,7 @@ from dssc_jax.core.signals import PlantInput
 from dssc_jax.models.disturbances import NO_DISTURBANCE
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.fitting import medians
+from dssc_jax.study.fitting import nominal_params
 
 POINTS = 4
 NEAR = 0.05  # distance of these points from the start, relative to 0.1 + |x|
@@ -132,7 +132,7 @@ def start_and_behaviour(
     """
     plant = study.loop.mimo_plant
     channels = len(study.loop.channels)
-    params = medians(study.template).plant
+    params = nominal_params(study.template).plant
     start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
 
     def drive_of(signals: jax.Array) -> PlantInput:

@@ -26,7 +26,7 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
-from dssc_jax.study.fitting import fitted, medians
+from dssc_jax.study.fitting import fitted, nominal_params
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import available_metrics, kinds_of, measured
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
@@ -142,7 +142,7 @@ def parsed_parts(table: TomlTable) -> Parts:
         wholes["plant"] = with_units(plant, units[0])
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
     places = [signal.name for signal in inputs]
-    known = measurable(plant.model, medians(plant.params), plant.model.reported(plant.params), channels, units)
+    known = measurable(plant.model, nominal_params(plant.params), plant.model.reported(plant.params), channels, units)
     sensors = sensor_tables(tables["sensor"], known)
     measures = tuple(known[name] for name in sensors.measures)
     tables["sensor"] = sensors.channels
@@ -277,7 +277,7 @@ Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
 
 def info_fields(loop: Loop, template: LoopParams) -> Fields:
     """Field names of each controller's info and of the plant's, found without computing anything."""
-    leaves, structure = jax.tree.flatten(medians(template))
+    leaves, structure = jax.tree.flatten(nominal_params(template))
     shapes = (jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "shape") else x for x in leaves)
     return traced_fields(loop, structure, tuple(shapes))
 

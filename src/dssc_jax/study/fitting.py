@@ -1,4 +1,4 @@
-"""Controllers fitted to the nominal plant when a study is built: with the median in place of each law."""
+"""Controllers fitted to the nominal plant when a study is built: with the nominal value in place of each law."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,9 +23,9 @@ MATCHED = "disturbance"
 """Name of the disturbance beside the command."""
 
 
-def medians(params: Params) -> Params:
-    """Parameters with the median in place of each law."""
-    return jax.tree.map(lambda leaf: leaf.median if isinstance(leaf, Uncertain) else leaf, params)
+def nominal_params(params: Params) -> Params:
+    """Parameters with the nominal value in place of each law."""
+    return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, Uncertain) else leaf, params)
 
 
 def setting_of(plant: Plant, params: Params, sample_time: float, measures: Sequence[NamedSignal]) -> LoopSetting:
@@ -88,7 +88,7 @@ def fitted(
     """
     if all(component.model.fit is None for component in controllers):
         return list(controllers)
-    setting = setting_of(plant.model, medians(plant.params), sample_time, measures)
+    setting = setting_of(plant.model, nominal_params(plant.params), sample_time, measures)
     found = []
     for name, component in zip(channels, controllers, strict=True):
         if component.model.fit is not None:

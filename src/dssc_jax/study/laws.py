@@ -33,6 +33,7 @@ class LawKind:
             the law can be neither moved nor widened.
         logarithmic: Whether values spread about the median on a logarithmic scale.
         log_density: Logarithm of the density at values; None: arguments may not be ranges.
+        nominal: What is believed of a number before a flight; None: the median.
     """
 
     signature: str
@@ -43,6 +44,7 @@ class LawKind:
     roles: str = ""
     logarithmic: bool = False
     log_density: Callable[[Arguments, np.ndarray], np.ndarray] | None = None
+    nominal: Callable[[Arguments], float] | None = None
 
     @property
     def argument_names(self) -> tuple[str, ...]:
@@ -163,6 +165,14 @@ LAWS: dict[str, LawKind] = {
         lambda a: (min(a), max(a)),
         choice_quantile,
     ),
+    "point": LawKind(
+        "[value, nominal value]",
+        (2,),
+        ("needs finite numbers", lambda a: all(map(math.isfinite, a))),
+        lambda a: (a[0], a[0]),
+        lambda a, u: np.full(np.shape(u), a[0]),
+        nominal=lambda a: a[1],
+    ),
 }
 
 
@@ -182,6 +192,11 @@ class Uncertain(ABC):
     @abstractmethod
     def median(self) -> float:
         """The value for which every law is at its median."""
+
+    @property
+    @abstractmethod
+    def nominal(self) -> float:
+        """What is believed of the number: that of an inner loop, or of a controller that is fitted to the plant."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +239,12 @@ class Law(Uncertain):
     def median(self) -> float:
         """The value at level 1/2."""
         return float(self.quantile(np.asarray(0.5)))
+
+    @property
+    def nominal(self) -> float:
+        """The nominal value: that of the law, or its median."""
+        nominal = LAWS[self.kind].nominal
+        return self.median if nominal is None else float(nominal(self.arguments))
 
     def spread(self, values: np.ndarray, share: np.ndarray | float) -> np.ndarray:
         """Scale the distance of values from the median by ``share``; the values of a choice are unchanged.

@@ -110,6 +110,11 @@ class Expression(Uncertain):
         return float(self.at({name: law.median for name, law in self.laws.items()}))
 
     @property
+    def nominal(self) -> float:
+        """Its value where every law has its nominal value."""
+        return float(self.at({name: law.nominal for name, law in self.laws.items()}))
+
+    @property
     def support(self) -> tuple[float, float]:
         """Ends between which all its values lie, near the least and the greatest one.
 

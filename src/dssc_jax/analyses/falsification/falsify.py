@@ -28,6 +28,7 @@ from dssc_jax.results.fields import MERGED
 from dssc_jax.results.schema import ENDINGS
 from dssc_jax.statistics import Likelihood, mass_within
 from dssc_jax.study import Study, takes_file
+from dssc_jax.study.known_draws import study_of_draw
 
 DESIGN = ("sampling", "replicates", "correlation")  # settings of a study for all its draws together
 
@@ -246,9 +247,9 @@ class Falsified(Analysis):
 
     @property
     def witness_study(self) -> Study:
-        """The study of the witness alone, as draw 0: numbers replace the laws, and no design of draws is left."""
+        """The study of the witness alone, as draw 0, see :func:`study_of_draw`; no design of draws is left."""
         table = {name: value for name, value in self.study.table.items() if name not in DESIGN}
-        return Study.from_table({**table, "draws": 1}, self.study.source).override(self.witness)
+        return study_of_draw(Study.from_table({**table, "draws": 1}, self.study.source), self.witness)
 
     @property
     def headline(self) -> str:

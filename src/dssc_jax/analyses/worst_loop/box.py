@@ -1,6 +1,5 @@
 """The box of a study's uncertain numbers, in coordinates u between -1 and 1."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +8,7 @@ from scipy.stats import norm
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
+from dssc_jax.study.known_draws import study_of_draw
 
 MOST_GROWTH = 4.0
 GROWTHS = (MOST_GROWTH, 3.0, 2.5, 2.0, 1.75, 1.5, 1.25, 1.1, 1.0)
@@ -87,11 +87,6 @@ def box_of(study: Study, sigma: float) -> Box:
     return Box(tuple(sides))
 
 
-def with_numbers(study: Study, numbers: Mapping[str, float]) -> Study:
-    """The study with numbers in place of some of its laws, whose correlations go with them."""
-    return study.override({"correlation": {}, **numbers})
-
-
 def admissible_growths(study: Study, box: Box) -> list[float]:
     """The factors of :data:`GROWTHS` at whose corners the study accepts all numbers, largest first; always 1."""
     return [growth for growth in GROWTHS if growth == 1.0 or admits(study, box, growth)]
@@ -102,9 +97,9 @@ def admits(study: Study, box: Box, growth: float) -> bool:
     try:
         for end in (growth, -growth):
             numbers = box.numbers(np.full(len(box.sides), end))
-            with_numbers(study, numbers)
+            study_of_draw(study, numbers)
             for name, value in numbers.items():
-                with_numbers(study, {name: value})
+                study_of_draw(study, {name: value})
     except ConfigError:
         return False
     return True

@@ -10,16 +10,18 @@ from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS, MARGIN_UNIT
-from dssc_jax.analyses.worst_loop.box import Box, with_numbers
+from dssc_jax.analyses.worst_loop.box import Box
 from dssc_jax.analyses.worst_loop.joint import JointCase
 from dssc_jax.analyses.worst_loop.search import MARGINS
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
+from dssc_jax.study.known_draws import study_of_draw
 
 ALL_COMMANDS = "all commands"
 """The name under which the margin of all commands at once stands."""
+RESTS = "whether the nearest unstable loop has an operating point within its limits"
 BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 """Shares by which an unstable witness may lie farther from the middle of the box than the point found."""
 
@@ -35,6 +37,7 @@ class LoopCase(NamedTuple):
         bounded: Margins that hold on all of the box; NaN: none.
         growth_found: Smallest growth of the box found that reaches an unstable loop; infinite: none was found.
         unstable: The numbers of that loop, by name.
+        rests: Whether that loop has an operating point within its limits; one without counts as unstable.
         growth_bounded: Growth up to which the loop is stable.
         growable: Largest growth that was searched.
         cells: Cells computed.
@@ -47,6 +50,7 @@ class LoopCase(NamedTuple):
     bounded: np.ndarray
     growth_found: float
     unstable: dict[str, float]
+    rests: bool
     growth_bounded: float
     growable: float
     cells: int
@@ -72,6 +76,7 @@ class LoopWorst:
     growth_found: Annotated[float, Quantity("1", "growth that reaches an unstable loop; None: none was found")]
     growable: Annotated[float, Quantity("1", "largest growth that was searched")]
     unstable: Annotated[dict[str, float], Quantity("that of the number", "numbers of that loop; empty: none was found")]
+    rests: Annotated[bool, Quantity("", "whether that loop has an operating point within its limits")]
     depends_on: Annotated[tuple[str, ...], Quantity("", "the numbers that change this loop")]
     cells: Annotated[int, Quantity("1", "parts of box and frequencies that were computed")]
     margins: dict[str, WorstMargin]
@@ -153,7 +158,7 @@ class WorstLoop(Analysis):
 
     def witness(self, loop: str, margin: str) -> Study:
         """The study with the numbers of :meth:`numbers` in place of their laws."""
-        return with_numbers(self.study, self.numbers(loop, margin))
+        return study_of_draw(self.study, self.numbers(loop, margin))
 
     def unstable(self, loop: str) -> dict[str, float]:
         """Numbers of the nearest unstable loop found; empty: none was found."""
@@ -168,10 +173,10 @@ class WorstLoop(Analysis):
             return None
         for beyond in BEYOND:
             try:
-                return with_numbers(self.study, self.numbers_beyond(loop, beyond))
+                return study_of_draw(self.study, self.numbers_beyond(loop, beyond))
             except ConfigError:
                 continue
-        return with_numbers(self.study, self.unstable(loop))
+        return study_of_draw(self.study, self.unstable(loop))
 
     def numbers_beyond(self, loop: str, share: float) -> dict[str, float]:
         """Numbers that are farther from the middle of the box than those of :meth:`unstable`, by a share."""
@@ -197,7 +202,7 @@ class WorstLoop(Analysis):
             if unstable is not None:
                 studies[f"{name}-stability"] = unstable
         for name, worst in self.multiloop.items():
-            studies[f"{name.replace(' ', '-')}-disk"] = with_numbers(self.study, worst.numbers)
+            studies[f"{name.replace(' ', '-')}-disk"] = study_of_draw(self.study, worst.numbers)
         return studies
 
     @property
@@ -212,7 +217,8 @@ class WorstLoop(Analysis):
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]
         if worst.stable is False:
-            return f"broken at {loop}: some loops of the box are unstable, from {worst.growth_found:.3g} of its size on"
+            found = "are unstable" if worst.rests else "have no operating point within their limits"
+            return f"broken at {loop}: some loops of the box {found}, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
         known = np.isfinite(disk.bounded)
@@ -252,7 +258,8 @@ class WorstLoop(Analysis):
         names = tuple(map(str, self.dataset["number"].values[depends]))
         growable = float(data["growable"])
         unstable = self.unstable(loop)
-        return LoopWorst(stable, bounded, found, growable, unstable, names, int(data["cells"]), margins)
+        rests = bool(data["rests"])
+        return LoopWorst(stable, bounded, found, growable, unstable, rests, names, int(data["cells"]), margins)
 
     @property
     def multiloop(self) -> dict[str, MultiloopWorst]:
@@ -319,6 +326,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     columns = {
         "perturbation": ((*table, "number"), perturbations, of_number | {"long_name": "numbers of the worst found"}),
         "unstable": (("loop", "number"), unstable, of_number | {"long_name": "numbers of the nearest unstable loop"}),
+        "rests": ("loop", np.array([case.rests for case in found]), {"long_name": RESTS}),
         "depends": (("loop", "number"), depends, {"long_name": "whether the number changes the loop"}),
     }
     for name, meaning in {

@@ -9,7 +9,7 @@ import numpy as np
 from dssc_jax.analyses.defaults import CELLS, DERIVATIVES, MOST_CELLS, MOST_LINEARISED, SIGMA
 from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
-from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of, with_numbers
+from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
 from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
 from dssc_jax.analyses.worst_loop.joint import joint_case
@@ -34,6 +34,7 @@ from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.response import common_grid
 from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, stated
 from dssc_jax.study import Study, takes_file
+from dssc_jax.study.known_draws import study_of_draw
 
 GAP = 1.05  # ratio of a bound to the value found, at which the search for a better bound ends
 SHARES = (0.95, 0.85, 0.7, 0.5, 0.3, 0.15)
@@ -192,6 +193,7 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
         bounded=bounded_margins(bounds.covered.gains, sample_time),
         growth_found=instability.growth,
         unstable=broken.numbers(instability.point),
+        rests=not np.isfinite(instability.growth) or broken.rests(instability.point),
         growth_bounded=bounds.growth,
         growable=growable,
         cells=bounds.covered.cells,
@@ -219,7 +221,7 @@ def defined_instability(
         if not np.isfinite(instability.growth):
             return growth, instability
         try:
-            with_numbers(study, broken.numbers(instability.point))
+            study_of_draw(study, broken.numbers(instability.point))
         except ConfigError:
             if growth == 1.0:
                 raise

@@ -23,6 +23,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.study import Study
+from dssc_jax.study.known_draws import study_of_draw
 
 UNASKED = ("error_rate_max",)
 """Metrics of a flight that are driven to their worst only on request."""
@@ -117,7 +118,7 @@ class WorstWind(Analysis):
         """
         table = {name: value for name, value in self.study.table.items() if name not in ALONE}
         wind = self.grid.table(self.wind(signal).T.tolist())
-        return Study.from_table(table | {"wind": wind}, self.study.source).override(self.numbers(signal))
+        return study_of_draw(Study.from_table(table | {"wind": wind}, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
         """Everything of one signal; raises ConfigError if it was not searched for."""

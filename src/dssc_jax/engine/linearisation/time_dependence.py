@@ -9,7 +9,7 @@ from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import PlantInput, Scalar, Signals, State
 from dssc_jax.study import Study
 from dssc_jax.study.actuators import kind_in
-from dssc_jax.study.fitting import medians
+from dssc_jax.study.fitting import nominal_params
 
 
 def require_timeless(study: Study) -> None:
@@ -27,7 +27,7 @@ def require_timeless(study: Study) -> None:
     plant = study.loop.mimo_plant
     if ":" not in kind or plant.begin is not None or kind_in(study.config, "wind") != "none":
         return
-    params = medians(study.template).plant
+    params = nominal_params(study.template).plant
     channels = (0.0,) * len(study.loop.channels)
     drive: PlantInput[Signals] = PlantInput(channels, channels, None, quiet_inputs(study.loop.plant, params))
 
