@@ -155,3 +155,14 @@ def test_only_the_part_that_is_not_pure_is_named(slopes, monkeypatch):
         study(monkeypatch, plant=PLANT._replace(derivative=slopes), controller=CONTROLLER)
     assert "plant" in caught.value.where
     assert "controller" not in caught.value.where
+
+
+def test_values_of_an_enclosing_trace_are_no_difference():
+    """As where a recorded reference is an argument of the program that rehearses the loop."""
+
+    def enclosing(x):
+        record = x * jnp.arange(3.0)
+        assert first_difference(lambda: lambda: jnp.dot(record, jnp.ones(3))) is None
+        return x
+
+    jax.jit(enclosing)(1.0)

@@ -53,10 +53,12 @@ def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
 
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
-    """Whether constants are equal to the bit."""
+    """Whether constants are equal to the bit; values of an enclosing trace, such as parameters, count as equal."""
     if len(first) != len(second):
         return False
-    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in zip(first, second, strict=True))
+    pairs = zip(first, second, strict=True)
+    known = [(a, b) for a, b in pairs if not (isinstance(a, jax.core.Tracer) and isinstance(b, jax.core.Tracer))]
+    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in known)
 
 
 def text_of(program: ClosedJaxpr | JaxprEqn) -> str:
