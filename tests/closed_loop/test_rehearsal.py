@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
+from dssc_jax.closed_loop.repeatability import first_difference
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.types import Command, Controller, Measurement, Plant
 from tests.conftest import UNCERTAIN
