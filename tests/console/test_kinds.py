@@ -45,8 +45,18 @@ def test_a_kind_alone(capsys):
 def test_what_info_refuses(capsys):
     assert guarded(["info", "sqare_root"]) == 2
     assert "sqare_root: is no kind; did you mean 'square_root'?" in capsys.readouterr().err
-    assert guarded(["info", "sine", "--json"]) == 2
-    assert "omit KIND" in capsys.readouterr().err
+    assert guarded(["info", "sqare_root", "--json"]) == 2
+    assert "did you mean 'square_root'?" in capsys.readouterr().err
+
+
+def test_the_json_of_a_name(capsys):
+    assert guarded(["info", "x500", "--json"]) == 0
+    (vehicle,) = json.loads(capsys.readouterr().out)["kinds"].values()
+    assert vehicle["about"]["mass"]["default"] == "2.06431"
+    assert guarded(["info", "uniform", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"law": {"arguments": "[lo, hi]", "rule": "lo must be below hi"}}
+    assert guarded(["info", "error_rms", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["metric"]["of"] == "channel"
 
 
 def test_the_json_of_all(capsys):
