@@ -173,6 +173,15 @@ int main(void)
         deviation = fmax(deviation, fabs(loop.rotor_3 - driven.rotor_3));
     }
     printf(" %.1e %g", deviation, loop.parameters.GAIN);
+    driven.rotor_2 = 1e6;
+    printf(" %u %d", NAME_transfer(&loop, &seen, &driven), loop.rotor_2 <= 6.0);
+    driven.rotor_2 = 2.95;
+    seen.attitude_w = 0.5;
+    seen.attitude_x = sqrt(0.75);
+    seen.attitude_y = seen.attitude_z = 0.0;
+    printf(" %u", NAME_transfer(&loop, &seen, &driven));
+    NAME_init(&loop);
+    printf(" %u %u", NAME_sample(&loop, &seen, &wanted), NAME_tick(&loop, &seen));
     driven.rotor_2 = NAN;
     printf(" %u", NAME_transfer(&loop, &seen, &driven));
     loop.parameters.GAIN = -0.21;
@@ -192,10 +201,12 @@ def test_takeover_in_steady_flight_is_bumpless(kind, tmp_path):
     built = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", "calls.c", f"{header.stem}.c", "-o", "calls", "-lm"]
     subprocess.run(built, cwd=tmp_path, check=True)
     answer = subprocess.run(["./calls"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
-    *flags, deviation, kept, refused, told = answer.split()
+    *flags, deviation, kept, beyond, limited, tilted, sampled, ticked, refused, told = answer.split()
     assert flags == ["0"] * 8
     assert float(deviation) < 1e-9
     assert (kept, refused, told) == ("0.21", "1", "1")
+    assert (beyond, limited, tilted) == ("4", "1", "4")
+    assert (sampled, ticked) == ("3", "3")
 
 
 def test_the_article_s_inner_loop_is_not_generated():

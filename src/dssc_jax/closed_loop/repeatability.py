@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 ADDRESS = re.compile(r"0x[0-9a-f]+")
@@ -57,7 +58,7 @@ def same_values(first: list[Any], second: list[Any]) -> bool:
     if len(first) != len(second):
         return False
     pairs = zip(first, second, strict=True)
-    known = [(a, b) for a, b in pairs if not (isinstance(a, jax.core.Tracer) and isinstance(b, jax.core.Tracer))]
+    known = [(a, b) for a, b in pairs if not (isinstance(a, Tracer) and isinstance(b, Tracer))]
     return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in known)
 
 

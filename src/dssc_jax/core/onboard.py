@@ -51,8 +51,9 @@ class Onboard(NamedTuple):
         settled: ``(params) -> whether they start in the equilibrium of the draw``; the numbers then add to it.
         drives: Field of its part of the state with the numbers that drive actuators.
         tunable: Fields of the plant's parameters whose numbers its C may change in flight.
-        taken_over: ``(params, state, driven) -> held``: its part of the plant's state from which it goes on driving the
-            actuators as another software did, in steady motion; None: it cannot.
+        taken_over: ``(params, state, driven, dt) -> (held, whether)``: its part of the plant's state from which it goes
+            on driving the actuators as another software did, in steady motion with samples dt apart; whether its limits
+            let it do so. None: it cannot.
     """
 
     period: Callable[[Params], float | None]
@@ -68,7 +69,7 @@ class Onboard(NamedTuple):
     settled: Callable[[Params], bool] = not_settled
     drives: str = ""
     tunable: tuple[str, ...] = ()
-    taken_over: Callable[[Params, State, tuple[Scalar, ...]], State] | None = None
+    taken_over: Callable[[Params, State, tuple[Scalar, ...], float], tuple[State, Scalar]] | None = None
 
     def check_clock(self, params: Params, sample_time: float, substeps: int) -> None:
         """Require that the ticks divide a sample, and the substeps the time between them; raises ConfigError."""

@@ -40,7 +40,8 @@ class TracedSoftware:
         start: The held numbers before the first sample.
         sample: Those after the part that runs at a sample of the loop.
         tick: Those after a tick.
-        transfer: Those from which it goes on driving as another software did; None: it cannot.
+        transfer: Those from which it goes on driving as another software did, and 1 where its limits let it do so, else
+            0; None: it cannot.
         driven: Names of the held numbers that drive actuators.
         ticks: Ticks in a sample.
         period: Time between two ticks [s].
@@ -120,7 +121,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
 
     def transfer(values: Sequence[Scalar], readings: State, driven: tuple[Scalar, ...]) -> State:
         assert software.taken_over is not None  # traced only if there is one
-        return as_arrays(software.taken_over(params_of(values), readings, driven))
+        return as_arrays(software.taken_over(params_of(values), readings, driven, loop.sample_time))
 
     try:
         with arithmetic(study.config.loop.precision):

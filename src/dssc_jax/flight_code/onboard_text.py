@@ -26,7 +26,8 @@ from dssc_jax.lanes.program import Value
 
 LABEL = "inner loop"
 RECORDING = "inner_loop.bin"
-LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "driven", "parameters", "p"}
+CARRIED = "carried"
+LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "driven", "parameters", "p", "flag", CARRIED}
 """Names in the template files, which no computed variable may have."""
 
 
@@ -39,8 +40,16 @@ class Written(NamedTuple):
     definitions: list[str]
 
 
-def written(software: TracedSoftware, function: TracedFunction, arguments: Sequence[str]) -> Written:
+def written(
+    software: TracedSoftware, function: TracedFunction, arguments: Sequence[str], further: Sequence[str] = ()
+) -> Written:
     """Write one function.
+
+    Args:
+        software: The software.
+        function: The function.
+        arguments: C's expressions of its inputs behind parameters, laws and readings.
+        further: Names of its outputs behind the held numbers.
 
     Raises:
         ConfigError: It reads a number that has a law.
@@ -59,8 +68,11 @@ def written(software: TracedSoftware, function: TracedFunction, arguments: Seque
     outputs = [output for output in function.program.outputs if isinstance(output, Value)]
     text.compute(outputs)
     text.line("")
-    for name, output in zip(software.held, outputs, strict=True):
+    count = len(software.held)
+    for name, output in zip(software.held, outputs[:count], strict=True):
         text.line(f"updated.{name} = {text.read(output)};")
+    for name, output in zip(further, outputs[count:], strict=True):
+        text.line(f"const {c_type(software.real)} {name} = {text.read(output)};")
     parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in used]
     seen = [name for place, name in enumerate(software.readings, start=first_reading) if place in used]
     return Written(text.lines, parameters, seen, [*text.tables, *text.notation.helpers(), *text.functions.values()])
@@ -100,7 +112,7 @@ def software_files(software: TracedSoftware) -> SoftwareFiles:
     commands = [f"wanted->{name}" for name in software.commands]
     transfer = None
     if software.transfer is not None:
-        transfer = written(software, software.transfer, [f"driven->{name}" for name in software.driven])
+        transfer = written(software, software.transfer, [f"driven->{name}" for name in software.driven], [CARRIED])
     return SoftwareFiles(
         software,
         written(software, software.start, []),

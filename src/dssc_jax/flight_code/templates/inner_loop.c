@@ -36,6 +36,7 @@ unsigned @{name}_start(@{name} *inner_loop, const @{name}_readings *seen)
         return 1u;
     }
 @{start}
+    updated.started = true;
     return keep(inner_loop, &updated);
 }
 
@@ -45,6 +46,9 @@ unsigned @{name}_sample(
 {
     const @{name} held = *inner_loop;
     @{name} updated = held;
+    if (!held.started) {
+        return 3u;
+    }
     if (!are_readings_valid(seen) || !(@{commands_finite})) {
         return 1u;
     }
@@ -56,6 +60,9 @@ unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen)
 {
     const @{name} held = *inner_loop;
     @{name} updated = held;
+    if (!held.started) {
+        return 3u;
+    }
     if (!are_readings_valid(seen)) {
         return 1u;
     }

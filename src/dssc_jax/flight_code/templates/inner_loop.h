@@ -20,6 +20,7 @@ typedef struct {
 typedef struct {
     @{name}_parameters parameters;  /* may be changed between two ticks */
     @{held}
+    bool started;
 } @{name};
 
 /* The study's parameters, and no state: before the first sample, start it or let it take over. */
@@ -38,9 +39,10 @@ unsigned @{name}_start(@{name} *inner_loop, const @{name}_readings *seen);
 @{transfer}
 
 /* At each sample of the controllers, before the first of @{ticks} ticks. Finite commands are limited, not refused.
- * Returns 0; or 1 or 2, and keeps the state: rotors stay at their last thrusts, so act on a flag that lasts. */
+ * Returns 0; or 1, 2 or 3, and keeps the state: rotors stay at their last thrusts, so act on a flag that lasts.
+ * 3: it was neither started nor has it taken over. */
 unsigned @{name}_sample(
     @{name} *inner_loop, const @{name}_readings *seen, const @{name}_commands *wanted);
 
-/* One tick: the commands of the rotors. Returns 0; or 1 or 2, and keeps the state. */
+/* One tick: the commands of the rotors. Returns 0; or 1, 2 or 3, and keeps the state. */
 unsigned @{name}_tick(@{name} *inner_loop, const @{name}_readings *seen);

@@ -6,6 +6,8 @@ unsigned @{name}_transfer(
         return 1u;
     }
 @{transfer}
-    return keep(inner_loop, &updated);
+    updated.started = true;
+    const unsigned flag = keep(inner_loop, &updated);
+    return flag == 0u && carried == 0 ? 4u : flag;
 }
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from dssc_jax.core.numerics import dot
 from dssc_jax.core.quantities import nominal
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.core.vectors import Quaternion, Vec3
@@ -26,6 +27,9 @@ from dssc_jax.models.uav.inner_loops.sampled import (
 from dssc_jax.models.uav.inner_loops.start import Start
 from dssc_jax.models.uav.parameters import UavParams
 from dssc_jax.models.uav.trim import trim
+
+SMALL_BUMP = 1e-3
+"""Largest change of a rotor's thrust at a takeover that counts as none, as a share of the largest thrust."""
 
 
 class HeldLoop(NamedTuple):
@@ -112,8 +116,12 @@ def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> Held
     return HeldLoop(loop.trimmed(params.craft, software, trimmed), trimmed.thrust, trimmed.rotor, 0.0)
 
 
-def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...]) -> HeldLoop:
-    """A sampled inner loop that goes on with given rotor thrusts [N], in steady flight at its readings."""
+def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], dt: float) -> tuple[HeldLoop, Scalar]:
+    """A sampled inner loop that goes on with given rotor thrusts [N], in steady flight at its readings.
+
+    Returns:
+        Its state, and whether the next thrusts have the same effect; they do not beyond its limits.
+    """
     craft = params.craft
     readings = readings_of(state)
     loop = required_loop(params)
@@ -121,7 +129,14 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...]) 
     wrench = given_wrench(craft, thrusts)
     angles = Angles(*angles_of(readings.attitude.matrix()))
     software = loop.trimmed(craft, software, Trim(angles, wrench.thrust, wrench.moment, thrusts))
-    return HeldLoop(software, wrench.thrust, thrusts, 0.0)
+    before = state._replace(inner=HeldLoop(software, wrench.thrust, thrusts, 0.0))
+    drive = PlantInput((*readings.velocity, 0.0), (0.0,) * 4, None, ())
+    following = software_tick(params, software_sample(params, before, drive, dt), loop.period).inner
+    carried = True
+    for row, given in zip(craft.allocation, following.rotor, strict=True):
+        wanted = dot(row, (wrench.thrust, *wrench.moment))
+        carried = carried & (jnp.abs(given - wanted) <= SMALL_BUMP * craft.rotor_limit)
+    return HeldLoop(software, wrench.thrust, following.rotor, following.limited), jnp.where(carried, 1.0, 0.0)
 
 
 def first_integrals(params: UavParams) -> tuple[str, ...]:
