@@ -9,6 +9,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.conversions import (
     conversion_text,
+    factor_text,
     followed_conversion,
     likeness,
     reference_conversion,
@@ -129,12 +130,30 @@ def test_the_slope_of_a_record_with_jittered_stamps_is_told():
         (SINE, 2.0 + SINE, ("looks like the study's y_y", "looks like the study's x_y")),
         (200.0 + 100.0 * SINE, SINE, ("looks like the study's times 100 (centimetres in place of metres)", "")),
         (2.0 + 1.1 * SINE, 0.9 * SINE, ("", "")),
+        (
+            2.0 + SINE,
+            -4.0 + 0.9 * SINE,
+            ("", "lies -4 m from the study's from the start on: compare the study's initial state"),
+        ),
     ],
 )
 def test_what_an_output_looks_like(x, y, words):
     expected = [2.0 + SINE, SINE]
     found = tuple(likeness(index, logged, expected, ("x_y", "y_y"), "m") for index, logged in enumerate((x, y)))
     assert found == words
+
+
+@pytest.mark.parametrize(
+    ("ends", "value", "words"),
+    [
+        ((5.0, 9.0), 0.007, "times 1000"),
+        ((5.0, 9.0), 2.0, "times 3.281"),
+        ((5.0, 9.0), 20.0, ""),
+        ((-9.0, 9.0), 90.0, ""),
+    ],
+)
+def test_the_multiple_that_brings_an_estimate_into_its_law(ends, value, words):
+    assert factor_text(np.array(ends) / value) == words
 
 
 def test_a_comparison_names_a_mirrored_output_and_an_early_end(tmp_path, capsys):

@@ -227,8 +227,10 @@ def show_fit(summary: Mapping[str, Any]) -> None:
         say(f"{minimum['starts']} end where the residual is {minimum['ratio']:.3g} times as large: {values}")
     for doubt in summary["warnings"]:
         say(f"warning: {doubt['text']}")
-    for name in summary["outside_laws"]:
-        say(f"the estimate of {name} lies outside its law in the study: compare units, columns and start of the log")
+    for name, factor in summary["outside_laws"].items():
+        hint = f"; {factor} it lies within, as if an output or a command were logged in another unit" if factor else ""
+        compare = f"compare units, columns and start of the log{hint}"
+        say(f"the estimate of {name} lies outside its law in the study: {compare}")
     for name, width in summary["kept"].items():
         left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
         say(f"not told by this flight, keeps its law: {name}; {left}")

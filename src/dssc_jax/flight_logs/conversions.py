@@ -45,6 +45,7 @@ CONVERSIONS = (
     Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
     Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
 )
+SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
@@ -129,7 +130,30 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
         if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest):
             smallest = distance
             text = f"looks like the study's {names[place]}"
-    return text
+    return text or shift_text(logged, expected[index], unit)
+
+
+def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
+    """That a logged output lies beside the expected one all the time, in words; empty if it does not."""
+    beside = logged - expected
+    shift = float(np.nanmedian(beside))
+    is_small = abs(shift) <= SAME_REFERENCE * rms(expected)
+    if is_small or not rms(beside - shift) <= SHIFTED * abs(shift):
+        return ""
+    return f"lies {shift:.4g} {unit} from the study's from the start on: compare the study's initial state"
+
+
+def factor_text(ratio: np.ndarray) -> str:
+    """The multiple that would bring a number into its law, in words; empty if none does, or several do.
+
+    Args:
+        ratio: The law's ends over the number.
+    """
+    low, high = np.sort(ratio)
+    found = [
+        conversion.words for conversion in CONVERSIONS if conversion.factor > 0.0 and low <= conversion.factor <= high
+    ]
+    return found[0] if len(found) == 1 else ""
 
 
 def reference_conversion(

@@ -10,6 +10,7 @@ from scipy import special
 
 from dssc_jax.core.json_types import Json
 from dssc_jax.core.quantities import Quantity
+from dssc_jax.flight_logs.conversions import factor_text
 from dssc_jax.flight_logs.least_squares import fit_scale, from_fit_scale
 from dssc_jax.flight_logs.refusals import Doubt, Explained
 from dssc_jax.statistics.correlated_noise import correlation_time
@@ -117,14 +118,20 @@ class Fitted:
                 ranks[f"{row_name}, {column_name}"] = float(6.0 / math.pi * math.asin(0.5 * linear[i, j]))
         return ranks
 
-    def outside_laws(self) -> list[str]:
-        """Numbers whose estimates lie clearly outside their laws in the study."""
-        outside = []
-        for name, scaled, deviation in zip(self.names, self.scaled, self.deviations, strict=True):
+    def outside_laws(self) -> dict[str, str]:
+        """Numbers whose estimates lie clearly outside their laws in the study, each with the multiple that lies inside.
+
+        The multiple is one of another unit, in words; empty if none lies inside.
+        """
+        outside = {}
+        for name, value, scaled, deviation in zip(
+            self.names, self.estimates, self.scaled, self.deviations, strict=True
+        ):
             law = self.study.laws[name]
-            low, high = fit_scale(law, law.quantile(np.array([0.001, 0.999])))
+            ends = law.quantile(np.array([0.001, 0.999]))
+            low, high = fit_scale(law, ends)
             if scaled < low - OUTSIDE_LAW * deviation or scaled > high + OUTSIDE_LAW * deviation:
-                outside.append(name)
+                outside[name] = factor_text(ends / value) if value != 0.0 else ""
         return outside
 
     def toml(self) -> str:
