@@ -7,7 +7,7 @@ import tomli_w
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.integrals import integral_factor, jumps_beside, unit_text
+from dssc_jax.flight_logs.integrals import are_exchanged, integral_factor, jumps_beside, unit_text
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.test_fit import DT, linear
@@ -38,6 +38,15 @@ def test_the_factor_is_that_of_unit_and_clock(clock, y_scale):
     assert all(factor.differs for factor in values)
     errors = np.array([(factor.value - y_scale / clock) / factor.deviation for factor in values])
     assert 0.3 < np.sqrt(np.mean(errors**2)) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_columns_that_are_exchanged(seed):
+    y, rate = flight(seed)
+    assert are_exchanged(rate, y, -1.0, 100.0)
+    assert not are_exchanged(y, rate, -1.0, 100.0)
+    assert not are_exchanged(y, Column(rate.time, -rate.value), -1.0, 100.0)
+    assert not are_exchanged(rate, y, -1.0, 0.2)  # too few values
 
 
 def test_what_leaves_the_factor_open():

@@ -73,6 +73,15 @@ def test_an_output_in_another_unit_than_its_reference_is_told(factor, words):
     assert followed_conversion(lagging, SINE, "m") == words
 
 
+def test_the_opposite_sign_is_told_where_the_mean_has_it():
+    """A step that a loop follows slowly; of a sine without a mean, a sign may be a lag."""
+    step = (TIME > 1.0).astype(float)
+    slow = step * (1.0 - np.exp(-5.0 * np.maximum(TIME - 1.0, 0.0)))
+    assert followed_conversion(-slow, step, "m") == "follows its reference with the opposite sign"
+    assert followed_conversion(slow, step, "m") == ""
+    assert followed_conversion(-SINE, SINE, "m") == ""
+
+
 def test_references_of_other_channels_and_times():
     cosine = np.cos(np.pi * TIME)
     references = np.array([SINE, cosine])

@@ -45,6 +45,7 @@ CONVERSIONS = (
     Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
     Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
 )
+MEAN = 0.3  # of a reference's root mean square: the least mean that says something
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
@@ -91,8 +92,8 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
     """The multiple of its reference that a logged output follows, in words; empty: it follows none.
 
     A closed loop follows its reference, so such an output is in another unit. It is one if the part of the output in
-    phase with its reference is nearly that multiple of it. The opposite sign is none: a slow loop may lag by half a
-    period.
+    phase with its reference is nearly that multiple of it. The opposite sign is one only if the means have it, too: a
+    slow loop may lag by half a period.
 
     Args:
         logged: The output, NaN where missing, shape (samples,).
@@ -105,9 +106,17 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
     for conversion in CONVERSIONS:
         text = conversion.text(unit)
         near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
-        if near and text != OPPOSITE and conversion_text(logged, reference, FOLLOWED, unit) == text:
+        if text == OPPOSITE and not has_opposite_mean(logged[known], reference[known]):
+            continue
+        if near and conversion_text(logged, reference, FOLLOWED, unit) == text:
             return f"follows its reference {text}"
     return ""
+
+
+def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
+    """Whether a reference has a mean that says something, and the output nearly the opposite one; no lag turns that."""
+    mean = float(reference.mean())
+    return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 
 
 def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:

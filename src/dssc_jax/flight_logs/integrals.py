@@ -22,6 +22,8 @@ FITTED = 3  # numbers of the regression
 SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
+INTEGRAL = 0.9  # correlation: more, and one signal is the integral of the other
+NO_INTEGRAL = 0.7  # correlation: less, and it is not
 JUMP = 5.0  # of the typical change beside the rate: a larger one is hardly noise
 LASTING = 10.0  # of the typical difference of two means beside the rate: a larger one is no noise
 NEIGHBOURS = 8  # values of each mean
@@ -79,6 +81,25 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
     scale = sizes[0] / sizes[1]
     factor, deviation = scale * factor, scale * deviation
     return Factor(factor, deviation) if error < SMALL_ERROR * min(abs(factor - 1.0), 1.0) else None
+
+
+def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
+    """Whether a derivative is the integral of its output, between two times of the log [s], and not the reverse."""
+    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    if min(len(output.time), len(slope.time)) < LEAST_VALUES:
+        return False
+    return likeness_to_integral(slope, output) > INTEGRAL and likeness_to_integral(output, slope) < NO_INTEGRAL
+
+
+def likeness_to_integral(output: Column, rate: Column) -> float:
+    """The correlation of an output with the integral of a rate, both without a straight line."""
+    steps = 0.5 * np.diff(rate.time) * (rate.value[1:] + rate.value[:-1])
+    integral = np.interp(output.time, rate.time, np.concatenate([[0.0], np.cumsum(steps)]))
+    design = np.column_stack([np.ones(len(output.time)), output.time - output.time[0]])
+    parts = np.column_stack([output.value, integral])
+    parts -= design @ np.linalg.lstsq(design, parts, rcond=None)[0]
+    size = float(np.sqrt((parts[:, 0] @ parts[:, 0]) * (parts[:, 1] @ parts[:, 1])))
+    return float(parts[:, 0] @ parts[:, 1]) / size if size > 0.0 else 0.0
 
 
 def between(column: Column, begin: float, end: float) -> Column:
@@ -151,6 +172,9 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
         if channel in loop.plant.angles or not {y, rate} <= set(log.columns):
+            continue
+        if are_exchanged(log.columns[y], log.columns[rate], log.start, end):
+            found.units[y] = f"looks exchanged with {rate}, which is its integral"
             continue
         jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
         if jumps:
