@@ -167,3 +167,10 @@ def test_values_of_an_enclosing_trace_are_no_difference():
         return x
 
     jax.jit(enclosing)(1.0)
+
+
+def test_keys_of_random_numbers_are_compared():
+    """A key that a user's module holds is the same in both traces; one that is drawn anew is not."""
+    key = jax.random.key(7)
+    assert first_difference(lambda: lambda: jax.random.normal(key)) is None
+    assert first_difference(lambda: lambda: jax.random.normal(jax.random.key(RANDOM.integers(1 << 30)))) is not None

@@ -6,8 +6,8 @@ from types import CodeType
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, JaxprEqn, Literal
 
 ADDRESS = re.compile(r"0x[0-9a-f]+")
@@ -55,11 +55,17 @@ def inner_programs(equation: JaxprEqn) -> Iterator[ClosedJaxpr]:
 
 def same_values(first: list[Any], second: list[Any]) -> bool:
     """Whether constants are equal to the bit; values of an enclosing trace, such as parameters, count as equal."""
-    if len(first) != len(second):
-        return False
-    pairs = zip(first, second, strict=True)
-    known = [(a, b) for a, b in pairs if not (isinstance(a, Tracer) and isinstance(b, Tracer))]
-    return all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in known)
+    return [bits_of(value) for value in first] == [bits_of(value) for value in second]
+
+
+def bits_of(value: Any) -> bytes | None:
+    """The bits of a constant; None: it is a value of an enclosing trace."""
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+        value = jax.random.key_data(value)
+    try:
+        return np.asarray(value).tobytes()
+    except jax.errors.TracerArrayConversionError:
+        return None
 
 
 def text_of(program: ClosedJaxpr | JaxprEqn) -> str:
