@@ -101,6 +101,8 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
         unit: Of the output.
     """
     known = np.isfinite(logged)
+    if not known.any():
+        return ""
     square = float(reference[known] @ reference[known])
     factor = float(logged[known] @ reference[known]) / square if square > 0.0 else 0.0
     for conversion in CONVERSIONS:
@@ -145,7 +147,10 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
 def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
     """That a logged output lies beside the expected one all the time, in words; empty if it does not."""
     beside = logged - expected
-    shift = float(np.nanmedian(beside))
+    beside = beside[np.isfinite(beside)]
+    if not beside.size:
+        return ""
+    shift = float(np.median(beside))
     is_small = abs(shift) <= SAME_REFERENCE * rms(expected)
     if is_small or not rms(beside - shift) <= SHIFTED * abs(shift):
         return ""

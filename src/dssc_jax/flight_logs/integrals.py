@@ -92,11 +92,15 @@ def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
 
 
 def likeness_to_integral(output: Column, rate: Column) -> float:
-    """The correlation of an output with the integral of a rate, both without a straight line."""
-    steps = 0.5 * np.diff(rate.time) * (rate.value[1:] + rate.value[:-1])
+    """The correlation of an output with the integral of a rate, both without a straight line; 0 if one is 0."""
+    sizes = float(np.abs(output.value).max()), float(np.abs(rate.value).max())
+    if min(sizes) == 0.0:
+        return 0.0
+    relative = rate.value / sizes[1]
+    steps = 0.5 * np.diff(rate.time) * (relative[1:] + relative[:-1])
     integral = np.interp(output.time, rate.time, np.concatenate([[0.0], np.cumsum(steps)]))
     design = np.column_stack([np.ones(len(output.time)), output.time - output.time[0]])
-    parts = np.column_stack([output.value, integral])
+    parts = np.column_stack([output.value / sizes[0], integral])
     parts -= design @ np.linalg.lstsq(design, parts, rcond=None)[0]
     size = float(np.sqrt((parts[:, 0] @ parts[:, 0]) * (parts[:, 1] @ parts[:, 1])))
     return float(parts[:, 0] @ parts[:, 1]) / size if size > 0.0 else 0.0
