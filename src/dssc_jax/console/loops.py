@@ -217,7 +217,7 @@ def growth_text(loop: LoopWorst) -> str:
     """How far the box may grow, in words."""
     if loop.unstable:
         numbers = ", ".join(f"{name} = {value:.6g}" for name, value in loop.unstable.items())
-        found = "unstable" if loop.rests else "without an operating point within its limits"
+        found = "unstable" if loop.has_operating_point else "without an operating point within its limits"
         nearest = f"; {found} from {loop.growth_found:.4g} times its size on, at {numbers}"
     else:
         nearest = f"; no unstable loop was found up to {loop.growable:.4g} times its size"

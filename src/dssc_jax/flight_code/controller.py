@@ -13,7 +13,7 @@ from dssc_jax.closed_loop.control import ControlState, control, initial_control,
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.signals import Command, Measurement, ReferencePoint, Scalar
-from dssc_jax.flight_code.parameters import Parameter, parameters_where
+from dssc_jax.flight_code.parameters import Parameter, loop_parameters
 from dssc_jax.lanes.c.names import member_names, prefix_name, underscored
 from dssc_jax.lanes.c.operations import c_type
 from dssc_jax.lanes.program import Program
@@ -212,7 +212,7 @@ def channel_parameters(study: Study, index: int) -> tuple[Parameter, ...]:
             fields = fields[1:]
         return "_".join(fields if slot == "controller" else [slot, *fields])
 
-    return parameters_where(study, belongs, name, study.units[index])
+    return loop_parameters(study, belongs, name, study.units[index])
 
 
 def leaf_names(tree: Any, root: str = "") -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.onboard import Onboard
 from dssc_jax.core.signals import PlantInput, Scalar, State
 from dssc_jax.flight_code.controller import TracedFunction
-from dssc_jax.flight_code.parameters import Parameter, parameters_where
+from dssc_jax.flight_code.parameters import Parameter, loop_parameters
 from dssc_jax.lanes.c.names import member_names
 from dssc_jax.lanes.tracing.origins import translate_with_origins
 from dssc_jax.lanes.unsupported import Unsupported
@@ -183,7 +183,7 @@ def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...
         _, field, *fields = key.split(".")
         return "_".join(fields if field == software.tunable[0] else [field, *fields])
 
-    return parameters_where(study, belongs, name)
+    return loop_parameters(study, belongs, name)
 
 
 def traced(function: Callable[..., State], *shapes: Any) -> TracedFunction:

@@ -50,8 +50,8 @@ def recording_lane(
             def observe(earlier: State, drive: PlantInput, after: State) -> None:
                 readings = jax.tree.leaves(seen(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
-                given = (values[key] for key in uncertain)
-                row = (*readings, *commands, *given, NO_FLAGS, *jax.tree.leaves(software.held(after)))
+                gains = (values[key] for key in uncertain)
+                row = (*readings, *commands, *gains, NO_FLAGS, *jax.tree.leaves(software.held(after)))
                 rows.append(tuple(jnp.asarray(number, real) for number in row))
 
             advance = advance_by_steps(held_parts(loop), params.plant, params.unmodelled, observe)

@@ -1,6 +1,6 @@
 """The numbers of generated code that may be changed in flight: of a controller, of software on board."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,6 +9,7 @@ from jax.tree_util import keystr, tree_flatten_with_path
 
 from dssc_jax.core.quantities import Quantity, quantities_of
 from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
+from dssc_jax.engine.sampling import draw as draw_values
 from dssc_jax.lanes.c.names import member_names
 from dssc_jax.lanes.c.operations import c_literal
 from dssc_jax.study import Study
@@ -25,7 +26,7 @@ class Parameter(NamedTuple):
     uncertain: bool  # whether it has a law in the study, or follows from one
 
 
-def parameters_where(
+def loop_parameters(
     study: Study, belongs: Callable[[str], bool], name: Callable[[str], str], units: ChannelUnits = UNNAMED_UNITS
 ) -> tuple[Parameter, ...]:
     """Numbers of the study's loop, in the order of their fields.
@@ -68,6 +69,13 @@ def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity |
             quantity = quantities_of(type(part)).get(step)
             part = getattr(part, step)
     return None if quantity is None else replace(quantity, unit=units.of(quantity.unit))
+
+
+def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Laws of draws, what follows from them, and constants, by their keys in ``Study.params``; one value a draw."""
+    drawn = draw_values(study, indices)
+    drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
+    return {name: np.full(len(indices), value) for name, value in constants.items()} | drawn
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:

@@ -18,7 +18,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.engine.compiled_lanes import compiled_lanes
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_code.controller import COMMAND, SampledController, command_parts, study_values, takes_signals
-from dssc_jax.flight_code.replay_bench import numbers_of_draws
+from dssc_jax.flight_code.parameters import numbers_of_draws
 from dssc_jax.lanes.llvm.machine import usable_cores
 from dssc_jax.study import Study
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.compiled_lanes import compiled_lanes
-from dssc_jax.engine.sampling import draw as draw_values
+from dssc_jax.flight_code.parameters import numbers_of_draws
 from dssc_jax.flight_code.template_files import fill, template_text
 from dssc_jax.lanes.c.names import c_string
 from dssc_jax.lanes.c.operations import c_type
@@ -131,13 +131,6 @@ def recorded_columns(
             recorded = lanes.start(({name: values[name] for name in names}, indices), len(indices), usable_cores())()
             for place in range(len(indices)):
                 yield jax.tree.map(lambda column, place=place: column[place], recorded)
-
-
-def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """Laws of draws, what follows from them, and constants, by their keys in ``Study.params``; one value a draw."""
-    drawn = draw_values(study, indices)
-    drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
-    return {name: np.full(len(indices), value) for name, value in constants.items()} | drawn
 
 
 def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:

@@ -146,13 +146,13 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
 
 def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
     """That a logged output lies beside the expected one all the time, in words; empty if it does not."""
-    beside = logged - expected
-    beside = beside[np.isfinite(beside)]
-    if not beside.size:
+    difference = logged - expected
+    difference = difference[np.isfinite(difference)]
+    if not difference.size:
         return ""
-    shift = float(np.median(beside))
+    shift = float(np.median(difference))
     is_small = abs(shift) <= SAME_REFERENCE * rms(expected)
-    if is_small or not rms(beside - shift) <= SHIFTED * abs(shift):
+    if is_small or not rms(difference - shift) <= SHIFTED * abs(shift):
         return ""
     return f"lies {shift:.4g} {unit} from the study's from the start on: compare the study's initial state"
 

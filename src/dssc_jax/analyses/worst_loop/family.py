@@ -130,7 +130,7 @@ class BrokenFamily:
         numbers = self.family.box.numbers(self.full(point[None])[0])
         return {name: numbers[name] for name in self.names}
 
-    def rests(self, point: np.ndarray) -> bool:
+    def has_operating_point(self, point: np.ndarray) -> bool:
         """Whether the loop has an operating point at which no limit opens it, for its numbers at one point."""
         matrices = self.family.at(self.full(point[None]))
         return bool(np.isfinite(matrices.a).all() and not matrices.opened()[0])

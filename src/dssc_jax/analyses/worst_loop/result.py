@@ -21,7 +21,7 @@ from dssc_jax.study.known_draws import study_of_draw
 
 ALL_COMMANDS = "all commands"
 """The name under which the margin of all commands at once stands."""
-RESTS = "whether the nearest unstable loop has an operating point within its limits"
+OPERATING_POINT = "whether the nearest unstable loop has an operating point within its limits"
 BEYOND = (0.02, 0.01, 0.005, 0.002, 0.001)
 """Shares by which an unstable witness may lie farther from the middle of the box than the point found."""
 
@@ -37,7 +37,7 @@ class LoopCase(NamedTuple):
         bounded: Margins that hold on all of the box; NaN: none.
         growth_found: Smallest growth of the box found that reaches an unstable loop; infinite: none was found.
         unstable: The numbers of that loop, by name.
-        rests: Whether that loop has an operating point within its limits; one without counts as unstable.
+        has_operating_point: Whether that loop has an operating point within its limits; one without counts as unstable.
         growth_bounded: Growth up to which the loop is stable.
         growable: Largest growth that was searched.
         cells: Cells computed.
@@ -50,7 +50,7 @@ class LoopCase(NamedTuple):
     bounded: np.ndarray
     growth_found: float
     unstable: dict[str, float]
-    rests: bool
+    has_operating_point: bool
     growth_bounded: float
     growable: float
     cells: int
@@ -76,7 +76,7 @@ class LoopWorst:
     growth_found: Annotated[float, Quantity("1", "growth that reaches an unstable loop; None: none was found")]
     growable: Annotated[float, Quantity("1", "largest growth that was searched")]
     unstable: Annotated[dict[str, float], Quantity("that of the number", "numbers of that loop; empty: none was found")]
-    rests: Annotated[bool, Quantity("", "whether that loop has an operating point within its limits")]
+    has_operating_point: Annotated[bool, Quantity("", "whether that loop has an operating point within its limits")]
     depends_on: Annotated[tuple[str, ...], Quantity("", "the numbers that change this loop")]
     cells: Annotated[int, Quantity("1", "parts of box and frequencies that were computed")]
     margins: dict[str, WorstMargin]
@@ -171,9 +171,9 @@ class WorstLoop(Analysis):
         """
         if not self.unstable(loop):
             return None
-        for beyond in BEYOND:
+        for share in BEYOND:
             try:
-                return study_of_draw(self.study, self.numbers_beyond(loop, beyond))
+                return study_of_draw(self.study, self.numbers_beyond(loop, share))
             except ConfigError:
                 continue
         return study_of_draw(self.study, self.unstable(loop))
@@ -217,7 +217,7 @@ class WorstLoop(Analysis):
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]
         if worst.stable is False:
-            found = "are unstable" if worst.rests else "have no operating point within their limits"
+            found = "are unstable" if worst.has_operating_point else "have no operating point within their limits"
             return f"broken at {loop}: some loops of the box {found}, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
@@ -258,8 +258,10 @@ class WorstLoop(Analysis):
         names = tuple(map(str, self.dataset["number"].values[depends]))
         growable = float(data["growable"])
         unstable = self.unstable(loop)
-        rests = bool(data["rests"])
-        return LoopWorst(stable, bounded, found, growable, unstable, rests, names, int(data["cells"]), margins)
+        has_operating_point = bool(data["has_operating_point"])
+        return LoopWorst(
+            stable, bounded, found, growable, unstable, has_operating_point, names, int(data["cells"]), margins
+        )
 
     @property
     def multiloop(self) -> dict[str, MultiloopWorst]:
@@ -326,7 +328,11 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     columns = {
         "perturbation": ((*table, "number"), perturbations, of_number | {"long_name": "numbers of the worst found"}),
         "unstable": (("loop", "number"), unstable, of_number | {"long_name": "numbers of the nearest unstable loop"}),
-        "rests": ("loop", np.array([case.rests for case in found]), {"long_name": RESTS}),
+        "has_operating_point": (
+            "loop",
+            np.array([case.has_operating_point for case in found]),
+            {"long_name": OPERATING_POINT},
+        ),
         "depends": (("loop", "number"), depends, {"long_name": "whether the number changes the loop"}),
     }
     for name, meaning in {

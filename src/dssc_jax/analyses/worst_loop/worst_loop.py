@@ -193,7 +193,7 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
         bounded=bounded_margins(bounds.covered.gains, sample_time),
         growth_found=instability.growth,
         unstable=broken.numbers(instability.point),
-        rests=not np.isfinite(instability.growth) or broken.rests(instability.point),
+        has_operating_point=not np.isfinite(instability.growth) or broken.has_operating_point(instability.point),
         growth_bounded=bounds.growth,
         growable=growable,
         cells=bounds.covered.cells,

@@ -130,14 +130,14 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         step,
         smooth=not_smooth(WITHOUT_DERIVATIVE),
         takes=lambda gains: len(controller.measured),
-        signals=taken_signals(controller),
+        signals=named_signals(controller),
         info=info,
         native=library.file,
         without_effect=parameters_without_effect(controller),
     )
 
 
-def taken_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
+def named_signals(controller: NativeController) -> tuple[NamedSignal, ...]:
     """The measured signals that the controller takes beside y and y'."""
     numbers = controller.measured
     return tuple(NamedSignal(number.name, number.quantity.unit, number.quantity.meaning) for number in numbers)

@@ -21,7 +21,7 @@ from dssc_jax.models.uav.inner_loops.sampled import (
     allocated_moment,
     angles_of,
     conjugate,
-    given_wrench,
+    net_wrench,
     product,
 )
 from dssc_jax.models.uav.inner_loops.start import Start
@@ -117,7 +117,7 @@ def held_start(params: UavParams, state: UavState, trimmed: Trim | None) -> Held
 
 
 def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], dt: float) -> tuple[HeldLoop, Scalar]:
-    """A sampled inner loop that goes on with given rotor thrusts [N], in steady flight at its readings.
+    """A sampled inner loop that goes on with rotor thrusts [N] of another software, in steady flight at its readings.
 
     Returns:
         Its state, and whether the next thrusts have the same effect; they do not beyond its limits.
@@ -126,16 +126,16 @@ def taken_over(params: UavParams, state: UavState, thrusts: tuple[Scalar, ...], 
     readings = readings_of(state)
     loop = required_loop(params)
     software = loop.init(craft, readings, params.first_carrying)
-    wrench = given_wrench(craft, thrusts)
+    wrench = net_wrench(craft, thrusts)
     angles = Angles(*angles_of(readings.attitude.matrix()))
     software = loop.trimmed(craft, software, Trim(angles, wrench.thrust, wrench.moment, thrusts))
     before = state._replace(inner=HeldLoop(software, wrench.thrust, thrusts, 0.0))
     drive = PlantInput((*readings.velocity, 0.0), (0.0,) * 4, None, ())
     following = software_tick(params, software_sample(params, before, drive, dt), loop.period).inner
     carried = True
-    for row, given in zip(craft.allocation, following.rotor, strict=True):
+    for row, commanded in zip(craft.allocation, following.rotor, strict=True):
         wanted = dot(row, (wrench.thrust, *wrench.moment))
-        carried = carried & (jnp.abs(given - wanted) <= SMALL_BUMP * craft.rotor_limit)
+        carried = carried & (jnp.abs(commanded - wanted) <= SMALL_BUMP * craft.rotor_limit)
     return HeldLoop(software, wrench.thrust, following.rotor, following.limited), jnp.where(carried, 1.0, 0.0)
 
 

@@ -140,7 +140,7 @@ def allocated_moment(craft: Craft, thrusts: tuple[Scalar, ...]) -> Vec3:
     return Vec3(*(dot(row, thrusts) for row in craft.moments))
 
 
-def given_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
+def net_wrench(craft: Craft, thrusts: tuple[Scalar, ...]) -> Wrench:
     """The thrust and moment for which the allocation gives rotor thrusts that are nearest to those."""
     rows = np.linalg.pinv(np.array(craft.allocation)).tolist()
     return Wrench(dot(rows[0], thrusts), allocated_moment(craft, thrusts))
