@@ -192,6 +192,18 @@ def test_the_loop_calls_what_the_file_holds(study, template):
         assert command.u == pytest.approx(float(dataset["u"][k]), rel=1e-9, abs=1e-12)
 
 
+@pytest.mark.parametrize("without", [False, True])
+def test_a_sample_without_telemetry_gives_all_else(place, without):
+    """The flag tells here which step ran; the telemetry is that of the step with it."""
+    text = template_text("library.c").replace("return 0;", "return telemetry == NULL ? 7 : 0;")
+    if not without:
+        text = text.replace("#define DSSC_JAX_OPTIONAL_TELEMETRY", "")
+    flown = loaded(built(place, f"telemetry_{without}", text), k_p=5.0)
+    signals = dj.simulate(flown, 0)
+    assert np.all(signals["flag"] == (7.0 if without else 0.0))
+    np.testing.assert_array_equal(signals["error"], signals["y_ref"] - signals["y_measured"])
+
+
 def test_plain_xla_is_the_reference(study, tmp_path, monkeypatch):
     ours = dj.run(study, tmp_path / "lanes")
     monkeypatch.setenv("DSSC_JAX_KERNEL", "scan")
@@ -290,6 +302,11 @@ def test_tables_of_a_comparison_get_digests(place, template, monkeypatch):
             "    controller->started = false;",
             "    controller->started = false;\n    my_init(controller);",
             "parameter k_p",
+        ),
+        (
+            "command->u_n = 0;",
+            "command->u_n = telemetry == NULL;",
+            "other commands where it gets NULL for its telemetry",
         ),
         ("u_p = command->u + command->u_n", "u_p = 0.5 * command->u", r"whose u_p is not u \+ u_n: .* flight it gives"),
     ],

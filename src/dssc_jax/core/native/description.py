@@ -15,7 +15,7 @@ from dssc_jax.core.quantities import Quantity
 SYMBOL = "dssc_jax_controllers"
 """The one symbol that a library must export."""
 
-VERSION = 3
+VERSION = 4
 MOST_CONTROLLERS = 64
 MOST_NUMBERS = 256
 MOST_BYTES = 1 << 16
@@ -71,6 +71,7 @@ class ControllerRow(ctypes.Structure):
         ("init", ctypes.c_void_p),
         ("reset", ctypes.c_void_p),
         ("step", ctypes.c_void_p),
+        ("step_without_telemetry", ctypes.c_void_p),
     )
 
 
@@ -103,6 +104,7 @@ class NativeController:
         init: Address of a function that takes the exchange and sets the parameters to their defaults.
         reset: Address of one that begins a flight.
         step: Address of one that computes a sample.
+        step_without_telemetry: Address of one that does the same without telemetry; None if the code has none.
     """
 
     name: str
@@ -120,6 +122,7 @@ class NativeController:
     init: int
     reset: int
     step: int
+    step_without_telemetry: int | None
 
     @property
     def inputs(self) -> tuple[int, ...]:
@@ -176,6 +179,7 @@ def described_controller(row: ControllerRow) -> NativeController:
         row.init or 0,
         row.reset or 0,
         row.step or 0,
+        row.step_without_telemetry,
     )
     require_consistent(controller, row)
     require_measured(controller, row)

@@ -46,7 +46,8 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
 
     Raises:
         ConfigError: It cannot be loaded, describes no controller, or one of its controllers keeps numbers outside of
-            its structure, is not reset, changes its parameters, or flies another command than u + u_n.
+            its structure, is not reset, changes its parameters, flies another command than u + u_n, or another one
+            without telemetry.
     """
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         copy = Path(folder) / f"{digest}.so"
@@ -63,6 +64,7 @@ def loaded_library(path: Path, content: bytes, digest: str) -> NativeLibrary:
             require_reset(controller)
             require_parameters_kept(controller)
             require_sum(controller)
+            require_same_without_telemetry(controller)
     except ConfigError as error:
         raise ConfigError("file", f"'{path}' {error.rule}") from None
     return NativeLibrary(str(path.resolve()), digest, controllers)
@@ -187,7 +189,9 @@ def flown_commands(controller: NativeController, flights: list[int]) -> list[byt
     return flown_with(controller, {flight: initial_memory(controller) for flight in flights})
 
 
-def flown_with(controller: NativeController, memories: dict[int, np.ndarray]) -> list[bytes]:
+def flown_with(
+    controller: NativeController, memories: dict[int, np.ndarray], address: int | None = None
+) -> list[bytes]:
     """Reset some flights and fly them in turn, sample by sample; return the bits of all commands of each flight.
 
     Signals oscillate, and grow from 1 to ``LARGEST_SIGNAL``, so that limits are met as well.
@@ -195,9 +199,10 @@ def flown_with(controller: NativeController, memories: dict[int, np.ndarray]) ->
     Args:
         controller: The controller.
         memories: The exchange of each flight, bytes, by the flight's number; in it the flights leave their state.
+        address: Address of the function that computes a sample; None: the step with telemetry.
     """
     reset = CALL(controller.reset)
-    step = CALL(controller.step)
+    step = CALL(address or controller.step)
     for memory in memories.values():
         reset(memory.ctypes.data)
     commands = {flight: bytearray() for flight in memories}
@@ -232,6 +237,23 @@ def require_sum(controller: NativeController) -> None:
             "give all three, and limit u, u_n or both so that their sum is within the limits"
         )
         raise ConfigError("", rule)
+
+
+def require_same_without_telemetry(controller: NativeController) -> None:
+    """Require that a trial flight without telemetry has the commands of the one with it.
+
+    Raises:
+        ConfigError: Its step takes no telemetry, and then gives other commands.
+    """
+    quiet = controller.step_without_telemetry
+    if quiet is None:
+        return
+    if flown_with(controller, {0: initial_memory(controller)}, quiet) != flown_commands(controller, [0]):
+        rule = (
+            "gives other commands where it gets NULL for its telemetry; let telemetry change nothing, or define no "
+            "DSSC_JAX_OPTIONAL_TELEMETRY"
+        )
+        raise ConfigError("", f"has a controller {controller.name} that {rule}")
 
 
 def trial_commands(controller: NativeController) -> np.ndarray:

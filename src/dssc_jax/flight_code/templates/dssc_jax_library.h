@@ -13,7 +13,16 @@
 #include <math.h>
 #include <stddef.h>
 
-#define DSSC_JAX_LIBRARY_VERSION 3u
+#define DSSC_JAX_LIBRARY_VERSION 4u
+
+/* Define this before the header is included if every NAME_step of the file takes NULL for its telemetry, and then computes
+ * none. Flights that show no telemetry are faster by its cost.
+ */
+#ifdef DSSC_JAX_OPTIONAL_TELEMETRY
+#define DSSC_JAX_WITHOUT_TELEMETRY(STEP) STEP
+#else
+#define DSSC_JAX_WITHOUT_TELEMETRY(STEP) NULL
+#endif
 
 typedef struct {
     const char *name;
@@ -46,6 +55,7 @@ typedef struct {
     void (*init)(void *exchange);
     void (*reset)(void *exchange);
     void (*step)(void *exchange);
+    void (*step_without_telemetry)(void *exchange); /* the same with NULL for the telemetry; NULL: the code takes none */
 } dssc_jax_controller;
 
 /* A row of the table of parameters. */
@@ -91,6 +101,11 @@ typedef struct {
     {                                                                                                    \
         NAME##_exchange *const x = (NAME##_exchange *)exchange;                                          \
         x->flag = NAME##_step(&x->controller, x->measurement, x->reference, &x->command, &x->telemetry); \
+    }                                                                                                    \
+    static inline void NAME##_step_without_telemetry(void *exchange)                                     \
+    {                                                                                                    \
+        NAME##_exchange *const x = (NAME##_exchange *)exchange;                                          \
+        x->flag = NAME##_step(&x->controller, x->measurement, x->reference, &x->command, NULL);          \
     }
 
 /* The description of a controller: its sample time, and its tables (arrays of dssc_jax_number; NULL, 0: none). */
@@ -112,7 +127,8 @@ typedef struct {
         offsetof(NAME##_exchange, command.u_p),                                                          \
         offsetof(NAME##_exchange, flag), PARAMETER_COUNT, PARAMETERS, TELEMETRY_COUNT, TELEMETRY,        \
         MEASURED_COUNT, MEASURED,                                                                        \
-        NAME##_init_exchange, NAME##_reset_exchange, NAME##_step_exchange}
+        NAME##_init_exchange, NAME##_reset_exchange, NAME##_step_exchange,                               \
+        DSSC_JAX_WITHOUT_TELEMETRY(NAME##_step_without_telemetry)}
 
 #define DSSC_JAX_COUNT(TABLE) (sizeof(TABLE) / sizeof((TABLE)[0]))
 

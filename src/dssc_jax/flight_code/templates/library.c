@@ -94,6 +94,7 @@ unsigned my_step(my_controller *controller, my_measurement measurement, my_refer
 }
 
 #ifdef DSSC_JAX_LIBRARY
+#define DSSC_JAX_OPTIONAL_TELEMETRY /* step takes NULL for telemetry; without this line it never gets NULL */
 #include "dssc_jax_library.h"
 DSSC_JAX_EXCHANGE(my)
 static const dssc_jax_number my_parameter_table[] = {

@@ -54,6 +54,9 @@ class LibraryGains(NamedTuple):
 class NativeCalls:
     """The functions of one controller of a library, as functions that lanes can call.
 
+    Telemetry may cost more than the commands, and most flights show none. Where the code allows it, a sample is
+    therefore two calls, of which a compiler drops the one whose results nobody reads.
+
     Args:
         library: The library.
         controller: The controller.
@@ -76,8 +79,14 @@ class NativeCalls:
         reset = provide_function(library, controller, "reset", controller.reset)
         step = provide_function(library, controller, "step", controller.step)
         self.reset = ForeignFunction(reset, size, parameters + words, words)
-        results = (*words, *commands, *telemetry, flag)
-        self.step = ForeignFunction(step, size, parameters + words + signals, results)
+        operands = parameters + words + signals
+        outputs = (*words, *commands, flag)
+        self.step = ForeignFunction(step, size, operands, outputs + telemetry)
+        self.step_without_telemetry: ForeignFunction | None = None
+        quiet = controller.step_without_telemetry
+        if quiet is not None:
+            symbol = provide_function(library, controller, "step_without_telemetry", quiet)
+            self.step_without_telemetry = ForeignFunction(symbol, size, operands, outputs)
         memory = np.append(initial_memory(controller), np.zeros(controller.real, np.uint8))
         self.begin = [memory[start : start + controller.real].view(word)[0] for start in starts]
 
@@ -95,6 +104,18 @@ class NativeCalls:
         if bits > 8 * jnp.result_type(float).itemsize:
             raise ConfigError("loop.precision", f"must be {bits}, the precision of {self.label}")
         return call(function, *operands)
+
+    def sample(self, *operands: Scalar) -> list[jax.Array]:
+        """The results of a sample: the words of the state, u, u_n, the flag, then the telemetry.
+
+        Raises:
+            ConfigError: The loop's precision lacks the type of the library's numbers.
+        """
+        results = self.called(self.step, *operands)
+        if self.step_without_telemetry is not None:
+            outputs = self.called(self.step_without_telemetry, *operands)
+            results[: len(outputs)] = outputs
+        return results
 
     @property
     def label(self) -> str:
@@ -119,10 +140,10 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
             rule = f"must be {controller.sample_time:g} s, a constant of {calls.label}, got {dt:g} s"
             raise ConfigError("loop.sample_time", rule)
         signals = (measurement.y, measurement.y_dot, *reference, *measurement.signals[: len(controller.measured)])
-        results = calls.called(calls.step, *calls.values(gains), *state, *signals)
+        results = calls.sample(*calls.values(gains), *state, *signals)
         words = tuple(results[: len(state)])
-        robust, nominal, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
-        return words, Command(robust, nominal), info(*reported)
+        robust, nominal, flag, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
+        return words, Command(robust, nominal), info(*reported, flag)
 
     return Controller(
         gains_type(controller, default_values(controller)),
