@@ -42,9 +42,21 @@ def test_a_kind_alone(capsys):
     assert "nominal.predictor_term" in shown
 
 
+def test_a_field_tells_the_kinds_that_have_it(capsys):
+    assert guarded(["info", "ground"]) == 0
+    shown = capsys.readouterr().out
+    assert '[plant] kind = "uav"' in shown
+    assert "ground.friction" in shown
+    assert "battery" not in shown
+    assert guarded(["info", "mu", "--json"]) == 0
+    described = json.loads(capsys.readouterr().out)
+    assert described.keys() == {"fields"}
+    assert described["fields"]["unmodelled"]["lag"]["mu"]["unit"] == "s"
+
+
 def test_what_info_refuses(capsys):
     assert guarded(["info", "sqare_root"]) == 2
-    assert "sqare_root: is no kind; did you mean 'square_root'?" in capsys.readouterr().err
+    assert "sqare_root: is no kind and no field; did you mean 'square_root'?" in capsys.readouterr().err
     assert guarded(["info", "sqare_root", "--json"]) == 2
     assert "did you mean 'square_root'?" in capsys.readouterr().err
 

@@ -207,6 +207,9 @@ def test_a_command_that_cannot_be_carried(compiled, tmp_path):
     assert pid.step(measurement, reference).command[2] == 0.5
     pid.memory.parameters.k_i = 0.0
     assert pid.transfer(measurement, reference, 0.4) == 4
+    at_rest = (0.12, 0.0), (0.12, 0.0, 0.0)
+    assert pid.transfer(*at_rest, 1e-11) == 0  # the command would be 0
+    assert pid.transfer(*at_rest, 1e-8) == 4
 
 
 def test_a_controller_without_state_says_that_it_cannot_transfer():

@@ -1,6 +1,6 @@
 """Every kind of model and part with its fields, from the registries and the parameter types."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum
 from typing import Any, NamedTuple, TypeAlias, TypedDict
 
@@ -76,15 +76,20 @@ def kinds() -> dict[str, dict[str, KindDescription]]:
 
 def description_of(entry: Entry) -> KindDescription:
     """The description of a kind."""
-    field_rows = {}
-    for name, *values in rows_of(entry):
-        field_rows[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
     return {
         "summary": entry.summary,
         "fields": [name for name, spec in field_specs(params_of(entry)).items() if not spec.derived],
         "options": options_of(entry),
-        "about": field_rows,
+        "about": columns_by_field(rows_of(entry)),
     }
+
+
+def columns_by_field(rows: Iterable[FieldRow]) -> dict[str, dict[str, str]]:
+    """Unit, meaning, admissible values and default of each field."""
+    columns = {}
+    for name, *values in rows:
+        columns[name] = dict(zip(KIND_COLUMNS[1:], values, strict=True))
+    return columns
 
 
 def options_of(entry: Entry) -> dict[str, list[str]]:
@@ -187,24 +192,43 @@ def entries_named(name: str) -> dict[str, Entry]:
         name: Its name, or that of a user's own model, ``module:OBJECT``, which is imported.
 
     Raises:
-        ConfigError: there is none, and neither a law nor a metric.
+        ConfigError: there is none, and neither a law, a metric nor a field.
     """
     if ":" in name:
         return {"your own": entry_of(imported(name, name), name)}
     by_table = registries()
     entries = {slot: registry[name] for slot, registry in by_table.items() if name in registry}
-    if not entries and name not in LAWS and name not in KNOWN:
+    if not entries and name not in LAWS and name not in KNOWN and not fields_named(name):
         valid = {kind for registry in by_table.values() for kind in registry} | LAWS.keys() | KNOWN.keys()
-        raise ConfigError(name, f"is no kind; {nearest(name, valid)}")
+        for registry in by_table.values():
+            for entry in registry.values():
+                valid |= {row[0] for row in rows_of(entry) if "." not in row[0]}
+        raise ConfigError(name, f"is no kind and no field; {nearest(name, valid)}")
     return entries
 
 
+def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
+    """The rows of a field, or of a table within one, of every kind that has it, by table and kind."""
+    found: dict[tuple[str, str], list[FieldRow]] = {}
+    for slot, registry in registries().items():
+        for kind, entry in registry.items():
+            rows = [row for row in rows_of(entry) if row[0] == name or row[0].startswith(f"{name}.")]
+            if rows:
+                found[slot, kind] = rows
+    return found
+
+
 def described_name(name: str) -> dict[str, Any]:
-    """The kinds of a name by table, a law and a metric, for JSON; arguments and errors as of :func:`entries_named`."""
+    """What :func:`show_kind` prints of a name, for JSON; arguments and errors as of :func:`entries_named`."""
     described: dict[str, Any] = {}
     kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
     if kinds_by_table:
         described["kinds"] = kinds_by_table
+    fields_by_kind: dict[str, dict[str, dict[str, dict[str, str]]]] = {}
+    for (slot, kind), rows in fields_named(name).items():
+        fields_by_kind.setdefault(slot, {})[kind] = columns_by_field(rows)
+    if fields_by_kind:
+        described["fields"] = fields_by_kind
     if name in LAWS:
         described["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
     if name in KNOWN:
@@ -218,7 +242,10 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print the fields of the kinds of a name, a law, or a metric; arguments and errors as of :func:`entries_named`."""
+    """Print the fields of the kinds of a name, a law, a metric, or a field with the kinds that have it.
+
+    Arguments and errors are those of :func:`entries_named`.
+    """
     entries = entries_named(name)
     if name in LAWS:
         law = LAWS[name]
@@ -227,8 +254,14 @@ def show_kind(name: str) -> None:
         metric = KNOWN[name]
         output().print(f"metric {name} [{metric.unit}]: {metric.meaning}, of each {metric.scope.value}", markup=False)
     for slot, entry in entries.items():
-        output().print(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', markup=False)
-        rows = rows_of(entry)
-        show_table(KIND_COLUMNS, rows)
-        if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
-            output().print("y and u are the units of the plant's output and of its command", markup=False)
+        show_rows(f'[{HEADS.get(slot, slot)}] kind = "{name}": {entry.summary}', rows_of(entry))
+    for (slot, kind), rows in fields_named(name).items():
+        show_rows(f'[{HEADS.get(slot, slot)}] kind = "{kind}"', rows)
+
+
+def show_rows(title: str, rows: Sequence[FieldRow]) -> None:
+    """Print fields under a title."""
+    output().print(title, markup=False)
+    show_table(KIND_COLUMNS, rows)
+    if any(UNNAMED_UNITS.of(row[1]) != POSITION.of(row[1]) for row in rows):
+        output().print("y and u are the units of the plant's output and of its command", markup=False)

@@ -102,6 +102,11 @@ class SampledController:
         """The type of its numbers in C."""
         return c_type(self.real)
 
+    @property
+    def smallest_difference(self) -> np.floating:
+        """The difference of two commands near 0, in the command's unit, up to which they count as equal."""
+        return self.real.type(1e-6 if self.precision == 32 else 1e-9)
+
 
 @dataclass(frozen=True)
 class FlightCode:

@@ -93,7 +93,12 @@ def transfer_declaration(controller: SampledController) -> str:
     """The function for a bumpless start, or why there is none."""
     if controller.transfer is None:
         return f"/* No {controller.prefix}_transfer: the controller has no state that could carry a command. */"
-    return fill("transfer.h", name=controller.prefix, real=controller.c_real)
+    return fill(
+        "transfer.h",
+        name=controller.prefix,
+        real=controller.c_real,
+        smallest=f"{controller.smallest_difference:g}",
+    )
 
 
 def readme_text(code: FlightCode, monitor: Iterable[str] = ()) -> str:

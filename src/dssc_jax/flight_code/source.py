@@ -166,5 +166,6 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         results_finite=finite([*updated, *COMPUTED]),
         fabs=absolute_value(controller.real),
         tolerance=c_literal(tolerance, controller.real),
+        smallest=c_literal(controller.smallest_difference, controller.real),
     )
     return function

@@ -39,7 +39,7 @@ def study_of(**battery):
 @pytest.mark.parametrize("power", [0.0, 50.0, 2000.0])
 def test_voltage_and_current_obey_the_circuit(charge, power):
     battery = Battery(**BATTERY)
-    rest = max(19.8 + 5.4 * charge, 0.0)
+    rest = 19.8 + 5.4 * charge if charge > 0.0 else 0.0
     voltage, current = (float(value) for value in supply(battery, charge, power))
 
     def balance(r):
@@ -71,10 +71,18 @@ def test_a_flight_takes_the_charge_that_its_rotors_need():
     assert speeds.mean() == pytest.approx(hovering, rel=0.01)
 
 
-def test_an_empty_battery_lets_the_vehicle_sink():
-    flight = dj.simulate(study_of(capacity=100.0))
-    assert float(flight["battery_charge"].min()) < 0.0
-    assert float(flight["z_e"].min()) < -0.5
+def test_with_an_empty_battery_the_vehicle_falls():
+    """From the sample on at which no charge is left, the height is that of a free fall."""
+    flight = dj.simulate(study_of(capacity=250.0))
+    charge = flight["battery_charge"].values
+    empty = int(np.argmax(charge <= 0.0))
+    assert 0 < empty < len(charge) - 150
+    np.testing.assert_array_equal(charge[empty:], charge[empty])
+    assert charge[empty] > -0.01
+    np.testing.assert_array_equal(flight["rotor_voltage"][empty:], 0.0)
+    first = empty + 50  # rotors have a lag
+    fall = flight["z_y_dot"].values[first : first + 100] - flight["z_y_dot"].values[first]
+    np.testing.assert_allclose(fall, -9.81 * 0.01 * np.arange(100), rtol=0.02)  # and some drag
 
 
 def test_what_a_battery_excludes():

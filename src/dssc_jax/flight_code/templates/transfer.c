@@ -16,5 +16,5 @@ unsigned @{name}_transfer(
     controller->last = computed;
     controller->started = true;
     const @{real} size = @{fabs}(computed.u) + @{fabs}(computed.u_n) + @{fabs}(command);
-    return @{fabs}(computed.u_p - command) <= @{tolerance} * size ? 0u : 4u;
+    return @{fabs}(computed.u_p - command) <= @{tolerance} * size + @{smallest} ? 0u : 4u;
 }

@@ -3,7 +3,7 @@
 At the share s of its charge Q the battery at rest has the voltage V_0 = V_e + (V_f - V_e) s, and V = V_0 - R I under
 the current I. The speeds w_i that are commanded are those at the full voltage V_f; the rotors turn at r w_i, r = V/V_f.
 They take the power V I = r^3 P, P = sum of c_tau,i k_T,i w_i^3/eta. Therefore R P r^2/V_f + V_f r - V_0 = 0, and
-s' = -I/Q.
+s' = -I/Q. A battery without charge gives no voltage and no current.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from dssc_jax.models.uav.vehicle import Vehicle
 
 
 class Battery(NamedTuple):
-    """A battery whose voltage at rest is linear in its charge. Below no charge the line goes on, down to 0 V."""
+    """A battery whose voltage at rest is linear in its charge, and 0 V without charge."""
 
     capacity: Annotated[Scalar, Quantity("A s", "charge Q of the full battery; 1 A h is 3600 A s", above=0.0)]
     resistance: Annotated[Scalar, Quantity("ohm", "internal resistance R, with cables", at_least=0.0)]
@@ -62,7 +62,7 @@ def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
         power: Power P that the rotors would take at full voltage [W].
     """
     full = battery.full_voltage
-    open_circuit = jnp.maximum(battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
+    open_circuit = jnp.where(charge > 0.0, battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
     load = battery.resistance * power / full
     voltage = 2.0 * open_circuit / (full + jnp.sqrt(full * full + 4.0 * load * open_circuit))
     return Supply(voltage, power * voltage * voltage / full)
