@@ -62,6 +62,7 @@ def test_what_leaves_the_factor_open():
 
 def test_units_are_named_and_refuse_a_fit():
     assert unit_text(3.281, "m") == "times 3.281 (feet in place of metres)"
+    assert unit_text(3.594, "m") == "times 3.6 (km/h in place of m/s)"
     assert unit_text(1.03, "m") == unit_text(57.3, "m") == ""
     for y_scale, rate_scale, told in (
         (3.28084, 1.0, "y is the integral of y_dot times 3.281"),

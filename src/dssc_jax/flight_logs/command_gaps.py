@@ -160,9 +160,22 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)
 
 
+def largest_jump(command: np.ndarray) -> float:
+    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
+    known = np.flatnonzero(np.isfinite(command))
+    changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
+    return float(changes.max(initial=0.0))
+
+
 def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
-    """The commands that are held over large changes."""
+    """The commands that are held over large changes, and the outputs that are held."""
     found = []
+    for name, interval in log.slow.items():
+        text = (
+            f"{name} is held for {interval:.3g} s at a time, and is taken where it changes. Leave repeated cells "
+            "empty, or log the time of each measurement"
+        )
+        found.append(Doubt(name, text))
     for name, jump in log.jumps.items():
         text = (
             f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "

@@ -90,11 +90,16 @@ class Fitted:
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, level: float = 0.9) -> np.ndarray:
-        """Two-sided confidence intervals, shape (n, 2)."""
+        """Two-sided confidence intervals within what is admissible, shape (n, 2)."""
         half_width = special.ndtri(0.5 + 0.5 * level) * self.deviations
         ends = np.stack([self.scaled - half_width, self.scaled + half_width], axis=1)
-        laws = [self.study.laws[name] for name in self.names]
-        return np.array([from_fit_scale(law, pair) for law, pair in zip(laws, ends, strict=True)])
+        intervals = []
+        for name, pair in zip(self.names, ends, strict=True):
+            quantity = self.study.numbers[name].quantity
+            lowest = max(bound for bound in (quantity.above, quantity.at_least, -math.inf) if bound is not None)
+            highest = min(bound for bound in (quantity.below, quantity.at_most, math.inf) if bound is not None)
+            intervals.append(np.clip(from_fit_scale(self.study.laws[name], pair), lowest, highest))
+        return np.array(intervals)
 
     def law(self, name: str) -> Law:
         """The proposed law of a number: normal, within its admissible range, or log-normal."""

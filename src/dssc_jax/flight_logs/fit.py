@@ -23,6 +23,7 @@ from dssc_jax.flight_logs.command_gaps import (
     compared_commands,
     held_doubts,
     is_rare,
+    largest_jump,
     reconstructions,
     with_commands,
 )
@@ -30,6 +31,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
+from dssc_jax.flight_logs.held_outputs import readings_alone, usual_hold
 from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -40,6 +42,7 @@ from dssc_jax.flight_logs.least_squares import (
     averaged_covariance,
     find_minima,
 )
+from dssc_jax.flight_logs.outliers import outlier_doubts
 from dssc_jax.flight_logs.prediction import RANDOM, Prediction, prediction
 from dssc_jax.flight_logs.reader import (
     FlightLog,
@@ -57,6 +60,7 @@ from dssc_jax.flight_logs.refusals import (
     NotIdentifiable,
     Unexplained,
     doubts,
+    noise_doubts,
     require_description,
     require_identifiable,
     require_unique_minimum,
@@ -217,12 +221,17 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     needed = []  # signals whose gaps falsify a command
     held: dict[str, int] = {}
     jumps: dict[str, float] = {}
+    slow: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
         signals = channel_signals(study, log, row, references[row, 0])
         if "y" in signals:
             column = log.columns[signal_name(channel, "y")]
             offsets[row] = nearest_offsets(column, log.start, loop.sample_time, samples)
             outputs[row] = np.where(np.isfinite(offsets[row]), signals["y"], np.nan)
+            hold = usual_hold(outputs[row])
+            if hold > 1:
+                outputs[row] = readings_alone(outputs[row])
+                slow[signal_name(channel, "y")] = hold * loop.sample_time
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             commands[row] = command
@@ -260,14 +269,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         taken.text,
         reading_noise(study, outputs),
         tuple(others),
+        slow,
     )
-
-
-def largest_jump(command: np.ndarray) -> float:
-    """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
-    known = np.flatnonzero(np.isfinite(command))
-    changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
-    return float(changes.max(initial=0.0))
 
 
 def wind_doubts(study: Study) -> tuple[Doubt, ...]:
@@ -337,7 +340,8 @@ def fitted_minimum(
     try:
         results = require_description(problem, x)
     except Unexplained as refusal:
-        reasons = "".join(f". {doubt.text}" for doubt in delay_doubts(problem, search.best))
+        found = (*outlier_doubts(problem, x), *delay_doubts(problem, search.best))
+        reasons = "".join(f". {doubt.text}" for doubt in found)
         raise Unexplained(f"{refusal}{reasons}") from None
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
@@ -354,6 +358,8 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.because(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
+    outlying = outlier_doubts(problem, x)
+    explained = {doubt.signal for doubt in outlying}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
     for rival in search.rivals:
@@ -379,6 +385,8 @@ def fitted_minimum(
         problem.count.reason,
         (
             *doubts(problem, x, results),
+            *outlying,
+            *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in explained),
             *late,
             *held_doubts(problem.log),
             *rare,

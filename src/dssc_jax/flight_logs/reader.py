@@ -34,7 +34,7 @@ from dssc_jax.flight_logs.ulog import (
     topic_place,
 )
 from dssc_jax.study import Study
-from dssc_jax.study.recorded import recorded_frame
+from dssc_jax.study.recorded import numbers_of, recorded_frame
 
 LOGGED = ("y", "y_dot", "y_ref", "y_ref_dot", "y_ref_ddot", "u_total")
 """Signals of a channel that a log may have, by their names in trajectories."""
@@ -212,8 +212,10 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
     try:
         time = columns.time.scale * frame[columns.time.column].to_numpy(float)
         found = {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
-    except (TypeError, ValueError) as error:
-        raise ConfigError("signals", f"its columns must hold numbers: {error}") from error
+    except (TypeError, ValueError):
+        for signal, name in {"time": columns.time.column, **names}.items():
+            numbers_of(frame[name], path, signal)
+        raise
     return LogColumns(found)
 
 

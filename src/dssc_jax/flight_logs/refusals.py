@@ -24,6 +24,7 @@ EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
 MANY_TIMES = 3.0  # what noise explains of a residual: above, the residual is doubted
 LEAST_DOUBTED = 1e-5  # of the output's variance left unexplained, in a residual that is doubted
 REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
+NOISIER = 3.0  # than the study's sensor: a residual with as much noise is doubted
 NOISE_REPLICATES = 16  # of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
 SMALL_COEFFICIENT = 0.1  # of a number in a combination that a message names
@@ -156,19 +157,41 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
     """The residuals that are many times what noise explains, by channel, with the remedy."""
     found = []
-    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+    for place, result in enumerate(results):
         if not result.doubtful:
             continue
-        channel = problem.study.loop.channels[readings.channel]
-        unit = problem.study.units[readings.channel].output
+        name, unit = reading_name(problem, place)
         text = (
-            f"the residual of {signal_name(channel, 'y')} is {result.residual:.3g} {unit} rms, "
+            f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
             f"the study lacks something of this flight, or the log is not what the study takes it for. {REMEDY}"
             f"{converted_text(problem, x, place)}"
         )
-        found.append(Doubt(signal_name(channel, "y"), text))
+        found.append(Doubt(name, text))
     return tuple(found)
+
+
+def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
+    """The readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    found = []
+    for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
+        sensor = math.sqrt(readings.sensor)
+        if sensor == 0.0 or result.doubtful or result.noise <= NOISIER * sensor:
+            continue
+        name, unit = reading_name(problem, place)
+        text = (
+            f"the readings of {name} have a noise of {result.noise:.3g} {unit}, {result.noise / sensor:.3g} times that "
+            f"of the study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
+            f"{converted_text(problem, x, place)}"
+        )
+        found.append(Doubt(name, text))
+    return tuple(found)
+
+
+def reading_name(problem: FitProblem, place: int) -> tuple[str, str]:
+    """The signal of readings, by their position, and its unit."""
+    channel = problem.readings[place].channel
+    return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
 
 
 def require_explained(channel: str, unit: str, result: Explained, hint: str = "") -> None:

@@ -1,5 +1,7 @@
 """A log at the samples of a study."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -28,3 +30,4 @@ class SampledLog(NamedTuple):
     between: str = ""  # what commands do between two logged values
     sensor_noise: tuple[float, ...] = ()  # standard deviation of what the study's sensor adds to a reading, by channel
     others: tuple[Reconstruction, ...] = ()  # commands that may have flown instead
+    slow: Mapping[str, float] = MappingProxyType({})  # outputs that are held, with the time between readings

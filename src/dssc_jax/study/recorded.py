@@ -225,6 +225,13 @@ def require_few_columns(path: Path, count: int) -> None:
         raise ConfigError("file", f"'{path}' has {count} columns, more than a record can have ({MOST_COLUMNS})")
 
 
+def require_different_columns(path: Path, names: list[str]) -> None:
+    """Require that no two columns of a file share a name; raises ConfigError."""
+    for position, name in enumerate(names):
+        if name and name in names[:position]:
+            raise ConfigError("file", f"'{path}' has two columns '{name}'; rename one of them, or leave it out")
+
+
 def recorded_frame(path: Path) -> Any:
     """The table of a CSV or Parquet file, as a data frame of pandas.
 
@@ -244,7 +251,9 @@ def recorded_frame(path: Path) -> Any:
             require_few_columns(path, parquet_columns(content))
             return pd.read_parquet(io.BytesIO(content))
         form = csv_form(path, content)
-        require_few_columns(path, csv_header(content).count(form.separator.encode()) + 1)
+        header = csv_header(content).decode(errors="replace").split(form.separator)
+        require_few_columns(path, len(header))
+        require_different_columns(path, [name.strip().strip('"') for name in header])
         table = io.BytesIO(NO_NUMBERS.sub(b"", whole_rows(path, content, form)))
         return pd.read_csv(table, sep=form.separator, decimal=form.decimal, skipinitialspace=True, comment="#")
     except ImportError as error:

@@ -1,0 +1,94 @@
+"""Readings that a fit's residual cannot have by noise: single ones beside their neighbours, and jumps that last."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dssc_jax.flight_logs.integrals import usual_size
+from dssc_jax.flight_logs.least_squares import FitProblem
+from dssc_jax.flight_logs.reader import signal_name
+from dssc_jax.flight_logs.refusals import Doubt
+
+OUTSTANDING = 12.0  # of the usual change from one reading to the next: a larger one is no noise
+MOST_SHARE = 0.02  # of the changes that may stand out: more of them are the study's or the noise's way
+MOST_CHANGES = 4  # that may stand out in a short log
+CLOSE = 1.5  # of the usual time between readings: over a longer one, a change says nothing
+ALONE = 0.3  # of a change: its neighbours are smaller, and an opposite one is as near to it
+NAMED = 3  # readings that a message names
+
+
+class Outlier(NamedTuple):
+    """A change of the residual that stands out.
+
+    Args:
+        time: Time of the reading [s].
+        size: The change, in the output's unit.
+        lasts: Whether the readings after it have it, too.
+    """
+
+    time: float
+    size: float
+    lasts: bool
+
+    def text(self, unit: str) -> str:
+        """Size and time."""
+        return f"by {self.size:.3g} {unit} at {self.time:.4g} s"
+
+
+def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Outlier]:
+    """The changes of a residual that stand out, in order of time; none where there are many.
+
+    Args:
+        times: Of the readings [s], shape (n,).
+        residual: Readings less prediction, shape (n,).
+        sensor: Standard deviation of the noise that the study's sensor adds to a reading.
+    """
+    gaps = np.diff(times)
+    changes = np.diff(residual)
+    if len(changes) < 3:
+        return []
+    usual = max(usual_size(changes - np.median(changes)), np.sqrt(2.0) * sensor)
+    large = (np.abs(changes) > OUTSTANDING * usual) & (gaps <= CLOSE * np.median(gaps))
+    rows = np.flatnonzero(large)
+    if usual == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
+        return []
+    beside = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
+    found = []
+    counted = -1
+    for row in rows.tolist():
+        if row <= counted:
+            continue
+        before, size, following, second = beside[row : row + 4]
+        returns = abs(size + following) < ALONE * abs(size)
+        after = second if returns else following
+        if max(abs(before), abs(after)) < ALONE * abs(size):
+            found.append(Outlier(float(times[row + 1]), float(size), not returns))
+            counted = row + 1 if returns else row
+    return found
+
+
+def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
+    """The readings that stand out of the residual at coordinates x, by channel, with the remedy."""
+    found = []
+    for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
+        name = signal_name(problem.study.loop.channels[readings.channel], "y")
+        unit = problem.study.units[readings.channel].output
+        seen = outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor)))
+        single = [outlier for outlier in seen if not outlier.lasts]
+        jumps = [outlier for outlier in seen if outlier.lasts]
+        if single:
+            text = f"single readings of {name} stand out {listed(single, unit)} of the study. Leave such cells empty"
+            found.append(Doubt(name, text))
+        if jumps:
+            text = (
+                f"{name} jumps {listed(jumps, unit)} of the study, and what is predicted does not: a reset of the "
+                "estimator, or two flights in one log. Fit the part before or after"
+            )
+            found.append(Doubt(name, text))
+    return tuple(found)
+
+
+def listed(seen: list[Outlier], unit: str) -> str:
+    """Sizes and times of the first outliers, and the number of the others."""
+    further = f" and at {len(seen) - NAMED} more times" if len(seen) > NAMED else ""
+    return ", ".join(outlier.text(unit) for outlier in seen[:NAMED]) + further
