@@ -12,6 +12,7 @@ from dssc_jax.flight_logs.conversions import (
     factor_text,
     followed_conversion,
     likeness,
+    multiple_of,
     reference_conversion,
     reference_shift,
 )
@@ -55,6 +56,29 @@ def test_multiples_are_named(factor, unit, words):
     logged = factor * SINE
     logged[10:40] = np.nan
     assert conversion_text(logged, SINE, 0.01, unit) == words
+
+
+@pytest.mark.parametrize(("factor", "told"), [(2.0, 2.0), (1.08, 1.08), (-0.5, -0.5), (1.01, 1.0), (1e200, 1e200)])
+def test_a_multiple_of_the_replayed_command_is_told(factor, told):
+    logged = factor * SINE
+    logged[10:40] = np.nan
+    assert multiple_of(logged, SINE) == pytest.approx(told, rel=1e-9)
+    disturbed = logged + 0.1 * factor * np.cos(np.pi * TIME)
+    assert multiple_of(disturbed, SINE) == multiple_of(0.0 * logged, SINE) == multiple_of(logged, 0.0 * SINE) == 1.0
+    assert multiple_of(np.full(400, np.nan), SINE) == 1.0
+
+
+def test_a_fit_of_doubled_commands_is_warned(flight):
+    """The gain would be half: nothing but the analysed controller knows better."""
+    log = with_reference(log_of(flight[1]), SINE)
+    slopes = {"y_dot": np.gradient(flight[1], DT), "y_ref_dot": np.gradient(SINE, DT)}
+    log = log._replace(columns=log.columns | {name: Column(TIME, values) for name, values in slopes.items()})
+    study = linear()
+    command = replay_log(study, log).commands["u_total"]
+    for factor in (1.0, 2.0):
+        doubled = log._replace(columns=log.columns | {"u_total": Column(TIME, factor * command)})
+        told = replay_log(study, doubled).hints.all().get("u_total", "")
+        assert told.startswith("is 2 times what the analysed controller gives") == (factor == 2.0)
 
 
 @pytest.mark.parametrize(

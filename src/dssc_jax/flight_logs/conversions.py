@@ -47,6 +47,7 @@ CONVERSIONS = (
 )
 OF_RATES = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Those of a rate beside its output, which are told from each other even where they are near."""
+LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
@@ -88,6 +89,24 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
             smallest = distance
             best = conversion.text(unit)
     return best
+
+
+def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
+    """The factor by which a logged signal is the expected one at all times; 1 if it is another signal, or the same.
+
+    Args:
+        logged: Values, NaN where missing, shape (samples,).
+        expected: Values at the same times.
+    """
+    known = np.isfinite(logged) & np.isfinite(expected)
+    sizes = rms(logged[known]), rms(expected[known])
+    if not 0.0 < min(sizes) <= max(sizes) < np.inf:
+        return 1.0
+    seen, wanted = logged[known] / sizes[0], expected[known] / sizes[1]
+    correlation = float(seen @ wanted) / len(seen)
+    factor = correlation * (sizes[0] / sizes[1])
+    other = rms(seen - correlation * wanted) > SAME_REFERENCE
+    return 1.0 if other or abs(factor - 1.0) <= LEAST_FACTOR else factor
 
 
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
@@ -240,7 +259,8 @@ class LogHints(NamedTuple):
         starts: Numbers at which the study starts while the flight cannot have.
         attitudes: Numbers of the attitude at which the study starts while the log has another.
         estimator: Counters of resets of the estimator, and flags that call its values invalid.
-        factors: Outputs that are not the integrals of their derivatives, by a factor that names no unit.
+        factors: Outputs that are not the integrals of their derivatives, and commands that are not the controller's,
+            by a factor that names no unit.
         jumps: Outputs that jump while their derivatives do not.
     """
 

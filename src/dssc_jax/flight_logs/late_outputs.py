@@ -32,6 +32,7 @@ MOST_SHIFTS = 25  # on either side
 LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
+EXPLAINED = 0.97  # of the residual without a shift: what is left of one that a shift explains
 MOST_LEFT = 0.7  # of the sum of squares that a shift may leave to be told without a fit
 
 
@@ -76,6 +77,11 @@ class LateOutput(NamedTuple):
         """Whether the outputs are at other times for sure, and the estimates depend on it."""
         moved = max(map(abs, self.moves.values())) > LARGE_MOVE
         return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and moved
+
+    @property
+    def explains(self) -> bool:
+        """Whether the residual of any of them falls clearly."""
+        return any(late < EXPLAINED * early for early, late in zip(self.unshifted, self.shifted, strict=True))
 
 
 class ShiftedProblems:
@@ -293,7 +299,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
     if problem.count.reason:
         return screened_doubts(problem, minimum)
     found = late_output(problem, minimum)
-    if found is None or not found.matters(study.loop.sample_time):
+    if found is None or not found.matters(study.loop.sample_time) or not found.explains:
         return ()
     names = [signal_name(study.loop.channels[channel], "y") for channel in found.channels]
     sizes = []
