@@ -39,6 +39,15 @@ def test_signals_without_a_rate_or_a_change_have_no_gap():
     assert len(gaps_of(without(TIME, steps, 5.5, 6.5), 0.0, 10.0)) == 1
 
 
+def test_a_moving_signal_has_a_gap_even_where_it_comes_back_to_its_value():
+    middle = 0.5 * (TIME[TIME <= 4.7][-1] + TIME[TIME >= 5.3][0])
+    wave = np.cos(TIME - middle)
+    column = without(TIME, wave, 4.7, 5.3)
+    before, after = column.value[column.time <= 4.7][-1], column.value[column.time >= 5.3][0]
+    assert abs(after - before) < 1e-3 * np.ptp(wave)
+    assert len(gaps_of(column, 0.0, 10.0)) == 1
+
+
 def test_a_late_begin_and_an_early_end_are_gaps():
     (begin, end), (last, until) = gaps_of(Column(TIME[50:400], SINE[50:400]), 0.0, 9.9)
     assert (begin, until) == (0.0, 9.9)

@@ -78,6 +78,18 @@ def test_units_are_named_and_refuse_a_fit():
         )
 
 
+def test_a_sine_with_the_opposite_sign_is_not_called_exchanged():
+    """Without its scale, a sine with the opposite sign and one that is exchanged with its slope are the same."""
+    y, rate = np.sin(2.0 * TIME), 2.0 * np.cos(2.0 * TIME)
+    for columns, told in (
+        ((-y, rate), "is the integral of y_dot with the opposite sign"),
+        ((rate, y), "looks exchanged"),
+    ):
+        named = {name: Column(TIME, values) for name, values in zip(("y", "y_dot"), columns, strict=True)}
+        hints = replay_log(linear(), FlightLog("flight", named, 0.0), commands=False).hints
+        assert hints.conversions["y"].startswith(told)
+
+
 def test_a_clock_that_runs_too_fast_is_told():
     y, rate = flight(clock=1.03)
     hints = replay_log(linear(), FlightLog("flight", {"y": y, "y_dot": rate}, 0.0), commands=False).hints

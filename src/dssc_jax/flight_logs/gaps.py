@@ -12,7 +12,8 @@ from dssc_jax.flight_logs.reader import Column, FlightLog
 
 MISSING = 4  # messages in succession that are missing in a gap
 REGULAR = 2.5  # of the median gap: a signal has a rate if nine in ten gaps are shorter
-UNCHANGED = 1e-3  # of a signal's range: a signal with the same value before and after may not have been sent
+UNCHANGED = 1e-3  # of a signal's range: a signal that rests before and after, at one value, may not have been sent
+BESIDE = 5  # messages on either side that tell whether it rests
 NAMED = 3  # gaps that a message names
 
 
@@ -43,10 +44,14 @@ def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float
         return []
     bounds = np.concatenate([[begin], time, [end]])
     places = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual)
-    held = np.concatenate([[np.nan], value, [np.nan]])  # beyond the messages the change is not known
-    change = np.abs(held[places + 1] - held[places])
-    lacking = ~(change <= UNCHANGED * np.ptp(value))
-    return [(float(bounds[place]), float(bounds[place + 1])) for place in places[lacking]]
+    least = UNCHANGED * np.ptp(value)
+    found: list[tuple[float, float]] = []
+    for place in places.tolist():
+        around = value[max(place - BESIDE, 0) : place + BESIDE]
+        within = 0 < place < len(time)  # beyond the messages the change is not known
+        if not within or not np.ptp(around) <= least:
+            found.append((float(bounds[place]), float(bounds[place + 1])))
+    return found
 
 
 def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, ...]:

@@ -177,7 +177,9 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
         if channel in loop.plant.angles or not {y, rate} <= set(log.columns):
             continue
-        if are_exchanged(log.columns[y], log.columns[rate], log.start, end):
+        factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
+        opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
+        if not opposite and are_exchanged(log.columns[y], log.columns[rate], log.start, end):
             found.units[y] = f"looks exchanged with {rate}, which is its integral"
             continue
         jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
@@ -188,7 +190,6 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
                 "not count, or two flights in one log. Take the part before or after"
             )
             continue
-        factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
         if factor is None or not factor.differs:
             continue
         said = unit_text(factor.value, unit.output)
