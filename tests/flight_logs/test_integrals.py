@@ -90,6 +90,19 @@ def test_a_sine_with_the_opposite_sign_is_not_called_exchanged():
         assert hints.conversions["y"].startswith(told)
 
 
+def test_a_copy_of_the_reference_is_told():
+    """Of an output, or of its rate; a reference that rests is the output of a vehicle that rests."""
+    y, rate = flight()
+    for name in ("y", "y_dot"):
+        logged = {"y": y, "y_dot": rate}
+        log = FlightLog("flight", logged | {name.replace("y", "y_ref"): logged[name]}, 0.0)
+        hints = replay_log(linear(), log, commands=False).hints
+        assert hints.conversions[name] == f"is a copy of {name.replace('y', 'y_ref')}, number by number"
+    rest = Column(TIME, np.ones(400))
+    log = FlightLog("flight", {"y": rest, "y_ref": rest}, 0.0)
+    assert "copy" not in str(replay_log(linear(), log, commands=False).hints)
+
+
 def test_a_clock_that_runs_too_fast_is_told():
     y, rate = flight(clock=1.03)
     hints = replay_log(linear(), FlightLog("flight", {"y": y, "y_dot": rate}, 0.0), commands=False).hints

@@ -57,6 +57,11 @@ def test_new_flights_lie_in_the_band(found, logs):
     assert outside == FLIGHTS - answer.rank
 
 
+def test_a_flight_that_is_given_twice_is_refused(study, logs):
+    with pytest.raises(dj.ConfigError, match="'flight 3' and 'copy' hold the same flight"):
+        dj.next_flight(study, [*logs[:5], logs[3]._replace(name="copy")])
+
+
 def test_limits_of_metrics(study, found, logs):
     reference = study_references(study, SAMPLES)[0, 0]
     errors = np.array([np.abs(log.columns["y"].value - reference).max() for log in logs[:FLIGHTS]])
@@ -152,6 +157,12 @@ def test_the_command_line(tmp_path, monkeypatch, capsys, logs):
     told = capsys.readouterr().out
     assert "the next flight departs by at most" in told
     assert "flights that refute the study" in told
+    assert "are compared up to there only" not in told
+    columns = {"t": logs[5].columns["y"].time, **{name: column.value for name, column in logs[5].columns.items()}}
+    pd.DataFrame(columns)[: SAMPLES // 2].to_csv(tmp_path / "short.csv", index=False)
+    shortened = ["compare-log", "s.toml", *names, "short.csv", "--probability", "0.8", "--out", "m"]
+    assert guarded(shortened) == 0
+    assert "short.csv ends after 1.49 s, and all flights are compared up to there only" in capsys.readouterr().err
     assert guarded(["report", "n"]) == 0
     assert "What logged flights say of the next one" in (tmp_path / "n" / "report.html").read_text()
     capsys.readouterr()

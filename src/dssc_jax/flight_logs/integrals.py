@@ -163,19 +163,32 @@ class IntegralHints(NamedTuple):
     jumps: dict[str, str]
 
 
-def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
-    """The outputs that are not the integrals of their logged derivatives.
+def are_copies(one: Column | None, another: Column | None) -> bool:
+    """Whether two columns that are logged, and that move, hold the same numbers."""
+    if one is None or another is None:
+        return False
+    known = one.value[np.isfinite(one.value)]
+    return known.size > 1 and bool(np.ptp(known) > 0.0) and np.array_equal(one.value, another.value, equal_nan=True)
 
-    Angles are left out, which are logged in one turn, and logs with jumps of an estimator.
+
+def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
+    """The outputs that are copies of their references, or not the integrals of their logged derivatives.
+
+    Of the integrals, angles are left out, which are logged in one turn, and logs with jumps of an estimator.
     """
     found = IntegralHints({}, {}, {})
     loop = study.loop
+    for channel in loop.channels:
+        for quantity in ("y", "y_dot"):
+            name, reference = signal_name(channel, quantity), signal_name(channel, quantity.replace("y", "y_ref"))
+            if are_copies(log.columns.get(name), log.columns.get(reference)):
+                found.units[name] = f"is a copy of {reference}, number by number"
     end = log.start + loop.sample_time * (loop.steps - 1)
     if any(log.start < reset.time <= end and not reset.is_taken_out for reset in log.resets):
         return found
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
-        if channel in loop.plant.angles or not {y, rate} <= set(log.columns):
+        if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(found.units):
             continue
         factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
         opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is

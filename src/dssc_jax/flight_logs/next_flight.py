@@ -217,13 +217,14 @@ def next_flight(
         progress: Called with the draws done.
 
     Raises:
-        ConfigError: An argument is out of range, draws are not independent or too few, or the logs have no signal in
-            common that differs between the draws.
+        ConfigError: An argument is out of range, two logs hold the same flight, draws are not independent or too few,
+            or the logs have no signal in common that differs between the draws.
     """
     if not 0.0 < probability < 1.0:
         raise ConfigError("probability", f"must lie in (0, 1), got {probability:g}")
     if not logs:
         raise ConfigError("logs", "needs at least one flight")
+    require_different(logs)
     require_independent(study, "a rank among the draws")
     study = study.without_sweep()
     half = study.config.draws // 2
@@ -272,6 +273,17 @@ def next_flight(
     analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability)
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)
+
+
+def require_different(logs: Sequence[FlightLog]) -> None:
+    """Require that no flight is counted twice; raises ConfigError with the names of two logs that hold the same one."""
+    names: dict[tuple[bytes, ...], str] = {}
+    for log in logs:
+        columns = [log.columns[name] for name in sorted(log.columns)]
+        content = tuple(part.tobytes() for column in columns for part in column)
+        if content in names:
+            raise ConfigError("logs", f"'{names[content]}' and '{log.name}' hold the same flight, which counts once")
+        names[content] = log.name
 
 
 def logged_curves(

@@ -154,6 +154,14 @@ def test_what_does_not_map_is_refused(text, location, rule):
     assert rule in refusal.value.rule
 
 
+def test_a_default_is_named_where_a_vehicle_cannot_hover():
+    """PX4 leaves out parameters that have their default, so a missing one need not be a fault."""
+    text = with_properties(QUAD)
+    line = next(line for line in text.splitlines() if "CA_ROTOR3_KM" in line)
+    with pytest.raises(ConfigError, match=r"does not set CA_ROTOR3_KM, for which PX4's default 0\.05 counts"):
+        read_airframe(text.replace(f"{line}\n", ""))
+
+
 def test_the_command_prints_a_table_of_a_study_that_flies(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "racer").write_text(with_properties())

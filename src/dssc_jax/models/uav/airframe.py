@@ -287,7 +287,7 @@ def read_airframe(
     if "torque_coefficient" in vehicle and "SIH_Q_MAX" in parameters:
         for entry in vehicle.get("rotor", []):
             entry.pop("torque_coefficient")
-    warnings = implausible(flying_vehicle(vehicle), vehicle)
+    warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
     control = control_of(parameters, notes, cascade)
     left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
     unused(parameters, cascade, notes)

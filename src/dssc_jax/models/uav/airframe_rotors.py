@@ -117,11 +117,12 @@ def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     return {"arm": arm, "torque_coefficient": size, "rotor": listed}
 
 
-def flying_vehicle(table: TomlTable) -> Vehicle:
+def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
     """The vehicle of a table; raises ConfigError in PX4's names if it cannot command all axes, or hover.
 
     Args:
         table: The table ``[plant.vehicle]``.
+        parameters: The file's, from which it follows.
     """
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
     listed = tuple(
@@ -132,8 +133,17 @@ def flying_vehicle(table: TomlTable) -> Vehicle:
         flying_allocation(vehicle)
     except ConfigError as error:
         rule = re.sub(r"\b(?:rotor|rotor_angles)\.(\d+)", r"CA_ROTOR\1", error.rule)
-        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule) from None
+        raise ConfigError(PX4_NAMES.get(error.where, error.where), rule + default_text(parameters)) from None
     return vehicle
+
+
+def default_text(parameters: Mapping[str, float]) -> str:
+    """That rotors have PX4's default KM because the file does not set theirs; empty if it sets all of them."""
+    names = [f"CA_ROTOR{i}_KM" for i in range(int(parameters.get("CA_ROTOR_COUNT", 0)))]
+    missing = [name for name in names if name not in parameters]
+    if not missing:
+        return ""
+    return f"; the file does not set {', '.join(missing)}, for which PX4's default {MOMENT_COEFFICIENT:g} counts"
 
 
 def are_ratios(rotors: list[PlacedRotor]) -> bool:

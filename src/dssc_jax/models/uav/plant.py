@@ -203,7 +203,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
     turning = turning_rotors(params, state, drive, commands)
-    charge = 1.0 if params.battery is None else state.charge
+    charge = 1.0 if params.battery is None else jnp.maximum(state.charge, 0.0)
     voltage = turning.supply.voltage * voltage_of(drive.condition)
     body = state.attitude, state.rate, turning.actual.speeds, voltage, charge
     wind = wind_at(drive.wind, state.position.z, drive.condition)
