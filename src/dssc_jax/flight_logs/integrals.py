@@ -171,6 +171,12 @@ def are_copies(one: Column | None, another: Column | None) -> bool:
     return known.size > 1 and bool(np.ptp(known) > 0.0) and np.array_equal(one.value, another.value, equal_nan=True)
 
 
+def is_still(column: Column) -> bool:
+    """Whether a column holds one number."""
+    known = column.value[np.isfinite(column.value)]
+    return known.size > 0 and float(known.min()) == float(known.max())
+
+
 def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
     """The outputs that are copies of their references, or not the integrals of their logged derivatives.
 
@@ -188,6 +194,8 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
         return found
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
+        if {y, rate} <= set(log.columns) and is_still(log.columns[rate]) and not is_still(log.columns[y]):
+            found.factors[rate] = f"does not change while {y} does: its column holds something else"
         if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(found.units):
             continue
         factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)

@@ -9,7 +9,7 @@ from dssc_jax.flight_logs.least_squares import FitProblem
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.refusals import Doubt
 
-OUTSTANDING = 12.0  # of the usual change from one reading to the next: a larger one is no noise
+OUTSTANDING = 8.0  # of the usual change from one reading to the next: a larger one is no noise
 MOST_SHARE = 0.02  # of the changes that may stand out: more of them are the study's or the noise's way
 MOST_CHANGES = 4  # that may stand out in a short log
 CLOSE = 1.5  # of the usual time between readings: over a longer one, a change says nothing

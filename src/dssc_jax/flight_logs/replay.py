@@ -20,7 +20,8 @@ from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, multiple_of, rms
+from dssc_jax.flight_logs.command_hints import command_hint
+from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
 from dssc_jax.flight_logs.integrals import integral_hints
 from dssc_jax.flight_logs.reader import (
@@ -272,15 +273,11 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         held |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
         if "u_total" in signals:
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
-            factor = multiple_of(signals["u_total"], replay)
+            hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
-            elif factor != 1.0:
-                integrals.factors[name] = (
-                    f"is {factor:.4g} times what the analysed controller gives for the logged measurements: it is in "
-                    "another unit, or other gains flew. Estimates of gains and disturbances are off by that factor "
-                    "unless they did"
-                )
+            elif hint:
+                integrals.factors[name] = hint
     hints = LogHints(
         conversions,
         compared.shifts,

@@ -1,0 +1,67 @@
+"""What a logged command is of the one that the analysed controller gives for the logged measurements.
+
+The same measurements with their noise lead to the same command, but for the controller's first state. So a multiple, a
+delay or an offset shows, which a fit would put into gains, lags and disturbances.
+"""
+
+import numpy as np
+
+from dssc_jax.flight_logs.conversions import FEWER, multiple_of, rms
+
+LONGEST_SHIFT = 0.5  # s
+LONGEST_SHARE = 0.1  # of the log
+EXPLAINED = 0.1  # of the command's deviation from its median: what may be left of a command that is explained
+LARGE_OFFSET = 0.1  # of the same: a smaller one is not told
+LEAST_VALUES = 20
+
+
+def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
+    """What the logged command is of the replayed one, in words; empty if it is the same or another one.
+
+    Args:
+        logged: The logged command, NaN where missing, shape (samples,).
+        replayed: That of the analysed controller, shape (samples,).
+        sample_time: Time between two samples [s].
+        unit: Of the command.
+    """
+    factor = multiple_of(logged, replayed)
+    if factor != 1.0:
+        return (
+            f"is {factor:.4g} times what the analysed controller gives for the logged measurements: it is in another "
+            "unit, or other gains flew. Estimates of gains and disturbances are off by that factor unless they did"
+        )
+    known = np.isfinite(logged) & np.isfinite(replayed)
+    if np.count_nonzero(known) < LEAST_VALUES:
+        return ""
+    size = rms(logged - np.median(logged[known]))
+    least = EXPLAINED * size
+    difference = rms(logged - replayed)
+    shift, left = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
+    if shift != 0 and left <= min(least, FEWER * difference):
+        side = "later" if shift > 0 else "earlier"
+        return (
+            f"is {abs(shift) * sample_time:.3g} s {side} than the analysed controller gives it for the logged "
+            "measurements: compare the times of its column. A fit takes that for a lag"
+        )
+    offset = float(np.median((logged - replayed)[known]))
+    left = rms(logged - replayed - offset)
+    if abs(offset) > LARGE_OFFSET * size and left <= min(least, FEWER * difference):
+        return (
+            f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
+            "offset, or an integral began at another value. A fit takes an offset for a disturbance"
+        )
+    return ""
+
+
+def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:
+    """The samples by which the logged command is later than the replayed one, and what is left of their difference."""
+    samples = len(logged)
+    best = 0
+    least = rms(logged - replayed)
+    for shift in range(1, min(longest, int(LONGEST_SHARE * samples)) + 1):
+        later = rms(logged[shift:] - replayed[:-shift])
+        earlier = rms(logged[:-shift] - replayed[shift:])
+        if min(later, earlier) < least:
+            best = shift if later < earlier else -shift
+            least = min(later, earlier)
+    return best, least

@@ -1,0 +1,48 @@
+"""What is said of a logged command that follows from the analysed controller's: a multiple, a delay, an offset."""
+
+import numpy as np
+import pytest
+
+from dssc_jax.flight_logs.command_hints import best_shift, command_hint
+
+DT = 0.02
+
+
+def command(seed=0):
+    """A command with what a controller makes of noise, shape (500,)."""
+    random = np.random.default_rng(seed)
+    return np.sin(DT * np.arange(500)) + 0.1 * random.normal(size=500)
+
+
+@pytest.mark.parametrize("shift", [-4, -1, 1, 3, 20])
+def test_a_command_at_other_times_is_told(shift):
+    replayed = command()
+    logged = np.roll(replayed, shift)
+    logged[100:105] = np.nan
+    side = "later" if shift > 0 else "earlier"
+    assert command_hint(logged, replayed, DT, "N").startswith(f"is {abs(shift) * DT:.3g} s {side} than the analysed")
+    assert best_shift(logged, replayed, 25)[0] == shift
+
+
+def test_an_offset_and_a_multiple_are_told():
+    replayed = command()
+    assert command_hint(replayed + 9.81, replayed, DT, "N").startswith("lies 9.81 N beside what the analysed")
+    assert command_hint(2.5 * replayed, replayed, DT, "N").startswith("is 2.5 times what the analysed")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_another_command_and_the_same_one_are_not(seed):
+    """The same one to a log's resolution; one with another first state; that of other gains; nothing at all."""
+    replayed = command(seed)
+    time = DT * np.arange(500)
+    for logged in (
+        replayed,
+        np.round(replayed, 3),
+        replayed + 0.5 * np.exp(-time),
+        replayed + 0.3 * np.gradient(np.sin(3.0 * time), DT),
+        command(seed + 100),
+        np.full(500, np.nan),
+        np.zeros(500),
+    ):
+        assert command_hint(logged, replayed, DT, "N") == ""
+    assert command_hint(np.full(500, 1e300), replayed, DT, "N") in ("", command_hint(np.ones(500), replayed, DT, "N"))
