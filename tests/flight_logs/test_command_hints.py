@@ -45,4 +45,4 @@ def test_another_command_and_the_same_one_are_not(seed):
         np.zeros(500),
     ):
         assert command_hint(logged, replayed, DT, "N") == ""
-    assert command_hint(np.full(500, 1e300), replayed, DT, "N") in ("", command_hint(np.ones(500), replayed, DT, "N"))
+    assert "beside" in command_hint(np.full(500, 1e300), replayed, DT, "N")  # and no warning of NumPy
