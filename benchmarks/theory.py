@@ -70,10 +70,10 @@ value is the last value at which it passed before it first failed. A draw that f
 value before the start (*below*). One that passes the whole walk counts as one past the end (*beyond*).
 
 The *lower tolerance limit* is the critical value up to which 95 % of all draws pass, with 95 % confidence (Wilks), as
-far as the grid shows. It is null if it lies before the start or if there are too few draws, and the walk's end if it
-lies beyond. The degradation curve is the failure probability along the walk; its confidence band is valid at all values
-of the grid together (Bonferroni over Clopper-Pearson). A draw that passes again beyond a failure is reported as not
-monotone; behaviour between two values of the grid is not detected. For `loop.sample_time` there is no bisection:
+far as the grid shows. It is absent (`null`) if it lies before the start or if there are too few draws, and the walk's
+end if it lies beyond. The degradation curve is the failure probability along the walk; its confidence band is valid at
+all values of the grid together (Bonferroni over Clopper-Pearson). A draw that passes again beyond a failure is reported
+as not monotone; behaviour between two values of the grid is not detected. For `loop.sample_time` there is no bisection:
 every sample time is compiled separately.
 
 `--over spread=LO:HI` varies the uncertainty as a whole instead of a single number. A spread of c multiplies the
