@@ -4,8 +4,8 @@ Let the best be the K candidates with the smallest failure probabilities. A cand
 evidence that K others fail less often. One of the best leaves only if the evidence is wrong for one of the others, so
 that K N pairs matter out of N^2, whatever the race looks like. The race ends when the draws are evidence that each of
 the K that failed least often fails at most ``within`` more often than each of the others that are left. If no evidence
-on the best is wrong, each chosen candidate then fails at most ``within`` more often than any that is not chosen: either
-all of the best are chosen, or the evidence compares the chosen ones with one of the best that is not.
+on the best is wrong, each chosen candidate then fails at most ``within`` more often than any that was not chosen:
+either all of the best are chosen, or the evidence compares the chosen ones with one of the best that is not.
 
 Where K candidates hardly ever fail, nothing fails less often by more than that: a candidate whose failure probability
 is surely less than ``within`` may be chosen without a look at the others.
@@ -45,7 +45,7 @@ class Race:
         chosen: The chosen candidates, the best first.
         draws: Draws of each candidate, shape (N,).
         failures: How many of them failed, shape (N,).
-        within: Each chosen one fails at most this much more often than any that is not, with the confidence.
+        within: Each chosen one fails at most this much more often than any not chosen, with the confidence.
         left: Number of candidates that had not left at the end.
         simulations: Number of simulations.
     """

@@ -41,7 +41,7 @@ class SelectionAnswer:
     candidates: Annotated[int, Quantity("1", "number of candidates")]
     chosen: list[Chosen]
     within: Annotated[
-        float, Quantity("1", "a chosen candidate fails at most this much more often than any that is not chosen")
+        float, Quantity("1", "a chosen candidate fails at most this much more often than any not chosen")
     ]
     wanted_within: Annotated[float, Quantity("1", "the difference that was asked for")]
     confidence: Annotated[float, Quantity("1", "confidence of this statement on all candidates together")]
@@ -60,7 +60,7 @@ class Selection(Analysis):
 
     Args:
         ranges: Where the candidates lie, by dotted name of the number.
-        within: A chosen candidate fails at most this much more often than any that is not chosen.
+        within: A chosen candidate fails at most this much more often than any that was not chosen.
         wanted_within: The difference that was asked for.
         left: Candidates that had not left the race at its end.
         simulations: Number of simulations.
@@ -89,7 +89,7 @@ class Selection(Analysis):
         """The answer in one line."""
         return (
             f"the best {len(self.chosen)} of {self.dataset.sizes['candidate']} candidates: each fails at most "
-            f"{self.within:.3g} more often than any that is not among them"
+            f"{self.within:.3g} more often than any not chosen"
         )
 
     def figure(self) -> Figure:

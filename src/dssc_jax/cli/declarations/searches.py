@@ -43,8 +43,8 @@ class Select(OutputOptions, SeededOptions):
 
     Candidates are spread evenly in the logarithm of the ranges, and all are simulated on the same draws. Those that are
     surely not among the best leave the race early. With 95 % confidence, each chosen candidate fails at most --within
-    more often than any that is not chosen. The draws differ from the study's own; `run` judges the choice on those. The
-    study's [sweep] and number of draws are ignored.
+    more often than any that was not chosen. The draws differ from the study's own; `run` judges the choice on those.
+    The study's [sweep] and number of draws are ignored.
     """
 
     synonyms: ClassVar = ("best", "rank", "gains")
