@@ -14,7 +14,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
 from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unseal, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
@@ -159,7 +159,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
         raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    description = unsealed(path, description)
+    description = unseal(path, description)
     lacking = [name for name, expected in NEEDED.items() if not isinstance(description.get(name), expected)]
     if lacking:
         raise ConfigError(str(path), f"is damaged: it has no {', '.join(lacking)}")
