@@ -39,10 +39,10 @@ class MemoryPlace(NamedTuple):
 
 
 class ForeignFunction(NamedTuple):
-    """A function of C with one argument, the address of its memory.
+    """A C function with one argument, the address of its memory.
 
     Args:
-        symbol: Its name, unique for its code: machine code is kept under a text that contains it.
+        symbol: Its name. Different code needs another name, because the cache of machine code has a key that holds it.
         size: Bytes of its memory.
         operands: Where a call's operands stand.
         results: Where its results stand.
