@@ -13,7 +13,7 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
-from dssc_jax.results.digests import sum_of
+from dssc_jax.results.digests import digest_of
 from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unseal, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
@@ -135,7 +135,7 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     sums = {}
     for name, variable in dataset.variables.items():
         context = f"{variable.dims} {attributes_text(variable.attrs)}"
-        sums[str(name)] = sum_of(variable.values, context)
+        sums[str(name)] = digest_of(variable.values, context)
     sums[""] = hashlib.sha256(attributes_text(dataset.attrs).encode()).hexdigest()
     return sums
 
