@@ -42,7 +42,8 @@ class ForeignFunction(NamedTuple):
     """A C function with one argument, the address of its memory.
 
     Args:
-        symbol: Its name. Different code needs another name, because the cache of machine code has a key that holds it.
+        symbol: Its name. Different code needs another name: the cache tells compiled programs apart by their text for
+            LLVM, which holds the symbol but not the code.
         size: Bytes of its memory.
         operands: Where a call's operands stand.
         results: Where its results stand.
