@@ -54,9 +54,9 @@ def test_a_smooth_misfit_counts_at_most_as_the_sensor():
     columns = np.column_stack([1e-3 * np.sin(times), lines])
     most = lines.T @ lines / STD**2
     trusting = NoiseSearch(times, columns, 0.0).posterior()
-    assert np.linalg.eigvalsh(most - trusting.misfit.information)[0] < 0.0
+    assert np.linalg.eigvalsh(most - trusting.fit.information)[0] < 0.0
     posterior = NoiseSearch(times, columns, 0.0, STD**2).posterior()
-    for fit in (posterior.misfit, *(candidate.misfit for candidate in posterior.candidates)):
+    for fit in (posterior.fit, *(candidate.fit for candidate in posterior.candidates)):
         assert np.linalg.eigvalsh(most - fit.information)[0] > -1e-9 * most.max()
 
 

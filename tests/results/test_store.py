@@ -12,7 +12,7 @@ import zarr
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.results import store
-from dssc_jax.results.digests import sum_of
+from dssc_jax.results.digests import digest_of
 from dssc_jax.results.schema import NOT_COMPUTED
 from tests.conftest import UNCERTAIN
 from tests.forging import redigested, resealed
@@ -306,6 +306,6 @@ def test_a_folder_of_another_schema_is_refused_and_left_alone(study, stored, ver
 
 def test_the_order_of_bytes_does_not_matter_to_a_digest():
     values = np.array([[1.0, -0.0], [np.nan, 3.0]])
-    assert sum_of(values) == sum_of(values.astype(">f8")) == sum_of(np.asfortranarray(values))
+    assert digest_of(values) == digest_of(values.astype(">f8")) == digest_of(np.asfortranarray(values))
     different = (values.astype("f4"), values.T, values.reshape(-1), values[::-1], np.abs(values))
-    assert len({sum_of(values), *map(sum_of, different), sum_of(values, "m")}) == 7
+    assert len({digest_of(values), *map(digest_of, different), digest_of(values, "m")}) == 7

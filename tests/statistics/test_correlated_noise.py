@@ -10,8 +10,8 @@ from dssc_jax.statistics.correlated_noise import (
     FirstOrder,
     SecondOrder,
     correlation_time,
+    fit_noise,
     independent_samples,
-    misfit,
     weighted_products,
 )
 from dssc_jax.statistics.noise_posterior import NoiseSearch
@@ -100,7 +100,7 @@ def test_white_noise_gives_plain_least_squares():
     times = irregular_times()
     random = np.random.default_rng(4)
     columns = np.column_stack([random.normal(size=60), slopes(times)])
-    found = misfit(WHITE, times, columns)
+    found = fit_noise(WHITE, times, columns)
     change, square, *_ = np.linalg.lstsq(columns[:, 1:], columns[:, 0], rcond=None)
     assert found.variance == pytest.approx(float(square[0]) / (60 - 3 - 2), rel=1e-12)
     np.testing.assert_allclose(np.linalg.solve(found.information, found.gradient), change, rtol=1e-9)
@@ -112,8 +112,8 @@ def test_a_number_that_does_not_show_changes_nothing():
     times = irregular_times()
     columns = np.column_stack([np.random.default_rng(5).normal(size=60), slopes(times)])
     noise = FirstOrder(0.5, 0.3)
-    whole = misfit(noise, times, np.column_stack([columns, np.zeros(60)]))
-    assert whole.variance == pytest.approx(misfit(noise, times, columns).variance, rel=1e-9)
+    whole = fit_noise(noise, times, np.column_stack([columns, np.zeros(60)]))
+    assert whole.variance == pytest.approx(fit_noise(noise, times, columns).variance, rel=1e-9)
 
 
 def test_correlation_times_and_independent_samples():
@@ -135,7 +135,7 @@ def test_correlation_times_and_independent_samples():
 
 def averaged_score(posterior):
     """The mean move of the numbers from 0 over all noises, in its standard deviations."""
-    inverses = [(each.weight, np.linalg.inv(each.misfit.information), each.misfit) for each in posterior.candidates]
+    inverses = [(each.weight, np.linalg.inv(each.fit.information), each.fit) for each in posterior.candidates]
     mean = sum(weight * inverse @ found.gradient for weight, inverse, found in inverses)
     square = sum(
         weight * (np.diag(inverse) + (inverse @ found.gradient - mean) ** 2) for weight, inverse, found in inverses
@@ -183,7 +183,7 @@ def test_a_residual_of_rounding_is_white():
     assert posterior.likely == WHITE
     assert posterior.white == 1.0
     assert len(posterior.candidates) == 1
-    assert posterior.misfit.variance == pytest.approx(1e-18, rel=0.1)
+    assert posterior.fit.variance == pytest.approx(1e-18, rel=0.1)
 
 
 def test_white_noise_is_told_from_correlated_noise():

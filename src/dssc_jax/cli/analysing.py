@@ -30,20 +30,20 @@ class PrintedOptions(Protocol):
         ...
 
 
-def free_folder(study: Study, kind: str, name: str, out: Path | None, *options: object) -> Path:
+def free_folder(study: Study, kind: str, out: Path | None, *options: object, name: str = "") -> Path:
     """The folder of an analysis, before anything is computed.
 
     Args:
         study: The study.
         kind: Kind of analysis.
-        name: Name of the usual folder besides the study's.
-        out: The folder that the user names.
+        out: The folder that the user names; None: the usual one.
         options: Options that change the question, for the usual folder.
+        name: Name of the usual folder besides the study's; empty: the kind.
 
     Raises:
         ConfigError: the folder holds something else.
     """
-    folder = out or usual_folder(study, name, *options)
+    folder = out or usual_folder(study, name or kind, *options)
     require_free(folder, kind, study)
     return folder
 

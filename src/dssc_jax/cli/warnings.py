@@ -76,12 +76,12 @@ def warn_of_times(study: Study) -> None:
             say(f"warning: {name} = {earliest:g} s is not before the end of the loop, {duration:g} s: it never happens")
 
 
-def warn_of_libraries(study: Study) -> None:
-    """Print a warning of stated gains that change no command of a controller in C."""
-    stated = study.table["controller"]
+def warn_of_idle_gains(study: Study) -> None:
+    """Print a warning of each gain that the study gives and that changes no command of a controller in C."""
+    table = study.table["controller"]
     for channel, model in zip(study.loop.channels, study.loop.controller, strict=True):
         for gain in model.without_effect:
-            if gain in stated or gain in stated.get(channel, {}):
+            if gain in table or gain in table.get(channel, {}):  # for all channels, or for this one
                 say(f"warning: the gain {gain} of {model.native} {WITHOUT_EFFECT}")
 
 
@@ -109,7 +109,7 @@ def warn_of_study(study: Study) -> None:
         texts = [noise_warning(study), rate_warning(study), *plant_warnings(study)]
     for name in unread:
         say(f"warning: {name} is uncertain, and no result depends on it: the code of this part does not read it")
-    warn_of_libraries(study)
+    warn_of_idle_gains(study)
     for name in study.unused_parameters():
         say(f"warning: {name} is named by nothing in the study, so that it has no effect")
     warn_of_units(study)

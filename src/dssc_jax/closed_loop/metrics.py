@@ -47,7 +47,15 @@ class Sample(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """One sample instant of the whole loop: every channel, the output of the plant's monitor, measured signals."""
+    """The whole loop at one sample.
+
+    Args:
+        t: Time [s].
+        dt: Sample time [s].
+        channels: The sample of each channel.
+        plant: What the plant's monitor reports.
+        measured: Readings of the measured signals.
+    """
 
     t: Scalar
     dt: Scalar

@@ -55,8 +55,8 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
     with faults_by_part(loop):
         check_results(loop, params)
         state = initial_state(loop, params, key)
-        slopes = first_slopes(loop, params, state)
-        require_form("plant", "derivative", "the state's derivative", state.plant, slopes)
+        derivative = initial_derivative(loop, params, state)
+        require_form("plant", "derivative", "the state's derivative", state.plant, derivative)
         after, _ = step(loop, params, key, state, 0)
         require_repeatable(loop, params)
     require_form("plant", "project", "the state", state.plant, after.plant)
@@ -78,7 +78,7 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
         def first_sample() -> tuple[LoopState, State, LoopState]:
             key = jax.random.key(0)
             state = initial_state(loop, params, key)
-            return state, first_slopes(loop, params, state), step(loop, params, key, state, 0)[0]
+            return state, initial_derivative(loop, params, state), step(loop, params, key, state, 0)[0]
 
         return first_sample
 
@@ -124,12 +124,13 @@ def place_of(slot: str, channel: str) -> str:
     return f"{slot}.{channel}" if channel else slot
 
 
-def first_slopes(loop: Loop, params: LoopParams, state: LoopState) -> State:
-    """The derivative of the plant's state at t = 0."""
+def initial_derivative(loop: Loop, params: LoopParams, state: LoopState) -> State:
+    """The derivative of the plant's state at t = 0 under zero commands."""
     unmodelled = tuple(channel.unmodelled for channel in state.channels)
-    reaching = actuate(loop, params, unmodelled, (0.0,) * len(loop.channels))
+    zero_commands = (0.0,) * len(loop.channels)
+    actuation = actuate(loop, params, unmodelled, zero_commands)
     condition = condition_at(loop.events, params.events, 0.0, loop.sample_time, loop.rotors)
-    drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, reaching, 0.0, condition)
+    drive = plant_input(loop, params, state.disturbances, state.wind, state.plant, actuation, 0.0, condition)
     return loop.mimo_plant.derivative(params.plant, state.plant, drive, 0.0)
 
 
@@ -171,24 +172,24 @@ def faults_by_part(loop: Loop) -> Iterator[None]:
 def fault_of(error: Exception, functions: dict[CodeType, PartFunction]) -> ConfigError:
     """The error to raise for an exception from one of the functions, or from what one of them returned."""
     message = f"{type(error).__name__}: {str(error).partition(NEW_LINE)[0].rstrip('.')}"
-    found = None
+    fault = None
     folder = None
     line = ""
     for frame, number in traceback.walk_tb(error.__traceback__):
         file = Path(frame.f_code.co_filename)
         if frame.f_code in functions:
-            found = functions[frame.f_code]
+            fault = functions[frame.f_code]
             folder = file.parent
         if folder is not None and file.parent == folder:
             line = f"line {number} of {file}"
-    if found is None:
+    if fault is None:
         parts = " and ".join(sorted({function.part for function in functions.values()}))
         return ConfigError(
             parts, f"does not fit the loop: {message}; docs/extending.md tells what each function returns"
         )
     remedy = f"; {TRACED_VALUES}" if isinstance(error, jax.errors.JAXTypeError) else ""
     remedy = f"; {KEPT_VALUES}" if isinstance(error, jax.errors.UnexpectedTracerError) else remedy
-    return ConfigError(found.part, f"`{found.field}` fails in {line}: {message}{remedy}")
+    return ConfigError(fault.part, f"`{fault.field}` fails in {line}: {message}{remedy}")
 
 
 def require_form(part: str, field: str, meaning: str, expected: object, result: object) -> None:

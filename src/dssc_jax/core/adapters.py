@@ -132,26 +132,27 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
         states = []
-        for index, (wind, numbers) in enumerate(zip(parts, params, strict=True)):
-            states.append(wind.init(numbers, jax.random.fold_in(key, index)))
+        for index, (wind, wind_params) in enumerate(zip(parts, params, strict=True)):
+            states.append(wind.init(wind_params, jax.random.fold_in(key, index)))
         return tuple(states)
 
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
         states = []
-        for index, (wind, numbers, held) in enumerate(zip(parts, params, state, strict=True)):
-            states.append(wind.step(numbers, held, jax.random.fold_in(key, index), t, dt))
+        for index, (wind, wind_params, wind_state) in enumerate(zip(parts, params, state, strict=True)):
+            states.append(wind.step(wind_params, wind_state, jax.random.fold_in(key, index), t, dt))
         return tuple(states)
 
     def value(params: tuple[Params, ...], state: tuple[State, ...], t: Scalar) -> Vec3:
         total = Vec3(0.0, 0.0, 0.0)
-        for wind, numbers, held in zip(parts, params, state, strict=True):
-            total = total + wind.value(numbers, held, t)
+        for wind, wind_params, wind_state in zip(parts, params, state, strict=True):
+            total = total + wind.value(wind_params, wind_state, t)
         return total
 
     def bounds(params: tuple[Params, ...]) -> WindBounds:
-        limits = [wind.bounds(numbers) for wind, numbers in zip(parts, params, strict=True) if wind.bounds is not None]
+        pairs = zip(parts, params, strict=True)
+        limits = [wind.bounds(wind_params) for wind, wind_params in pairs if wind.bounds is not None]
         rates = [limit.rate for limit in limits if limit.rate is not None]
         speed = sum(limit.speed for limit in limits)
         vertical = sum(limit.vertical for limit in limits)
@@ -159,8 +160,8 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
     def mean(params: tuple[Params, ...], dt: Scalar) -> Vec3:
         total = Vec3(0.0, 0.0, 0.0)
-        for wind, numbers in zip(parts, params, strict=True):
-            total = total + wind.at_start(numbers, dt)
+        for wind, wind_params in zip(parts, params, strict=True):
+            total = total + wind.at_start(wind_params, dt)
         return total
 
     has_bounds = all(wind.bounds is not None for wind in parts)
@@ -174,24 +175,25 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
 
     def init(params: tuple[Params, ...], key: jax.Array) -> tuple[State, ...]:
         states = []
-        for index, (part, numbers) in enumerate(zip(parts, params, strict=True)):
-            states.append(part.init(numbers, jax.random.fold_in(key, index)))
+        for index, (part, part_params) in enumerate(zip(parts, params, strict=True)):
+            states.append(part.init(part_params, jax.random.fold_in(key, index)))
         return tuple(states)
 
     def step(
         params: tuple[Params, ...], state: tuple[State, ...], key: jax.Array, t: Scalar, dt: Scalar
     ) -> tuple[State, ...]:
         states = []
-        for index, (part, numbers, held) in enumerate(zip(parts, params, state, strict=True)):
-            states.append(part.step(numbers, held, jax.random.fold_in(key, index), t, dt))
+        for index, (part, part_params, part_state) in enumerate(zip(parts, params, state, strict=True)):
+            states.append(part.step(part_params, part_state, jax.random.fold_in(key, index), t, dt))
         return tuple(states)
 
     def value(
         params: tuple[Params, ...], state: tuple[State, ...], measurement: Measurement, sigma: Scalar, t: Scalar
     ) -> Scalar:
+        """The sum of the parts' values."""
         total: Scalar = 0.0
-        for part, numbers, held in zip(parts, params, state, strict=True):
-            total = total + part.value(numbers, held, measurement, sigma, t)
+        for part, part_params, part_state in zip(parts, params, state, strict=True):
+            total = total + part.value(part_params, part_state, measurement, sigma, t)
         return total
 
     varying = max((part.variation for part in parts), key=list(Variation).index)

@@ -198,7 +198,7 @@ def in_series(models: Sequence[Unmodelled], indices: Sequence[int], params: Valu
     systems = []
     for index in indices:
         system = models[index].linear
-        assert system is not None  # by the arrangement
+        assert system is not None  # the caller gives only indices of linear elements
         systems.append(system(params[index]))
     total = systems[0]
     for system in systems[1:]:
@@ -296,41 +296,49 @@ def smoothness_of(elements: tuple[Element, ...], params: Values) -> Smoothness:
     Raises:
         ConfigError: An element does not declare it.
     """
-    declared = []
+    smoothness = []
     for (kind, model), values in zip(elements, params, strict=True):
         try:
-            declared.append(declared_smoothness(model, values))
+            smoothness.append(declared_smoothness(model, values))
         except ConfigError as error:
             raise ConfigError("", f"contains '{kind}', which {error.rule}") from None
-    nowhere = [index for index, smooth in enumerate(declared) if smooth.extent == SmoothExtent.NOWHERE]
-    corners = [index for index, smooth in enumerate(declared) if smooth.extent == SmoothExtent.PIECEWISE]
+    nowhere = [index for index, smooth in enumerate(smoothness) if smooth.extent == SmoothExtent.NOWHERE]
+    corners = [index for index, smooth in enumerate(smoothness) if smooth.extent == SmoothExtent.PIECEWISE]
     for index in nowhere:
-        if declared[index].substitute is None:
-            return not_smooth(f"contains '{elements[index].kind}', which {declared[index].meaning}")
+        if smoothness[index].substitute is None:
+            return not_smooth(f"contains '{elements[index].kind}', which {smoothness[index].meaning}")
     if nowhere:
-        meaning = "; ".join(f"contains '{elements[index].kind}', which {declared[index].meaning}" for index in nowhere)
-        return not_smooth(meaning, substitution(elements, declared, nowhere))
+        reasons = [f"contains '{elements[index].kind}', which {smoothness[index].meaning}" for index in nowhere]
+        return not_smooth("; ".join(reasons), substitution(elements, smoothness, nowhere))
     if not corners:
         return SMOOTH
-    meaning = ", or ".join(f"a boundary of '{elements[index].kind}', {declared[index].meaning}" for index in corners)
+    meaning = ", or ".join(f"a boundary of '{elements[index].kind}', {smoothness[index].meaning}" for index in corners)
     for index in corners:
-        substitute = declared[index].substitute
+        substitute = smoothness[index].substitute
         if substitute is None or substitute(params[index])[0] is not elements[index].model:
             return piecewise(meaning)  # another model cannot be chosen by parameters alone
-    return piecewise(meaning, substitution(elements, declared, corners))
+    return piecewise(meaning, substitution(elements, smoothness, corners))
 
 
-def substitution(elements: tuple[Element, ...], declared: Sequence[Smoothness], indices: Sequence[int]) -> Substitution:
-    """The chain in which some elements are replaced by their substitutes."""
+def substitution(
+    elements: tuple[Element, ...], smoothness: Sequence[Smoothness], indices: Sequence[int]
+) -> Substitution:
+    """A function of a chain's parameters: the chain in which substitutes replace some elements, and its parameters.
+
+    Args:
+        elements: The elements of the chain.
+        smoothness: The smoothness that each element declares.
+        indices: The elements to replace; each has a substitute.
+    """
 
     def substitute(params: Values) -> tuple[Unmodelled, Values]:
-        replaced = list(elements)
+        substitutes = list(elements)
         values = list(params)
         for index in indices:
-            replacing = declared[index].substitute
-            assert replacing is not None  # by the caller
-            model, values[index] = replacing(params[index])
-            replaced[index] = Element(elements[index].kind, model)
-        return chain(tuple(replaced)), tuple(values)
+            substitute_of = smoothness[index].substitute
+            assert substitute_of is not None  # the caller gives only indices of elements with a substitute
+            model, values[index] = substitute_of(params[index])
+            substitutes[index] = Element(elements[index].kind, model)
+        return chain(tuple(substitutes)), tuple(values)
 
     return substitute

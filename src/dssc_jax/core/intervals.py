@@ -114,25 +114,32 @@ def logarithm(a: Interval) -> Interval:
     return hull([np.log(a.low), np.log(a.high)], a, defined=a.low > 0.0)
 
 
-def wave(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
-    """A sine whose greatest values are at ``crest`` + 2 pi k."""
-    first = np.ceil((a.low - crest) / TURN)
-    end = np.ceil((a.low - crest - math.pi) / TURN)
-    rises = crest + TURN * first <= a.high
-    falls = crest + math.pi + TURN * end <= a.high
-    found = hull([function(a.low), function(a.high)], a)
-    low = np.where(falls, -1.0, np.maximum(found.low, -1.0))
-    return Interval(low, np.where(rises, 1.0, np.minimum(found.high, 1.0)), found.defined)
+def range_of_sine(function: Callable[[np.ndarray], np.ndarray], crest: float, a: Interval) -> Interval:
+    """The range over ``a`` of a sine.
+
+    Args:
+        function: The sine. Its maxima 1 are at ``crest`` + 2 pi k, its minima -1 half a turn later.
+        crest: One of the maxima.
+        a: The argument.
+    """
+    first_crest = np.ceil((a.low - crest) / TURN)  # k of the first maximum from the lower end on
+    first_trough = np.ceil((a.low - crest - math.pi) / TURN)
+    has_crest = crest + TURN * first_crest <= a.high
+    has_trough = crest + math.pi + TURN * first_trough <= a.high
+    of_ends = hull([function(a.low), function(a.high)], a)
+    low = np.where(has_trough, -1.0, np.maximum(of_ends.low, -1.0))
+    high = np.where(has_crest, 1.0, np.minimum(of_ends.high, 1.0))
+    return Interval(low, high, of_ends.defined)
 
 
 def sine(a: Interval) -> Interval:
     """sin a."""
-    return wave(np.sin, math.pi / 2.0, a)
+    return range_of_sine(np.sin, math.pi / 2.0, a)
 
 
 def cosine(a: Interval) -> Interval:
     """cos a."""
-    return wave(np.cos, 0.0, a)
+    return range_of_sine(np.cos, 0.0, a)
 
 
 def absolute(a: Interval) -> Interval:
@@ -177,9 +184,9 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
         low, high = math.inf, -math.inf
         lows, highs = box.low, box.high
         for remaining in reversed(range(ROUNDS)):
-            found = function(*intervals(lows, highs))
+            enclosures = function(*intervals(lows, highs))
             shape = (len(lows),)
-            outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in found)
+            outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in enclosures)
             inner = values_at(function, 0.5 * lows + 0.5 * highs)
             lowest, greatest = min(lowest, inner[0]), max(greatest, inner[1])
             slack = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
@@ -212,9 +219,9 @@ def corner_points(box: Interval) -> np.ndarray:
 
 def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
     """The least and the greatest value at points, shape (n, sides), where the function has one."""
-    found = function(*intervals(points, points))
-    fine = np.broadcast_to(found.defined, (len(points),))
-    low, high = (np.broadcast_to(end, (len(points),))[fine] for end in found[:2])
+    values = function(*intervals(points, points))
+    has_value = np.broadcast_to(values.defined, (len(points),))
+    low, high = (np.broadcast_to(end, (len(points),))[has_value] for end in values[:2])
     return float(low.min(initial=math.inf)), float(high.max(initial=-math.inf))
 
 

@@ -120,11 +120,13 @@ class Forcing(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """The exact solution over one step, or half of it: x + ``matrix`` x + sum of ``inputs[j][k] p_jk``.
+    """The exact solution over one step, or half of it: the state x changes by X x + sum over j, k of G_jk p_jk.
+
+    X = exp(A t) - 1; G_jk is the column of the term p_jk, number k of input j.
 
     Args:
         size: n.
-        entries: X = exp(A t) - 1 in columns 0..n-1, and the columns of the inputs' terms after them.
+        entries: Entries of [X, G_11, G_12, ..., G_21, ...] by row and column; those that are left out are zero.
         starts: Column of the first term of each input.
     """
 
@@ -139,20 +141,15 @@ class Transition(NamedTuple):
             state: x(0), length n.
             inputs: The terms p_1, p_2, ... of each input; those that are left out are zero.
         """
-        signals: dict[int, Scalar] = dict(enumerate(state))
+        factors: dict[int, Scalar] = dict(enumerate(state))  # what each column is multiplied by
         for start, terms in zip(self.starts, inputs, strict=True):
             for k, term in enumerate(terms):
-                signals[start + k] = term
+                factors[start + k] = term
         change: list[Scalar] = [0.0] * self.size
         for (row, column), entry in self.entries.items():
-            if column in signals:
-                change[row] = change[row] + entry * signals[column]
+            if column in factors:
+                change[row] = change[row] + entry * factors[column]
         return tuple(x + dx for x, dx in zip(state, change, strict=True))
-
-    def column(self, index: int, term: int) -> Column:
-        """The column of an input's term, shape (n,)."""
-        place = self.starts[index] + term
-        return tuple(self.entries.get((row, place), 0.0) for row in range(self.size))
 
 
 class HeldSystem(NamedTuple):
@@ -251,12 +248,12 @@ def add(entries: Entries, place: tuple[int, int], number: Scalar) -> None:
 
 def nonzero_places(rates: Entries, size: int, chains: dict[int, int]) -> tuple[tuple[int, int], ...]:
     """The places where the exponential may differ from the identity: where a path of the matrix leads."""
-    known = set(rates)
+    places = set(rates)
     while True:
-        found = {(row, chains[column]) for row, column in known if column in chains}
-        for row, middle in known:
+        extension = {(row, chains[column]) for row, column in places if column in chains}
+        for row, middle in places:
             if middle < size:
-                found |= {(row, column) for start, column in known if start == middle}
-        if found <= known:
-            return tuple(sorted(known))
-        known |= found
+                extension |= {(row, column) for start, column in places if start == middle}
+        if extension <= places:
+            return tuple(sorted(places))
+        places |= extension

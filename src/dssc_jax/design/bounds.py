@@ -167,9 +167,10 @@ def derive(bounds: Bounds, l0: Numeric) -> Constants:
 
 
 def coupling(dynamics: ZeroDynamics | None) -> tuple[float, float]:
-    """|C_eta A_eta| and |C_eta B_eta|; both 0 for a plant of order two."""
+    """|C_eta A_eta| and |C_eta B_eta|, for A_eta in companion form and B_eta = (0, ..., 0, 1); both 0 for order two."""
     if dynamics is None:
         return 0.0, 0.0
     a, c = dynamics
-    row = [(c[i - 1] if i else 0.0) - c[-1] * a[i] for i in range(len(a))]
-    return float(sum(x * x for x in row) ** 0.5), float(abs(c[-1]))
+    # C_eta A_eta: A_eta shifts the entries of C_eta by one place, and its last row is -a
+    c_a = [(c[i - 1] if i else 0.0) - c[-1] * a[i] for i in range(len(a))]
+    return float(sum(x * x for x in c_a) ** 0.5), float(abs(c[-1]))

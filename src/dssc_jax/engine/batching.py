@@ -42,6 +42,9 @@ Lanes = tuple[np.ndarray, ...]
 Lane = Callable[[dict[str, jax.Array], jax.Array], dict[str, Scalar]]
 """(each of the lane's own numbers, draw index) -> the results of the lane."""
 
+BlockRun = tuple[Block, Callable[[], Arrays], Arrays]
+"""A block that is being computed, the function that waits for its results, and the drawn values of its draws."""
+
 
 def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | None = None) -> Lane:
     """Compute a lane's metrics, slacks, outcome and the time of its early end.
@@ -309,19 +312,20 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
     Returns:
         An iterator of the blocks: each with its results in the block's shape, and the drawn values of its draws.
     """
-    engine.compiled()  # before the draws: commands import while LLVM is at work on the largest program
+    engine.compiled()  # a program that cannot be compiled fails here, before anything is drawn
 
-    def start(block: Block) -> tuple[Block, Callable[[], Arrays], Arrays]:
-        values = drawn(engine.study, block[-1])
+    def start(block: Block) -> BlockRun:
+        *_, draws = block
+        values = drawn(engine.study, draws)
         return block, engine(*lanes_of(engine.study, block, values)), values
 
-    def collect_all(first: tuple[Block, Callable[[], Arrays], Arrays]) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        running = first
+    def collect_all(first: BlockRun) -> Iterator[tuple[Block, Arrays, Arrays]]:
+        current = first
         for block in blocks[1:]:
-            next_running = start(block)
-            yield collect(*running)
-            running = next_running
-        yield collect(*running)
+            following = start(block)
+            yield collect(*current)
+            current = following
+        yield collect(*current)
 
     if not blocks:
         return iter(())
@@ -356,7 +360,7 @@ def is_noisy(engine: Engine) -> bool:
     return any(not np.array_equal(results[name], shifted[name], equal_nan=True) for name in results)
 
 
-def collect(block: Block, started: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:
+def collect(block: Block, finish: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:
     """Wait for a block and give its results the block's shape."""
     shape = tuple(part.stop - part.start for part in block)
-    return block, {name: array.reshape(shape) for name, array in started().items()}, values
+    return block, {name: array.reshape(shape) for name, array in finish().items()}, values

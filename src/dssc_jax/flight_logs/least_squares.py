@@ -182,8 +182,8 @@ class FitProblem:
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""
         for place, search in enumerate(self.noise_searches(x)):
-            self.noises[place], misfit = search.likely()
-            self.variances[place] = misfit.variance
+            self.noises[place], noise_fit = search.likely()
+            self.variances[place] = noise_fit.variance
 
 
 class Minimum(NamedTuple):
@@ -373,12 +373,12 @@ def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) ->
     gradient = np.zeros((NOISE_DRAWS, size))
     random = np.random.default_rng(0)
     for posterior in posteriors:
-        misfits = [candidate.misfit for candidate in posterior.candidates]
+        noise_fits = [candidate.fit for candidate in posterior.candidates]
         levels = np.cumsum([candidate.weight for candidate in posterior.candidates])
         drawn = np.searchsorted(levels, (np.arange(NOISE_DRAWS) + 0.5) / NOISE_DRAWS * levels[-1])
         drawn = random.permutation(np.minimum(drawn, len(levels) - 1))
-        information += np.array([misfit.information for misfit in misfits])[drawn]
-        gradient += np.array([misfit.gradient for misfit in misfits])[drawn]
+        information += np.array([fit.information for fit in noise_fits])[drawn]
+        gradient += np.array([fit.gradient for fit in noise_fits])[drawn]
     scale = np.sqrt(np.mean([np.diag(matrix) for matrix in information], axis=0))
     scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(size)
     covariances = np.linalg.inv(scaled)

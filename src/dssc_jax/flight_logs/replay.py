@@ -90,8 +90,8 @@ def commanded(study: Study, index: int, readings: np.ndarray, references: np.nda
         params = study.params(median_values(study))
 
         def sample(state: ControlState, signals: tuple[Measurement, ReferencePoint]) -> tuple[ControlState, jax.Array]:
-            after, controlled = control(loop, params, index, state, *signals)
-            return as_arrays(after), jnp.asarray(controlled.command.total)
+            next_state, controlled = control(loop, params, index, state, *signals)
+            return as_arrays(next_state), jnp.asarray(controlled.command.total)
 
         first = jax.tree.map(lambda column: column[0], signals)
         initial = as_arrays(initial_control(loop, params, index, *first))
@@ -212,13 +212,13 @@ class LogReplay(NamedTuple):
     def differences(self, sample_time: float) -> dict[str, ReplayedCommand]:
         """The differences of the replayed commands from the logged ones, by signal."""
         times = sample_time * np.arange(self.samples)
-        found = {}
+        differences = {}
         for name, command in self.commands.items():
             if name in self.logged:
                 difference = replayed_command(times, self.logged[name], command)
                 if difference is not None:
-                    found[name] = difference
-        return found
+                    differences[name] = difference
+        return differences
 
     def summary(self, study: Study) -> dict[str, object]:
         """For JSON."""
@@ -297,8 +297,8 @@ def require_same_signals(log: FlightLog, replay: LogReplay) -> None:
     """Require that no signal of a log is the study's in another unit, sign or column; raises ConfigError."""
     wrong = replay.hints.conversions
     if wrong:
-        found = "; ".join(f"{name} {text}" for name, text in wrong.items())
-        raise ConfigError(log.name, f"{found}. {REMEDY}")
+        reasons = "; ".join(f"{name} {text}" for name, text in wrong.items())
+        raise ConfigError(log.name, f"{reasons}. {REMEDY}")
 
 
 def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[DrawCurves]:
@@ -326,14 +326,17 @@ def recorded_lane(study: Study, samples: int, stride: int) -> Callable[[dict[str
         advance = sampler(loop, params, key, (), (), freeze=True)
 
         def sample(progress: Progress) -> tuple[Progress, DrawCurves]:
-            after, recorded = advance(progress)
-            running = after.outcome == Outcome.OK
+            """One sample: the progress after it, and each channel's signals, NaN once the draw has ended."""
+            next_progress, record = advance(progress)
+            is_running = next_progress.outcome == Outcome.OK
             curves = []
-            for i, controlled in enumerate(recorded.controlled):
-                reading = near_reference(loop, i, controlled.reading, recorded.references[i])
-                signals = map(jnp.asarray, (reading.y, reading.y_dot, controlled.command.total))
-                curves.append(ChannelCurves(*signals))
-            return after, jax.tree.map(lambda x: jnp.where(running, x, jnp.nan), tuple(curves))
+            for i, controlled in enumerate(record.controlled):
+                # an angle within half a turn of its reference
+                reading = near_reference(loop, i, controlled.reading, record.references[i])
+                y, y_dot, command = map(jnp.asarray, (reading.y, reading.y_dot, controlled.command.total))
+                curves.append(ChannelCurves(y, y_dot, command))
+            until_end = jax.tree.map(lambda signal: jnp.where(is_running, signal, jnp.nan), tuple(curves))
+            return next_progress, until_end
 
         return scan_recorded(sample, initial_progress(loop, params, key, ()), samples, stride)[1]
 

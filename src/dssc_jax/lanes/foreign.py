@@ -39,10 +39,11 @@ class MemoryPlace(NamedTuple):
 
 
 class ForeignFunction(NamedTuple):
-    """A function of C with one argument, the address of its memory.
+    """A C function with one argument, the address of its memory.
 
     Args:
-        symbol: Its name, unique for its code: machine code is kept under a text that contains it.
+        symbol: Its name. Different code needs another name: the cache tells compiled programs apart by their text for
+            LLVM, which holds the symbol but not the code.
         size: Bytes of its memory.
         operands: Where a call's operands stand.
         results: Where its results stand.

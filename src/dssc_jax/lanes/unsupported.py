@@ -8,17 +8,25 @@ class Unsupported(Exception):
 
     Args:
         reason: What is missing.
-        place: The operation, and where the model calls it; empty until it is known.
+        operation: The operation; empty until it is known.
+        call: Where the model calls it, as :func:`origin` tells it; empty until it is known.
     """
 
-    def __init__(self, reason: str, place: str = "") -> None:
-        super().__init__(f"{place}: {reason}" if place else reason)
-        self.reason, self.place = reason, place
+    def __init__(self, reason: str, operation: str = "", call: str = "") -> None:
+        super().__init__(f"{operation}{call}: {reason}" if operation else reason)
+        self.reason = reason
+        self.operation = operation
+        self.call = call
 
-    def at(self, equation: Any) -> "Unsupported":
-        """The same, with the innermost operation that it comes from, and the innermost call by a model."""
-        name = self.place or f"'{equation.primitive.name}'"
-        return self if " in " in name else Unsupported(self.reason, f"{name}{origin(equation)}")
+    def locate(self, equation: Any) -> "Unsupported":
+        """This error with the place of an equation.
+
+        Each level of nested equations calls it, from the inside out. The first equation gives the operation. The first
+        equation with a source line in a model gives the call.
+        """
+        if self.call:
+            return self
+        return Unsupported(self.reason, self.operation or f"'{equation.primitive.name}'", origin(equation))
 
 
 def origin(equation: Any) -> str:

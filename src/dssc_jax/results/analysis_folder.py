@@ -13,8 +13,8 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.results.array_files import ArrayFiles
-from dssc_jax.results.digests import sum_of
-from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unsealed, write_json, write_sealed
+from dssc_jax.results.digests import digest_of
+from dssc_jax.results.manifest import DATA, SCHEMA, SUMMARY, Manifest, code_entries, unseal, write_json, write_sealed
 from dssc_jax.study import Study, hash_of, received
 from dssc_jax.study.tables import require_shallow
 
@@ -135,7 +135,7 @@ def sums_of(dataset: xr.Dataset) -> dict[str, str]:
     sums = {}
     for name, variable in dataset.variables.items():
         context = f"{variable.dims} {attributes_text(variable.attrs)}"
-        sums[str(name)] = sum_of(variable.values, context)
+        sums[str(name)] = digest_of(variable.values, context)
     sums[""] = hashlib.sha256(attributes_text(dataset.attrs).encode()).hexdigest()
     return sums
 
@@ -159,7 +159,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
         raise ConfigError(str(folder), rule) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    description = unsealed(path, description)
+    description = unseal(path, description)
     lacking = [name for name, expected in NEEDED.items() if not isinstance(description.get(name), expected)]
     if lacking:
         raise ConfigError(str(path), f"is damaged: it has no {', '.join(lacking)}")

@@ -17,7 +17,7 @@ from dssc_jax.core.files import HeldFolder
 from dssc_jax.engine.batching import Block, Layout, lanes_in
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.arrays import MEND, checked_arrays, one_line
-from dssc_jax.results.digests import DIGESTS, Piece, add_piece, over_all, pieces_of, sum_of
+from dssc_jax.results.digests import DIGESTS, DrawRange, add_range, digest_of, over_all, ranges_of
 from dssc_jax.results.manifest import DATA
 from dssc_jax.study import Study
 
@@ -81,14 +81,15 @@ class Chunks:
     def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
         """Write a block, or the new end of an extended one, and then its digests."""
         values = results | drawn
-        sums = {}
+        digests = {}
         with writing(self.folder, self.held):
             for name in self._held(block):
                 array = self.arrays[name]
                 written = np.asarray(values[name], dtype=array.dtype)
                 array[self._part(name, block)] = written
-                sums[name] = sum_of(written)
-            add_piece(self.folder, self.layout.index(block), Piece((block[-1].start, block[-1].stop), sums))
+                digests[name] = digest_of(written)
+            draws = block[-1].start, block[-1].stop
+            add_range(self.folder, self.layout.index(block), DrawRange(draws, digests))
 
     def pending(self) -> tuple[list[Block], list[Path]]:
         """The work that remains: whole blocks, or the missing draws at the end of a block.
@@ -100,21 +101,21 @@ class Chunks:
             ConfigError: There is a folder in place of a chunk or its digests.
         """
         blocks: list[Block] = []
-        useless: list[Path] = []
+        obsolete_files: list[Path] = []
         for block in self.layout.blocks():
             files = [self._file(name, block) for name in self._held(block)]
             for file in files:
                 if file.is_dir():
                     raise ConfigError(str(file), "is damaged: it is a folder, not a chunk; remove it")
-            pieces = self._pieces(block)
-            if pieces and self._altered(block, pieces, self.arrays):
-                pieces = []
-            remaining = uncovered(block, pieces)
+            ranges = self._ranges(block)
+            if ranges and self._altered(block, ranges, self.arrays):
+                ranges = []
+            remaining = uncovered(block, ranges)
             if lanes_in(remaining) > 0:
                 blocks.append(remaining)
-            if not pieces:
-                useless += files
-        return blocks, useless
+            if not ranges:
+                obsolete_files += files
+        return blocks, obsolete_files
 
     def read(self, dataset: xr.Dataset) -> None:
         """Fill a dataset with the stored values.
@@ -135,7 +136,7 @@ class Chunks:
             ConfigError: Some are absent, because the run did not finish.
         """
         blocks = self.layout.blocks()
-        missing = sum(lanes_in(uncovered(block, self._pieces(block))) for block in blocks)
+        missing = sum(lanes_in(uncovered(block, self._ranges(block))) for block in blocks)
         if missing:
             raise incomplete(self.folder, missing, sum(map(lanes_in, blocks)))
 
@@ -151,38 +152,38 @@ class Chunks:
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
-            altered = self._altered(block, self._pieces(block), values)
+            altered = self._altered(block, self._ranges(block), values)
             if altered:
                 rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {MEND}"
                 raise ConfigError(str(self.folder / DATA / altered), rule)
         if seal is not None and seal != over_all(self.folder, self.layout):
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
 
-    def _pieces(self, block: Block) -> list[Piece]:
+    def _ranges(self, block: Block) -> list[DrawRange]:
         """A block's digests, if they cover its draws from the first without a gap; else none."""
-        pieces = pieces_of(self.folder, self.layout.index(block))
-        ends = [block[-1].start, *(piece.draws[1] for piece in pieces)]
-        sound = [piece.draws[0] for piece in pieces] == ends[:-1] and ends == sorted({*ends})
-        return pieces if sound and ends[-1] <= block[-1].stop else []
+        ranges = ranges_of(self.folder, self.layout.index(block))
+        ends = [block[-1].start, *(draw_range.draws[1] for draw_range in ranges)]
+        sound = [draw_range.draws[0] for draw_range in ranges] == ends[:-1] and ends == sorted({*ends})
+        return ranges if sound and ends[-1] <= block[-1].stop else []
 
     def _altered(
-        self, block: Block, pieces: list[Piece], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
+        self, block: Block, ranges: list[DrawRange], values: Mapping[str, zarr.Array] | Mapping[str, np.ndarray]
     ) -> str:
         """The first variable that differs from the written data; empty if there is none.
 
         Args:
             block: The block.
-            pieces: Its digests.
+            ranges: Its digests.
             values: Each variable as an object that can be indexed by the block.
         """
-        for piece in pieces:
-            part = (*block[:-1], slice(*piece.draws))
+        for draw_range in ranges:
+            part = (*block[:-1], slice(*draw_range.draws))
             for name in self._held(block):
                 try:
-                    actual = sum_of(np.asarray(values[name][self._part(name, part)]))
+                    actual = digest_of(np.asarray(values[name][self._part(name, part)]))
                 except Exception:  # zarr and its codecs raise errors of many kinds
                     return name
-                if actual != piece.sums.get(name):
+                if actual != draw_range.digests.get(name):
                     return name
         return ""
 
@@ -199,9 +200,9 @@ class Chunks:
         return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.drawn else index))
 
 
-def uncovered(block: Block, pieces: list[Piece]) -> Block:
+def uncovered(block: Block, ranges: list[DrawRange]) -> Block:
     """The part of a block that its digests do not cover."""
-    return (*block[:-1], slice(pieces[-1].draws[1] if pieces else block[-1].start, block[-1].stop))
+    return (*block[:-1], slice(ranges[-1].draws[1] if ranges else block[-1].start, block[-1].stop))
 
 
 def incomplete(folder: Path, missing: int, total: int) -> ConfigError:

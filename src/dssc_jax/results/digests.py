@@ -22,19 +22,19 @@ DIGESTS = "digests"
 Index = tuple[int, ...]
 
 
-class Piece(NamedTuple):
-    """The digests of a range of draws in a block; an extended block has several.
+class DrawRange(NamedTuple):
+    """The digests of a range of a block's draws; a block that was extended has several such ranges.
 
     Args:
         draws: The first draw, and the last draw plus one.
-        sums: Digest of each variable's values.
+        digests: Digest of each variable's values.
     """
 
     draws: tuple[int, int]
-    sums: dict[str, str]
+    digests: dict[str, str]
 
 
-def sum_of(values: np.ndarray, context: str = "") -> str:
+def digest_of(values: np.ndarray, context: str = "") -> str:
     """Digest of an array's shape, type and values, independent of the machine's byte order.
 
     Args:
@@ -66,23 +66,24 @@ def content_of(folder: Path, index: Index) -> Any:
         return None
 
 
-def pieces_of(folder: Path, index: Index) -> list[Piece]:
+def ranges_of(folder: Path, index: Index) -> list[DrawRange]:
     """A block's digests; none if they are absent, damaged, or those of another block."""
     content = content_of(folder, index)
     try:
         if content["block"] != list(index):
             return []
-        pieces = [Piece((int(start), int(stop)), dict(sums)) for (start, stop), sums in content["pieces"]]
+        pairs = content["pieces"]
+        ranges = [DrawRange((int(start), int(stop)), dict(digests)) for (start, stop), digests in pairs]
     except (TypeError, KeyError, ValueError):
         return []
-    return pieces
+    return ranges
 
 
-def add_piece(folder: Path, index: Index, piece: Piece) -> None:
-    """Write a block's digests: the previous ones, and those of the piece."""
-    earlier = [stored for stored in pieces_of(folder, index) if stored.draws[1] <= piece.draws[0]]
+def add_range(folder: Path, index: Index, addition: DrawRange) -> None:
+    """Write a block's digests: the previous ones, and those of one more range."""
+    earlier = [draw_range for draw_range in ranges_of(folder, index) if draw_range.draws[1] <= addition.draws[0]]
     files.make_folder(folder / DIGESTS, folder)
-    write_json(file_of(folder, index), {"block": index, "pieces": [*earlier, piece]}, folder, durable=False)
+    write_json(file_of(folder, index), {"block": index, "pieces": [*earlier, addition]}, folder, durable=False)
 
 
 def over_all(folder: Path, layout: Layout) -> str:

@@ -53,7 +53,7 @@ def write_sealed(path: Path, content: dict[str, object]) -> None:
     write_json(path, content | {SEAL: hash_of(content)})
 
 
-def unsealed(path: Path, content: object) -> JsonObject:
+def unseal(path: Path, content: object) -> JsonObject:
     """The content that was passed to :func:`write_sealed`.
 
     Args:
@@ -68,10 +68,11 @@ def unsealed(path: Path, content: object) -> JsonObject:
     if content["schema"] != SCHEMA:
         rule = f"has schema version {content['schema']!r}, this program reads {SCHEMA}; {REMEDY}"
         raise ConfigError(str(path), rule)
-    inner = dict(content)
-    if inner.pop(SEAL, None) != hash_of(inner):
-        raise ConfigError(str(path), "is damaged: its content is not the one that its digest was taken of")
-    return inner
+    unsealed_content = dict(content)
+    seal = unsealed_content.pop(SEAL, None)
+    if seal != hash_of(unsealed_content):
+        raise ConfigError(str(path), "is damaged: its content does not match its digest")
+    return unsealed_content
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
@@ -97,7 +98,7 @@ def read_manifest(folder: Path) -> Manifest:
         ) from error
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
-    manifest = unsealed(path, manifest)
+    manifest = unseal(path, manifest)
     for name in MANIFEST_TABLES:
         if not isinstance(manifest.get(name), dict):
             raise ConfigError(str(path), f"is damaged: {name} is not a table")
@@ -107,7 +108,7 @@ def read_manifest(folder: Path) -> Manifest:
     except ConfigError as error:
         raise error.within(str(path)) from None
     if manifest.get("hash") != hash_of(manifest["study"]):
-        raise ConfigError(str(path), "is damaged: the study is not the one that its hash was taken of")
+        raise ConfigError(str(path), "is damaged: its study does not match its hash")
     return manifest
 
 

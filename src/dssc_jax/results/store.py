@@ -104,30 +104,42 @@ class Store:
         self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held=self.held)
 
     def _resume(self, old: Manifest, new: Manifest, adds_draws: bool) -> bool:
-        """Continue an earlier run; False if that run had not created its store."""
+        """Continue an earlier run, perhaps with more draws; False if that run stopped before it created its store."""
         draws = old["study"].get("draws", 1)
         layout = stored_layout(self.folder, self.study, old, draws)
         if not laid_out(self.folder, self.study, layout):
             return False
         if adds_draws:
-            require_same_machinery(self.folder, old, new)
-            self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
-        files.delete_partials(self.folder)
-        self.manifest = old
-        if adds_draws:
-            self.manifest = new | {"layout": layout.to_dict()}
-            write_manifest(self.folder, self.manifest)  # before the arrays grow, for the same reason
-            files.delete(self.folder / SUMMARY)
+            self._extend(old, new, layout)
+        else:
+            files.delete_partials(self.folder)
+            self.manifest = old
         reshape(self.folder, self.study, layout)
         self.chunks = Chunks(self.folder, self.study, layout, "r+", held=self.held)
-        self.pending, useless = self.chunks.pending()
+        self.pending, obsolete_files = self.chunks.pending()
         if self.pending:
             require_same_machinery(self.folder, old, new)
         else:
             self._require_sealed(old, layout)
-        for file in useless:
+        for file in obsolete_files:
             files.delete(file, self.folder)
         return True
+
+    def _extend(self, old: Manifest, new: Manifest, layout: Layout) -> None:
+        """Check what an earlier run with fewer draws wrote, and record the new number of draws.
+
+        Args:
+            old: The manifest of the earlier run.
+            new: Content of the manifest from now on.
+            layout: The blocks, with the new number of draws.
+        """
+        require_same_machinery(self.folder, old, new)
+        draws = old["study"].get("draws", 1)
+        self._require_sealed(old, Layout((*layout.shape[:-1], draws), layout.block))
+        files.delete_partials(self.folder)
+        self.manifest = new | {"layout": layout.to_dict()}
+        write_manifest(self.folder, self.manifest)  # before the arrays grow, so that an interrupted run is known as one
+        files.delete(self.folder / SUMMARY)
 
     def _require_sealed(self, manifest: Manifest, layout: Layout) -> None:
         """Require that a finished run still has its final digests."""

@@ -4,6 +4,7 @@ A pilot estimates the failure probability. Sobol points give a narrower interval
 failure, are few. The run's points are randomised independently of the pilot, so the interval holds whatever the choice.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,19 +34,19 @@ class DesignChoice:
         study: The study with ``random`` or ``sobol`` draws.
         reason: Why.
         pilot: Number of simulations that the choice took.
-        asked: Hash of the study that left the choice to the tool, and its number of draws.
+        request: Hash of the study that left the choice to the tool, and its number of draws.
     """
 
     study: Study
     reason: str
     pilot: int
-    asked: tuple[str, int]
+    request: tuple[str, int]
 
     @property
     def entry(self) -> Manifest:
         """The manifest's entry."""
-        asked, draws = self.asked
-        content: JsonObject = {"reason": self.reason, "pilot": self.pilot, "asked": asked, "asked_draws": draws}
+        hash_of_study, draws = self.request
+        content: JsonObject = {"reason": self.reason, "pilot": self.pilot, "asked": hash_of_study, "asked_draws": draws}
         return {"design": content}
 
 
@@ -60,30 +61,30 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
     Raises:
         ConfigError: The folder is damaged.
     """
-    asked = study.hash, study.config.draws
+    request = study.hash, study.config.draws
     _, size = nets_of(study.config.draws)
     if size < LEAST_NET:
-        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", 0, asked)
+        return DesignChoice(plain(study), f"plain draws: too few for {NETS} Sobol nets", 0, request)
     if not study.laws:
-        return DesignChoice(plain(study), "plain draws: no number is uncertain", 0, asked)
-    recorded = recorded_choice(study, folder, resume) if folder else None
-    if recorded:
-        return recorded
+        return DesignChoice(plain(study), "plain draws: no number is uncertain", 0, request)
+    earlier_choice = recorded_choice(study, folder, resume) if folder else None
+    if earlier_choice:
+        return earlier_choice
     middle = {name: axis[len(axis) // 2] for name, axis in study.axes.items()}
     engine = Engine(plain(study).without_sweep().override(middle), PILOT)
     place = " in the middle of the sweep" if middle else ""
     if is_noisy(engine):
         reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
-        return DesignChoice(plain(study), reason, 2 * PROBES, asked)
-    found = pilot_failures(engine)
-    expected = (found + 0.5) / (PILOT + 1) * study.config.draws
-    share = f"{found} of {PILOT} pilot draws fail{place}"
+        return DesignChoice(plain(study), reason, 2 * PROBES, request)
+    failures = pilot_failures(engine)
+    expected = (failures + 0.5) / (PILOT + 1) * study.config.draws
+    share = f"{failures} of {PILOT} pilot draws fail{place}"
     if min(expected, study.config.draws - expected) < SEEN:
         reason = f"plain draws: {share}; Sobol points save nothing with fewer than {SEEN} failures, or draws without"
-        return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, asked)
+        return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, request)
     nets, size = nets_of(study.config.draws)
     reason = f"{nets} Sobol nets of {size} points: {share}, and the loop has no in-loop noise"
-    return DesignChoice(sobol(study, nets, size), reason, PILOT + 2 * PROBES, asked)
+    return DesignChoice(sobol(study, nets, size), reason, PILOT + 2 * PROBES, request)
 
 
 def plain(study: Study) -> Study:
@@ -98,8 +99,8 @@ def sobol(study: Study, nets: int, size: int) -> Study:
 
 def nets_of(draws: int) -> tuple[int, int]:
     """Number of nets, from ``NETS`` to twice as many, and points of each: together at least so many draws."""
-    size = 1 << max(0, (draws // NETS).bit_length() - 1)
-    return -(-draws // size), size
+    size = 1 << max(0, (draws // NETS).bit_length() - 1)  # draws / NETS rounded down to a power of two, or 1
+    return math.ceil(draws / size), size
 
 
 def pilot_failures(engine: Engine) -> int:
@@ -122,15 +123,18 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     entry = manifest.get("design")
     if not entry:
         return None
+    # the study as it is now, with the recorded number of draws: an equal hash means that nothing else differs
     earlier = study.override({"draws": entry["asked_draws"]})
-    extends = study.config.draws > entry["asked_draws"] and resume
-    if earlier.hash != entry["asked"] or (earlier.hash != study.hash and not extends):
+    records_this_study = earlier.hash == entry["asked"]
+    has_same_draws = earlier.hash == study.hash
+    extends = resume and study.config.draws > entry["asked_draws"]
+    if not records_this_study or not (has_same_draws or extends):
         return None
-    asked = study.hash, study.config.draws
+    request = study.hash, study.config.draws
     stored = manifest["study"]
     if stored["sampling"] == "random":
-        return DesignChoice(plain(study), entry["reason"], entry["pilot"], asked)
+        return DesignChoice(plain(study), entry["reason"], entry["pilot"], request)
     nets = stored["replicates"]
-    needed = -(-study.config.draws // nets)
-    size = 1 << (needed - 1).bit_length()
-    return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], asked)
+    points = math.ceil(study.config.draws / nets)
+    size = 1 << (points - 1).bit_length()  # rounded up to a power of two, as a Sobol net needs
+    return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], request)

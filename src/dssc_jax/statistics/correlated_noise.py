@@ -66,17 +66,17 @@ class SecondOrder(NamedTuple):
     def transition(self, gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Transition of the state over gaps [s], and the covariance that the gap adds; shape (n, 2, 2) each."""
         w = gaps / self.time
-        moved = self.moved(w)
-        added = np.eye(2) - moved @ moved.transpose(0, 2, 1)
+        transition = self.transition_over(w)
+        covariance = np.eye(2) - transition @ transition.transpose(0, 2, 1)
         short = w < SHORT
         if short.any():
             half = 0.5 * w[short, None]
-            driven = self.moved((half * (1.0 + NODES)).ravel())[:, :, 1].reshape(-1, len(NODES), 2)
+            response = self.transition_over((half * (1.0 + NODES)).ravel())[:, :, 1].reshape(-1, len(NODES), 2)
             weights = 4.0 * self.damping * half * WEIGHTS
-            added[short] = np.einsum("nk,nki,nkj->nij", weights, driven, driven)
-        return moved, added
+            covariance[short] = np.einsum("nk,nki,nkj->nij", weights, response, response)
+        return transition, covariance
 
-    def moved(self, w: np.ndarray) -> np.ndarray:
+    def transition_over(self, w: np.ndarray) -> np.ndarray:
         """Transition of the state over w time constants, shape (n, 2, 2)."""
         cosine, sine = self.oscillation(w)
         rows = [[cosine + self.damping * sine, sine], [-sine, cosine - self.damping * sine]]
@@ -113,17 +113,18 @@ class Drift(NamedTuple):
         """Transition of (p, v) over gaps [s], and the covariance that the gap adds; shape (n, 2, 2) each."""
         w = gaps / self.time
         decay = np.exp(-w)
-        moved = np.zeros((len(w), 2, 2))
-        moved[:, 0, 0] = 1.0
-        moved[:, 0, 1] = -np.expm1(-w)
-        moved[:, 1, 1] = decay
+        transition = np.zeros((len(w), 2, 2))
+        transition[:, 0, 0] = 1.0
+        transition[:, 0, 1] = -np.expm1(-w)
+        transition[:, 1, 1] = decay
         # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
         position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
         mixed = np.expm1(-w) ** 2
-        added = np.stack([np.stack([position, mixed], -1), np.stack([mixed, -np.expm1(-2.0 * w)], -1)], -1)
+        speed = -np.expm1(-2.0 * w)
+        covariance = np.stack([np.stack([position, mixed], -1), np.stack([mixed, speed], -1)], -1)
         scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
-        moved[:, 0, 1] *= scale[0]
-        return moved, added * np.outer(scale, scale)
+        transition[:, 0, 1] *= scale[0]
+        return transition, covariance * np.outer(scale, scale)
 
     @property
     def mean_square(self) -> float:
@@ -193,32 +194,49 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
 
 
 def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Joint precision matrix of the states at times, of unit variance; a drift starts one median gap before.
+    """Joint precision matrix of the states at the times, for noise of unit variance.
+
+    A drift starts at 0 one median gap before the first time.
 
     Returns:
-        Its lower bands as SciPy stores them, shape (2 p, n p); the logarithm of its determinant; p, the length of a
-        state.
+        - The lower bands of the matrix, as SciPy stores them, shape (2 p, n p).
+        - The logarithm of its determinant.
+        - p, the length of a state.
     """
     gaps = np.diff(times)
-    begin = gaps if len(gaps) == 1 or not isinstance(noise, Drift) else np.array([np.median(gaps)])
+    median_gap = np.array([np.median(gaps)])
     if np.ptp(gaps) <= EQUAL_GAPS * gaps[0]:
-        gaps = gaps[:1]
-    moved, added = noise.transition(gaps)
-    size = moved.shape[-1]
-    inverse = np.linalg.inv(added)
-    first = noise.transition(begin)[1][0] if isinstance(noise, Drift) else np.eye(size)
-    blocks = np.tile(np.linalg.inv(first), (len(times), 1, 1))
-    blocks[1:] = inverse
-    coupling = -inverse @ moved
-    blocks[:-1] += moved.transpose(0, 2, 1) @ -coupling
-    bands = np.zeros((2 * size, len(times), size))
+        gaps = gaps[:1]  # one transition serves all gaps
+    transition, covariance = noise.transition(gaps)
+    size = transition.shape[-1]
+    initial_covariance = noise.transition(median_gap)[1][0] if isinstance(noise, Drift) else np.eye(size)
+    # each gap adds the square of (next state - transition state), weighted by the inverse of its covariance
+    inverse = np.linalg.inv(covariance)
+    below = -inverse @ transition
+    diagonal = np.tile(np.linalg.inv(initial_covariance), (len(times), 1, 1))
+    diagonal[1:] = inverse
+    diagonal[:-1] += transition.transpose(0, 2, 1) @ -below
+    gap_log_determinants = np.linalg.slogdet(covariance)[1]
+    initial_log_determinant = float(np.linalg.slogdet(initial_covariance)[1])
+    log_determinant = -(len(times) - 1) * float(gap_log_determinants.mean()) - initial_log_determinant
+    return lower_bands(diagonal, below), log_determinant, size
+
+
+def lower_bands(diagonal: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Lower bands, as SciPy stores them, of a symmetric block-tridiagonal matrix; shape (2 p, n p).
+
+    Args:
+        diagonal: The blocks on the diagonal, shape (n, p, p).
+        below: The blocks below it, shape (n - 1, p, p); (1, p, p) if all are the same.
+    """
+    count, size, _ = diagonal.shape
+    bands = np.zeros((2 * size, count, size))
     for column in range(size):
+        for row in range(column, size):
+            bands[row - column, :, column] = diagonal[:, row, column]
         for row in range(size):
-            if row >= column:
-                bands[row - column, :, column] = blocks[:, row, column]
-            bands[size + row - column, :-1, column] = coupling[:, row, column]
-    determinant = -(len(times) - 1) * float(np.linalg.slogdet(added)[1].mean()) - float(np.linalg.slogdet(first)[1])
-    return bands.reshape(2 * size, -1), determinant, size
+            bands[size + row - column, :-1, column] = below[:, row, column]
+    return bands.reshape(2 * size, -1)
 
 
 def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, float]:
@@ -236,25 +254,26 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
     if noise.share == 0.0:
         return plain, 0.0
     white = 1.0 - noise.share
-    bands, determinant, size = precision(noise, times)
+    bands, log_det_precision, size = precision(noise, times)
     bands *= white / noise.share
     bands[0, ::size] += 1.0
     factor = cholesky_banded(bands, lower=True, check_finite=False)
     spread = np.zeros((len(times), size, columns.shape[1]))
     spread[:, 0] = columns
     solved = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
-    log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - determinant
+    log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - log_det_precision
     return (plain - columns.T @ solved) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
 
 
-class Misfit(NamedTuple):
-    """The noise that a channel's residual shows, if it is of one kind.
+class NoiseFit(NamedTuple):
+    """How well a noise explains a channel's residual, and what that tells of the fitted numbers.
 
     Args:
-        log_likelihood: Logarithm of the restricted likelihood: without the numbers, and without the variance.
+        log_likelihood: Logarithm of the restricted likelihood: the fitted numbers and the noise's variance are
+            integrated out.
         variance: Variance of the noise.
-        information: Information matrix of the numbers, shape (p, p).
-        gradient: Information times the change of the numbers that fits best, shape (p,).
+        information: Information matrix of the fitted numbers, shape (p, p).
+        gradient: Information matrix times the best change of the fitted numbers, shape (p,).
     """
 
     log_likelihood: float
@@ -263,7 +282,7 @@ class Misfit(NamedTuple):
     gradient: np.ndarray
 
 
-def misfit(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> Misfit:
+def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 0.0) -> NoiseFit:
     """The restricted likelihood of a residual's noise, and the least squares with it.
 
     The numbers and the noise's variance are integrated out, with a flat law of the numbers and of the variance's
@@ -289,4 +308,4 @@ def misfit(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float = 
     log_det += float(np.log(values[shown]).sum()) + 2.0 * float(np.log(scale).sum())
     variance = square / max(freedom - 2, 1)
     log_likelihood = -0.5 * (log_det + freedom * math.log(square))
-    return Misfit(log_likelihood, variance, information / variance, gradient / variance)
+    return NoiseFit(log_likelihood, variance, information / variance, gradient / variance)

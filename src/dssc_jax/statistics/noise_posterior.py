@@ -22,10 +22,10 @@ from dssc_jax.statistics.correlated_noise import (
     WHITE,
     Drift,
     FirstOrder,
-    Misfit,
     Noise,
+    NoiseFit,
     SecondOrder,
-    misfit,
+    fit_noise,
     weighted_products,
 )
 
@@ -52,12 +52,12 @@ class Candidate(NamedTuple):
     Args:
         noise: The noise, of unit variance.
         weight: Its posterior probability.
-        misfit: What the residual tells, if it is this noise.
+        fit: What the residual tells, if it is this noise.
     """
 
     noise: Noise
     weight: float
-    misfit: Misfit
+    fit: NoiseFit
 
 
 class Posterior(NamedTuple):
@@ -65,13 +65,13 @@ class Posterior(NamedTuple):
 
     Args:
         likely: The noise at the mode of the likeliest kind.
-        misfit: What the residual tells, if it is this noise.
+        fit: What the residual tells, if it is this noise.
         white: Posterior probability of white noise.
         candidates: Noises with their probabilities, whose sum is 1.
     """
 
     likely: Noise
-    misfit: Misfit
+    fit: NoiseFit
     white: float
     candidates: tuple[Candidate, ...]
 
@@ -210,7 +210,7 @@ class NoiseSearch:
         self.columns = columns
         self.floor = floor
         self.least_white = least_white
-        self.white = misfit(WHITE, self.times, columns, floor)
+        self.white = fit_noise(WHITE, self.times, columns, floor)
         self.scale = TimeScale(float(np.median(np.diff(self.times))), float(self.times[-1] - self.times[0]))
         self.kinds = NOISE_KINDS if self.white.variance > ROUNDING_VARIANCE * floor else ()
         self.modes = [mode_of(partial(self.log_density, kind), size) for kind, size in self.kinds]
@@ -219,16 +219,16 @@ class NoiseSearch:
         """Logarithm of the posterior density, as :meth:`density` has it."""
         return self.density(kind, point)[0]
 
-    def density(self, kind: Callable[..., Noise], point: np.ndarray) -> tuple[float, Misfit]:
-        """Logarithm of the posterior density, relative to the likelihood of white noise; and the misfit."""
+    def density(self, kind: Callable[..., Noise], point: np.ndarray) -> tuple[float, NoiseFit]:
+        """Logarithm of the posterior density, relative to the likelihood of white noise; and the fit of the noise."""
         try:
-            fit = misfit(kind(point, self.scale), self.times, self.columns, self.floor)
+            fit = fit_noise(kind(point, self.scale), self.times, self.columns, self.floor)
         except np.linalg.LinAlgError:
             return -math.inf, self.white
         prior = -0.5 * float(point @ point) - 0.5 * len(point) * math.log(2.0 * math.pi)
         return fit.log_likelihood - self.white.log_likelihood + prior, fit
 
-    def likely(self) -> tuple[Noise, Misfit]:
+    def likely(self) -> tuple[Noise, NoiseFit]:
         """The noise at the mode of the likeliest kind, by Laplace's method."""
         share = (1.0 - WHITE_PRIOR) / len(NOISE_KINDS)
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
@@ -239,7 +239,7 @@ class NoiseSearch:
         point = self.modes[best].point
         return self.whitened(kind(point, self.scale), self.density(kind, point)[1])
 
-    def whitened(self, noise: Noise, fit: Misfit) -> tuple[Noise, Misfit]:
+    def whitened(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
         """A noise with at least the least variance of its white part, and what the residual tells by it."""
         lacking = self.least_white - (1.0 - noise.share) * fit.variance
         if lacking <= 0.0:

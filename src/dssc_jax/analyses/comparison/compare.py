@@ -276,7 +276,12 @@ class Comparison(Analysis):
 
 
 def with_controller(study: Study, name: str, table: ControllerTable) -> Study:
-    """The study with another controller.
+    """The study with another controller and without its sweep.
+
+    Args:
+        study: The study.
+        name: The controller's name, for messages.
+        table: The controller.
 
     Raises:
         ConfigError: the controller does not fit the study.

@@ -95,18 +95,18 @@ class RangedDraws:
     def laws_at(self, point: np.ndarray) -> dict[str, Law]:
         """The laws at a point of the box, which has a coordinate for each of :attr:`bounds`."""
         coordinates = iter(point.tolist())
-        found = {}
+        laws = {}
         for name, law in self.laws.items():
             arguments = tuple(low if low == high else next(coordinates) for low, high in law.ranges)
-            found[name] = Law(law.kind, arguments)
-        return found
+            laws[name] = Law(law.kind, arguments)
+        return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
         """Logarithm of the density of laws of the box relative to that of the draws, shape (n,)."""
         return np.sum([log_density(law, self.values[name]) for name, law in laws.items()], axis=0) - self.log_proposal
 
-    def at(self, laws: dict[str, Law]) -> WeightedLaws:
-        """What the draws say of laws of the box."""
+    def estimate(self, laws: dict[str, Law]) -> WeightedLaws:
+        """The failure probability under laws of the box, estimated with weighted draws, and its interval."""
         weights = np.exp(self.log_weights(laws))
         failing = weights[self.failed]
         draws = len(weights)
@@ -136,26 +136,29 @@ class RangedDraws:
 
     def highest(self) -> WeightedLaws:
         """The laws of the box with the largest upper limit of the failure probability."""
-        return self.at(self.laws_at(self._searched(lambda laws: -self.at(laws).interval[1])))
+
+        def cost(laws: dict[str, Law]) -> float:
+            return -self.estimate(laws).interval[1]
+
+        return self.estimate(self.laws_at(self._search(cost)))
 
     def lowest(self) -> WeightedLaws:
         """The laws of the box with the smallest lower limit of the failure probability."""
 
         def cost(laws: dict[str, Law]) -> float:
-            found = self.at(laws)
-            return found.interval[0] + TIE * found.probability
+            estimate = self.estimate(laws)
+            return estimate.interval[0] + TIE * estimate.probability
 
-        return self.at(self.laws_at(self._searched(cost)))
+        return self.estimate(self.laws_at(self._search(cost)))
 
-    def _searched(self, cost: Callable[[dict[str, Law]], float]) -> np.ndarray:
+    def _search(self, cost: Callable[[dict[str, Law]], float]) -> np.ndarray:
         """The point of the box with the lowest cost: by its corners, DIRECT, and downhill from the best of them."""
 
         def at_point(point: np.ndarray) -> float:
             return cost(self.laws_at(point))
 
         candidates = list(self.corners)
-        found = optimize.direct(at_point, self.bounds, maxfun=EVALUATIONS * len(self.bounds))
-        candidates.append(found.x)
+        candidates.append(optimize.direct(at_point, self.bounds, maxfun=EVALUATIONS * len(self.bounds)).x)
         best = min(candidates, key=at_point)
         scale = np.ptp(self.bounds, axis=1)
         low = np.array(self.bounds)[:, 0]

@@ -34,7 +34,8 @@ class Family:
     Args:
         resting: The undisturbed loop.
         box: The box of the uncertain numbers.
-        findings: What was found for each part at the operating points, the same for all draws, shape (parts,).
+        findings: The :class:`~dssc_jax.engine.linearisation.smooth_parts.Finding` of each part at the operating
+            points, the same for all draws, shape (parts,).
         advance: Called with the number of points that were linearised.
     """
 
@@ -43,34 +44,34 @@ class Family:
         self.advance = advance
         self.box = box
         self.findings = findings
-        self.places: dict[bytes, int] = {}
-        self.rows: list[StateMatrices] = []
+        self.cache: list[StateMatrices] = []
+        self.row_of_point: dict[bytes, int] = {}  # row of the cache for each point, by the bytes of the point
 
     def at(self, points: np.ndarray) -> StateMatrices:
         """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
-        waiting = {key: point for key, point in zip(keys, points, strict=True) if key not in self.places}
+        waiting = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
         fresh = list(waiting.values())
         for first in range(0, len(fresh), BATCH_POINTS):
             batch = np.array(fresh[first : first + BATCH_POINTS])
             padded = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
             matrices = self.linearised(padded, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
-                self.places[point.tobytes()] = len(self.rows)
-                self.rows.append(StateMatrices(*(part[row] for part in matrices)))
-            self.advance(len(self.rows))
-        rows = [self.rows[self.places[key]] for key in keys]
+                self.row_of_point[point.tobytes()] = len(self.cache)
+                self.cache.append(StateMatrices(*(part[row] for part in matrices)))
+            self.advance(len(self.cache))
+        rows = [self.cache[self.row_of_point[key]] for key in keys]
         return StateMatrices(*(np.stack(parts) for parts in zip(*rows, strict=True)))
 
-    def left(self, most: int) -> int:
-        """How many of a number of points have not been linearised."""
-        return max(0, most - len(self.rows))
+    def remainder(self, most: int) -> int:
+        """Number of points that may still be linearised, of ``most`` in all."""
+        return max(0, most - len(self.cache))
 
     def allowance(self, points: int) -> PointsLeft:
-        """What is left of a number of new points, from now on."""
-        last = len(self.rows) + points
-        return lambda: max(0, last - len(self.rows))
+        """The function that tells how many of a number of new points may still be linearised, from now on."""
+        last = len(self.cache) + points
+        return lambda: max(0, last - len(self.cache))
 
     def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Matrices at points, with the random keys of the draws ``indices``."""

@@ -134,7 +134,7 @@ def worst_loop(
     for name, broken in broken_loops.items():
         if not broken.sides:
             raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
-        cases[name] = loop_case(study, broken, operating, cells, family.left(most) // waiting)
+        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // waiting)
         waiting -= 1
     multiloop = None
     if joint is not None:
@@ -142,10 +142,10 @@ def worst_loop(
         channels = tuple(study.loop.channels[i] for i in joint.channels)
         drawn = broken.broken(reached_matrices(operating))
         sample_time = study.config.loop.sample_time
-        multiloop = joint_case(broken, channels, drawn, sample_time, GAP, cells, family.left(most))
+        multiloop = joint_case(broken, channels, drawn, sample_time, GAP, cells, family.remainder(most))
     taken = (*stated(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
-    return WorstLoop(study, dataset, sigma, taken, len(family.rows), most, time.perf_counter() - began)
+    return WorstLoop(study, dataset, sigma, taken, len(family.cache), most, time.perf_counter() - began)
 
 
 def signal_text(study: Study, name: str) -> str:

@@ -15,7 +15,7 @@ def run(options: Compare) -> int:
     study = study_of(options).without_sweep()
     names = controller_names(options.controllers)
     study = with_own_controllers(study, names)
-    folder = free_folder(study, "compare", "compare", options.out, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "compare", options.out, options.settings, options.draws, options.seed)
     candidates = options.tune
     if candidates is None:
         candidates = CANDIDATES if len(study.loop.channels) == 1 else 0

@@ -44,7 +44,7 @@ def run(options: CompareLog) -> int:
     (log,) = logs
     if options.fit:
         return fit(study, log, options)
-    folder = free_folder(study, "compare-log", f"compare-log-{options.log[0].stem}", options.out, *asked(options))
+    folder = free_folder(study, "compare-log", options.out, *asked(options), name=f"compare-log-{options.log[0].stem}")
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)
@@ -62,7 +62,7 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     probability = PROBABILITY if options.probability is None else options.probability
     names = [str(path) for path in options.log]
     question = (*asked(options), names, options.probability)
-    folder = free_folder(study, "next-flight", "next-flight", options.out, *question)
+    folder = free_folder(study, "next-flight", options.out, *question)
     for log in logs:
         for name, text in replay_log(study, log, commands=False).hints.all().items():
             say(f"warning: {log.name}: {name} {text}")

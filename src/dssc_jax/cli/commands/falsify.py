@@ -18,7 +18,6 @@ def run(options: Falsify) -> int:
     folder = free_folder(
         study,
         "falsify",
-        "falsify",
         options.out,
         options.settings,
         options.seed,

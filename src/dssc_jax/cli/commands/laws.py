@@ -28,7 +28,7 @@ def run(options: Laws) -> int:
     study = subject.study if isinstance(subject, Result) else subject
     asked = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
     excluded = (options.study if stored else None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "laws", "laws", options.out, *asked, *excluded)
+    folder = free_folder(study, "laws", options.out, *asked, *excluded)
     with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not stored) as advance:
         errors = laws(
             subject,
@@ -52,7 +52,7 @@ def run_ranges(study: Study, options: Laws) -> int:
         "laws whose arguments are ranges", within=options.within, shift=options.shift, widening=options.widening
     )
     asked = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "law-ranges", "laws", options.out, *asked)
+    folder = free_folder(study, "law-ranges", options.out, *asked, name="laws")
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
         ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
     options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again

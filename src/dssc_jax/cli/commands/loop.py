@@ -14,7 +14,7 @@ def run(options: Loop) -> int:
     """Find the margins, save and print them."""
     times = parse_times(options.at)
     study = study_of(options).without_sweep()
-    folder = free_folder(study, "loop", "loop", options.out, options.settings, options.draws, options.seed, options.at)
+    folder = free_folder(study, "loop", options.out, options.settings, options.draws, options.seed, options.at)
     with progress_bar(study, quiet=options.as_json) as advance:
         margins = loop_margins(study, times=times, progress=advance)
     finish(margins, folder, options, show_loop)

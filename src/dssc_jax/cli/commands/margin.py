@@ -27,7 +27,7 @@ def run(options: Margin) -> int:
     study = with_own_controllers(study, names)
     kind = "margin" if options.controllers is None else "margins"
     folder = free_folder(
-        study, kind, f"{kind}-{walked.name}", options.out, options.settings, options.draws, options.seed
+        study, kind, options.out, options.settings, options.draws, options.seed, name=f"{kind}-{walked.name}"
     )
     walk = {"bounds": walked.bounds, "log": options.log, "points": options.points, "bisections": options.bisections}
     progress = progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY)

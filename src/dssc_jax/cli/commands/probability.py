@@ -13,7 +13,7 @@ def run(options: Probability) -> int:
     """Estimate the probability, save and print it."""
     study = study_of(options).without_sweep()
     asked = (options.width, options.most)
-    folder = free_folder(study, "probability", "probability", options.out, options.settings, options.seed, *asked)
+    folder = free_folder(study, "probability", options.out, options.settings, options.seed, *asked)
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
         found = probability(study, options.width, options.most, progress=advance)
     finish(found, folder, options, show_probability)

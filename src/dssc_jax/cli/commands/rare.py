@@ -19,7 +19,7 @@ def run(options: Rare) -> int:
     killed = options.particles // 2 if options.killed is None else options.killed
     splitting = Splitting(options.particles, killed, options.moves, options.repeats, plain=options.plain or PLAIN)
     importance = ImportanceSampling(options.variation, plain=options.plain or FEWER_PLAIN)
-    folder = free_folder(study, "rare", "rare", options.out, options.settings, options.seed)
+    folder = free_folder(study, "rare", options.out, options.settings, options.seed)
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
         event = rare(
             study,

@@ -19,7 +19,7 @@ def run(options: Select) -> int:
         raise ConfigError("--over", "gives a number twice")
     study = study_of(options).without_sweep()
     asked = (options.over, options.candidates, options.keep, options.within, options.most)
-    folder = free_folder(study, "select", "select", options.out, options.settings, options.seed, *asked)
+    folder = free_folder(study, "select", options.out, options.settings, options.seed, *asked)
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
         found = select(
             study,

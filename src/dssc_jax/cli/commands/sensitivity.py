@@ -13,14 +13,7 @@ def run(options: Sensitivity) -> int:
     """Compute the indices, save and print them."""
     study = study_of(options).without_sweep()
     folder = free_folder(
-        study,
-        "sensitivity",
-        "sensitivity",
-        options.out,
-        options.method,
-        options.settings,
-        options.draws,
-        options.seed,
+        study, "sensitivity", options.out, options.method, options.settings, options.draws, options.seed
     )
     with progress_bar(study, quiet=options.as_json) as advance:
         indices = sensitivity(study, options.method, progress=advance)

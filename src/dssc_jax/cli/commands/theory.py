@@ -23,7 +23,7 @@ def run(options: Theory) -> int:
     walked = parse_walk(options.over)
     study = study_of(options).without_sweep()
     folder = free_folder(
-        study, "theory", f"theory-{walked.name}", options.out, options.settings, options.draws, options.seed
+        study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walked.name}"
     )
     rivals = switching_rivals(study)
     with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:

@@ -19,7 +19,6 @@ def run(options: WorstLoop) -> int:
     folder = free_folder(
         study,
         "worst-loop",
-        "worst-loop",
         options.out,
         options.settings,
         options.draws,

@@ -16,15 +16,7 @@ from dssc_jax.study.tables import to_toml
 def run(options: WorstWindOptions) -> int:
     """Search, save the analysis and a study of each worst flight, and print it."""
     study = study_of(options).without_sweep()
-    folder = free_folder(
-        study,
-        "worst-wind",
-        "worst-wind",
-        options.out,
-        options.settings,
-        options.seed,
-        options.signal,
-    )
+    folder = free_folder(study, "worst-wind", options.out, options.settings, options.seed, options.signal)
     with progress_bar(study, quiet=options.as_json, of="steps", early="nothing worse came") as advance:
         found = worst_wind(
             study,

@@ -191,7 +191,11 @@ class Notation:
         return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
 
     def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
-        """An operation on operands, each with its precedence.
+        """An operation as C's text, with the precedence of its outermost operator.
+
+        Args:
+            value: The operation.
+            operands: The text of each operand with its precedence.
 
         Raises:
             Unsupported: C has no exact form of it.
@@ -269,7 +273,8 @@ class Notation:
 
     def converted(self, value: Value, source: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
         """A number in another type."""
-        text, dtype = operand[0], value.dtype
+        dtype = value.dtype
+        text, _ = operand
         if source.kind == "f" and dtype.kind in "iu":
             if dtype.kind == "u":
                 raise Unsupported(f"conversion of {source} to {dtype} in C")
@@ -285,19 +290,29 @@ class Notation:
         return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
 
     def same_bits(self, source: np.dtype, dtype: np.dtype, operand: tuple[str, int]) -> tuple[str, int]:
-        """The same bits as another type."""
-        if dtype.kind == "f" and source.kind in "iu":
-            bits = (
-                operand[0]
-                if source.kind == "i"
-                else f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({operand[0]})"
-            )
-            return f"{self.need('number_of', real=dtype)}({bits})", ATOM
-        if source.kind == "f" and dtype.kind in "iu":
-            bits = f"{self.need('bits_of', real=source)}({operand[0]})"
-            return (bits, ATOM) if dtype.kind == "i" else (f"({c_type(dtype)}){bits}", UNARY)
-        if source.kind == "u" and dtype.kind == "i":
-            return f"{self.need('signed', dtype)}({operand[0]})", ATOM
-        if source.kind == "i" and dtype.kind == "u":
-            return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
+        """The bits of a value read as another type, as C's text with the precedence of its outermost operator.
+
+        Args:
+            source: The type of the value.
+            dtype: The other type, of the same size.
+            operand: The value's text with its precedence.
+
+        Raises:
+            Unsupported: C has no exact form of it.
+        """
+        text, _ = operand
+        match source.kind, dtype.kind:
+            case "i", "f":
+                return f"{self.need('number_of', real=dtype)}({text})", ATOM
+            case "u", "f":
+                bits = f"{self.need('signed', np.dtype(f'i{dtype.itemsize}'))}({text})"
+                return f"{self.need('number_of', real=dtype)}({bits})", ATOM
+            case "f", "i":
+                return f"{self.need('bits_of', real=source)}({text})", ATOM
+            case "f", "u":
+                return f"({c_type(dtype)}){self.need('bits_of', real=source)}({text})", UNARY
+            case "u", "i":
+                return f"{self.need('signed', dtype)}({text})", ATOM
+            case "i", "u":
+                return f"({c_type(dtype)}){bracketed(*operand, surrounding=UNARY)}", UNARY
         raise Unsupported(f"the bits of {source} as {dtype} in C")

@@ -69,8 +69,8 @@ class Driver:
         self.name = name.value.decode()
         capability = self.attribute(MAJOR), self.attribute(MINOR)
         if capability < CAPABILITY:
-            found, needed = (".".join(map(str, pair)) for pair in (capability, CAPABILITY))
-            raise GpuError(f"{self.name} has compute capability {found}, lanes need {needed} or later")
+            version, minimum = (".".join(map(str, pair)) for pair in (capability, CAPABILITY))
+            raise GpuError(f"{self.name} has compute capability {version}, lanes need {minimum} or later")
         self.call("cuDevicePrimaryCtxRetain", byref(context), self.device)
         self._context = context
 
@@ -116,17 +116,17 @@ class Driver:
         return function
 
     def stream(self) -> c_void_p:
-        """A new queue of the GPU."""
+        """A new stream of the GPU, in which it works in order."""
         stream = c_void_p()
         self.call("cuStreamCreate", byref(stream), NON_BLOCKING)
         return stream
 
     def wait(self, stream: c_void_p) -> None:
-        """Wait for all that is in a queue."""
+        """Wait for all that is in a stream."""
         self.call("cuStreamSynchronize", stream)
 
     def close(self, stream: c_void_p) -> None:
-        """Give a queue back."""
+        """Give a stream back."""
         self.call("cuStreamDestroy_v2", stream)
 
     def reserve(self, size: int) -> int:

@@ -96,7 +96,7 @@ class Translator:
             try:
                 results = self.equation(equation, [read(atom) for atom in equation.invars])
             except Unsupported as problem:
-                raise problem.at(equation) from None
+                raise problem.locate(equation) from None
             scope.update(zip(equation.outvars, results, strict=True))
         return [read(atom) for atom in jaxpr.outvars]
 
@@ -183,14 +183,15 @@ class Translator:
         return self._functions[key]
 
     def subroutine(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> Subroutine:
-        """A function of scalars as a subroutine of the program."""
+        """A function of real numbers as a subroutine of the program, translated once for their types."""
         key = function, *types
         if key not in self._subroutines:
-            inside = Translator(Builder(self.build.fast))
-            inputs = [inside.build.input(position, dtype) for position, dtype in enumerate(types)]
-            outputs = inside.run(self.function(function, types), inputs)
-            name = "_".join((function.__name__, *(str(8 * dtype.itemsize) for dtype in types)))
-            self._subroutines[key] = Subroutine(name, Program(list(types), inside.build.here, outputs))
+            translator = Translator(Builder(self.build.fast))
+            inputs = [translator.build.input(position, dtype) for position, dtype in enumerate(types)]
+            outputs = translator.run(self.function(function, types), inputs)
+            widths = [str(8 * dtype.itemsize) for dtype in types]
+            name = "_".join((function.__name__, *widths))  # such as "far_sin_64"
+            self._subroutines[key] = Subroutine(name, Program(list(types), translator.build.here, outputs))
         return self._subroutines[key]
 
 

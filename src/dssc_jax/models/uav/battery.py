@@ -54,7 +54,7 @@ def power_at_full_voltage(vehicle: Vehicle, efficiency: Scalar, speeds: Sequence
 
 
 def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
-    """Voltage and current.
+    """Voltage, relative to full, and current [A], of rotors whose power goes with the cube of the voltage.
 
     Args:
         battery: The battery.
@@ -64,5 +64,6 @@ def supply(battery: Battery, charge: Scalar, power: Scalar) -> Supply:
     full = battery.full_voltage
     open_circuit = jnp.where(charge > 0.0, battery.empty_voltage + (full - battery.empty_voltage) * charge, 0.0)
     load = battery.resistance * power / full
-    voltage = 2.0 * open_circuit / (full + jnp.sqrt(full * full + 4.0 * load * open_circuit))
-    return Supply(voltage, power * voltage * voltage / full)
+    # the positive root r of load r^2 + full r - open_circuit = 0, in the form without cancellation
+    ratio = 2.0 * open_circuit / (full + jnp.sqrt(full * full + 4.0 * load * open_circuit))
+    return Supply(ratio, power * ratio * ratio / full)
