@@ -67,7 +67,7 @@ class NativeFmu:
         version: Its version of FMI.
         model: Its model's name.
         variables: Its scalar real variables by name.
-        others: Type, and shape if it is an array, of every other variable by name.
+        unusable: What every other variable is instead, by name: its type, or that it is an array.
         step_size: The step of its default experiment [s]; None: it states none.
         calls: The functions of its library.
     """
@@ -77,7 +77,7 @@ class NativeFmu:
     version: str
     model: str
     variables: Mapping[str, FmuVariable] = field(compare=False)
-    others: Mapping[str, str] = field(compare=False)
+    unusable: Mapping[str, str] = field(compare=False)
     step_size: float | None
     calls: FmiCalls = field(compare=False, repr=False)
 
@@ -97,8 +97,8 @@ class NativeFmu:
         """
         if not isinstance(name, str):
             raise ConfigError(place, f"must be the name of a variable of '{self.file}', got {name!r}")
-        if name in self.others:
-            raise ConfigError(place, f"'{name}' of '{self.file}' is {self.others[name]}; must be one real number")
+        if name in self.unusable:
+            raise ConfigError(place, f"'{name}' of '{self.file}' is {self.unusable[name]}; must be one real number")
         if name not in self.variables:
             alike = [known for known, variable in self.variables.items() if variable.causality == causality]
             raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {nearest(name, alike)}")
@@ -115,7 +115,7 @@ class NativeFmu:
         Raises:
             ConfigError: There is none, or its value cannot be chosen.
         """
-        by_field = {field_name(known): known for known in (*self.variables, *self.others)}
+        by_field = {field_name(known): known for known in (*self.variables, *self.unusable)}
         if name not in by_field:
             wanted = field_name(name)
             if wanted in by_field:
@@ -124,8 +124,8 @@ class NativeFmu:
             valid = [key for key in known if self.variables[by_field[key]].settable]
             raise ConfigError(place, f"'{self.file}' has no such parameter; {nearest(name, valid)}")
         inside = by_field[name]
-        if inside in self.others:
-            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.others[inside]}; must be one real number")
+        if inside in self.unusable:
+            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.unusable[inside]}; must be one real number")
         found = self.variables[inside]
         if not found.settable:
             rule = "must be a parameter, an input or an exact initial value"
@@ -170,30 +170,42 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
     unpacked = place / "unpacked"
     try:
         modules.package.extract(str(archive), unzipdir=str(unpacked))
-        version = required_version(path, files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace"))
-        described = modules.package.read_model_description(str(unpacked))
-    except ConfigError:
-        raise
+        text = files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace")
     except Exception as error:  # FMPy raises errors of many kinds
-        raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
-    require_co_simulation(path, described)
-    require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
+        raise unreadable(path, error) from None
+    version = required_version(path, text)
+    try:
+        description = modules.package.read_model_description(str(unpacked))
+    except Exception as error:
+        raise unreadable(path, error) from None
+    require_co_simulation(path, description)
+    require_library(path, description, unpacked, modules.package.platform, modules.package.platform_tuple)
+    variables, unusable = scalar_variables(description)
+    try:
+        calls = VERSIONS[version](unpacked, description)
+    except Exception as error:  # of the system's loader, or of FMPy
+        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
+    experiment = description.defaultExperiment
+    step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
+    return NativeFmu(str(path.resolve()), digest, version, description.modelName, variables, unusable, step, calls)
+
+
+def unreadable(path: Path, error: Exception) -> ConfigError:
+    """The error of a file that is no FMU, or a damaged one."""
+    return ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}")
+
+
+def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVariable], dict[str, str]]:
+    """The scalar real variables of an FMU by name; and what every other variable is instead, by name."""
     variables = {}
-    remaining = {}
-    for variable in described.modelVariables:
+    unusable = {}
+    for variable in description.modelVariables:
         if variable.type in REAL_TYPES and not variable.dimensions:
             variables[variable.name] = described_variable(variable)
         else:
-            remaining[variable.name] = (
-                f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
-            )
-    try:
-        calls = VERSIONS[version](unpacked, described)
-    except Exception as error:  # of the system's loader, or of FMPy
-        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
-    experiment = described.defaultExperiment
-    step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
-    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, remaining, step, calls)
+            kind = f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
+            unusable[variable.name] = kind
+    return variables, unusable
 
 
 def required_version(path: Path, text: str) -> str:
@@ -210,15 +222,15 @@ def required_version(path: Path, text: str) -> str:
     return version
 
 
-def require_co_simulation(path: Path, described: "ModelDescription") -> None:
+def require_co_simulation(path: Path, description: "ModelDescription") -> None:
     """Require that an FMU has a solver of its own, and may have many instances.
 
     Raises:
         ConfigError: It has not, or may not.
     """
-    simulation = described.coSimulation
+    simulation = description.coSimulation
     if simulation is None:
-        kinds = {"model exchange": described.modelExchange, "scheduled execution": described.scheduledExecution}
+        kinds = {"model exchange": description.modelExchange, "scheduled execution": description.scheduledExecution}
         has = " and ".join(name for name, kind in kinds.items() if kind is not None)
         rule = "must be for co-simulation, which has a solver of its own"
         raise ConfigError("file", f"'{path}' {rule}; it is for {has} only: export it again for co-simulation")
@@ -229,19 +241,19 @@ def require_co_simulation(path: Path, described: "ModelDescription") -> None:
         raise ConfigError("file", f"'{path}' needs the tool that made it; export it with all that it runs")
 
 
-def require_library(path: Path, described: "ModelDescription", unpacked: Path, *platforms: str) -> None:
+def require_library(path: Path, description: "ModelDescription", unpacked: Path, *platforms: str) -> None:
     """Require a library for this machine.
 
     Args:
         path: The FMU's file, for messages.
-        described: Its description.
+        description: Its description.
         unpacked: Its folder.
         platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
 
     Raises:
         ConfigError: There is none.
     """
-    name = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+    name = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     binaries = unpacked / "binaries"
     if any((binaries / platform).is_dir() and [*(binaries / platform).glob(f"{name}.*")] for platform in platforms):
         return
