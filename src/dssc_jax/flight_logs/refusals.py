@@ -36,13 +36,13 @@ class FitRefused(ValueError):
 
 
 class NotIdentifiable(FitRefused):
-    """The numbers cannot be identified from the flight; the message says which.
+    """The flight does not identify the numbers, or a combination of them; the message says which.
 
     Args:
         message: The reason.
-        number: The number with the largest part in it; None: all of them.
-        width: The standard deviation along that combination over that of the laws.
-        reasons: What made it wide, and what to do, which the message ends with.
+        number: The number with the largest coefficient in the combination; None: no single number is to blame.
+        width: Standard deviation of the combination, relative to that of the laws.
+        reasons: Why it is so wide and what to do; the message ends with it.
     """
 
     def __init__(self, message: str, number: str | None = None, width: float = math.inf, reasons: str = "") -> None:
@@ -51,8 +51,8 @@ class NotIdentifiable(FitRefused):
         self.width = width
         self.reasons = reasons
 
-    def because(self, reasons: str) -> "NotIdentifiable":
-        """The same with reasons."""
+    def with_reasons(self, reasons: str) -> "NotIdentifiable":
+        """This refusal with reasons."""
         return NotIdentifiable(str(self), self.number, self.width, reasons)
 
 
