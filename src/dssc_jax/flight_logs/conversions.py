@@ -15,13 +15,13 @@ FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says
 
 
 class Conversion(NamedTuple):
-    """A logged signal that is a multiple of the expected one.
+    """The hypothesis that a logged signal is a multiple of the expected one.
 
     Args:
         factor: The multiple.
-        words: The words for it.
-        unit: The unit in which the expected signal's must begin; empty: any.
-        meaning: What the multiple means in that unit.
+        words: What to call it, such as "with the opposite sign".
+        unit: What the expected signal's unit must begin with for ``meaning`` to apply; empty: any unit.
+        meaning: The multiple in terms of units, such as "degrees in place of radians".
     """
 
     factor: float
@@ -30,7 +30,7 @@ class Conversion(NamedTuple):
     meaning: str = ""
 
     def text(self, unit: str) -> str:
-        """The words for a signal of a unit, with the meaning if the unit is known to fit."""
+        """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
 
 
@@ -46,7 +46,7 @@ CONVERSIONS = (
     Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
 )
 OF_RATES = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
-"""Those of a rate beside its output, which are told from each other even where they are near."""
+"""Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
