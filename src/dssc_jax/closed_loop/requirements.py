@@ -158,14 +158,14 @@ def watch(
         sample_time: T_s [s].
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
-    noted = []
+    updates = []
     watched = (requirement for requirement in requirements if requirement.is_watched)
     for requirement, times in zip(watched, violations, strict=True):
         measure = requirement.measure
         value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
         is_first = (times == 0.0) & (requirement.slack(value) < 0.0)
-        noted.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
-    return tuple(noted)
+        updates.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
+    return tuple(updates)
 
 
 def certain_violations(
@@ -183,17 +183,17 @@ def certain_violations(
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     remaining = iter(violations)
-    found = {}
+    samples = {}
     for requirement in requirements:
         measure = requirement.measure
         if requirement.is_watched:
-            noted = next(remaining)
-            found[requirement.label] = jnp.where(noted > 0.0, noted, steps)
+            times = next(remaining)
+            samples[requirement.label] = jnp.where(times > 0.0, times, steps)
         elif measure.metric.certain_after is not None:
-            found[requirement.label] = measure.metric.certain_after(states[measure.name])
+            samples[requirement.label] = measure.metric.certain_after(states[measure.name])
         else:
-            found[requirement.label] = samples_before_end(measure.window, sample_time, steps)
-    return found
+            samples[requirement.label] = samples_before_end(measure.window, sample_time, steps)
+    return samples
 
 
 def judge(

@@ -102,11 +102,12 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
     sizes = rms(logged[known]), rms(expected[known])
     if not 0.0 < min(sizes) <= max(sizes) < np.inf:
         return 1.0
-    seen, wanted = logged[known] / sizes[0], expected[known] / sizes[1]
-    correlation = float(seen @ wanted) / len(seen)
+    unit_logged = logged[known] / sizes[0]
+    unit_expected = expected[known] / sizes[1]
+    correlation = float(unit_logged @ unit_expected) / len(unit_logged)
     factor = correlation * (sizes[0] / sizes[1])
-    other = rms(seen - correlation * wanted) > SAME_REFERENCE
-    return 1.0 if other or abs(factor - 1.0) <= LEAST_FACTOR else factor
+    is_another = rms(unit_logged - correlation * unit_expected) > SAME_REFERENCE
+    return 1.0 if is_another or abs(factor - 1.0) <= LEAST_FACTOR else factor
 
 
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
@@ -152,9 +153,9 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
         names: Of the outputs.
         unit: Of the output.
     """
-    found = conversion_text(logged, expected[index], PREDICTED, unit)
-    if found:
-        return f"looks like the study's {found}"
+    multiple = conversion_text(logged, expected[index], PREDICTED, unit)
+    if multiple:
+        return f"looks like the study's {multiple}"
     smallest = FEWER * rms(logged - expected[index])
     text = ""
     for place, output in enumerate(expected):
@@ -185,10 +186,10 @@ def factor_text(ratio: np.ndarray) -> str:
         ratio: The law's ends over the number.
     """
     low, high = np.sort(ratio)
-    found = [
+    candidates = [
         conversion.words for conversion in CONVERSIONS if conversion.factor > 0.0 and low <= conversion.factor <= high
     ]
-    return found[0] if len(found) == 1 else ""
+    return candidates[0] if len(candidates) == 1 else ""
 
 
 def reference_conversion(
@@ -207,9 +208,9 @@ def reference_conversion(
     distance = rms(logged - reference)
     if distance <= SAME_REFERENCE * rms(reference):
         return ""
-    found = conversion_text(logged, reference, SAME_REFERENCE, unit)
-    if found:
-        return f"is the study's {found}"
+    multiple = conversion_text(logged, reference, SAME_REFERENCE, unit)
+    if multiple:
+        return f"is the study's {multiple}"
     for place, channel in enumerate(channels):
         size = rms(references[place])
         if place != index and size > 0.0 and rms(logged - references[place]) <= SAME_REFERENCE * size:
@@ -227,12 +228,12 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
-        for shifted, original, found in (
+        for shifted, original, result in (
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
         ):
             if rms(original - np.mean(original)) > 0.5 * size and rms(shifted - original) <= SAME_REFERENCE * size:
-                return found
+                return result
     return 0
 
 

@@ -100,14 +100,18 @@ class NativeFmu:
         if name in self.unusable:
             raise ConfigError(place, f"'{name}' of '{self.file}' is {self.unusable[name]}; must be one real number")
         if name not in self.variables:
-            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
-            raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {nearest(name, alike)}")
-        found = self.variables[name]
-        if found.causality != causality:
-            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
-            has = f"the {causality}s of '{self.file}' are {', '.join(sorted(alike)) or 'none'}"
-            raise ConfigError(place, f"'{name}' must be an {causality}, it has the causality {found.causality}; {has}")
-        return found
+            hint = nearest(name, self.names_with(causality))
+            raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {hint}")
+        variable = self.variables[name]
+        if variable.causality != causality:
+            rule = f"must be an {causality}, it has the causality {variable.causality}"
+            valid = f"the {causality}s of '{self.file}' are {', '.join(sorted(self.names_with(causality))) or 'none'}"
+            raise ConfigError(place, f"'{name}' {rule}; {valid}")
+        return variable
+
+    def names_with(self, causality: str) -> list[str]:
+        """The names of the variables of a causality."""
+        return [name for name, variable in self.variables.items() if variable.causality == causality]
 
     def parameter(self, name: str, place: str) -> FmuVariable:
         """The variable whose value before t = 0 a study sets, by its name in a study.
@@ -126,11 +130,11 @@ class NativeFmu:
         inside = by_field[name]
         if inside in self.unusable:
             raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.unusable[inside]}; must be one real number")
-        found = self.variables[inside]
-        if not found.settable:
+        variable = self.variables[inside]
+        if not variable.settable:
             rule = "must be a parameter, an input or an exact initial value"
-            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {found.causality}")
-        return found
+            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {variable.causality}")
+        return variable
 
 
 def field_name(name: str) -> str:
@@ -157,9 +161,9 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
     """
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
-        found = unpacked_fmu(path, content, digest, place)
+        fmu = unpacked_fmu(path, content, digest, place)
         UNPACKED.push(stack.pop_all())
-    return found
+    return fmu
 
 
 def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> NativeFmu:
@@ -214,11 +218,11 @@ def required_version(path: Path, text: str) -> str:
     Raises:
         ConfigError: It is another one.
     """
-    found = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
-    written = found[1] if found else "none"
-    version = next((known for known in VERSIONS if written.startswith(known)), None)
+    match = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
+    text_of_version = match[1] if match else "none"
+    version = next((known for known in VERSIONS if text_of_version.startswith(known)), None)
     if version is None:
-        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {written}")
+        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {text_of_version}")
     return version
 
 
