@@ -170,7 +170,7 @@ def test_the_posterior_covers_the_truth_of_a_drift():
     for _ in range(12):
         noise = np.cumsum(0.08 * random.normal(size=250)) + random.normal(size=250)
         posterior = NoiseSearch(times, np.column_stack([noise, columns]), 0.0).posterior()
-        drifts += isinstance(posterior.likely, Drift)
+        drifts += isinstance(posterior.likeliest, Drift)
         scores.append(averaged_score(posterior))
     assert drifts >= 5
     assert np.mean(np.square(scores)) < 2.5  # without a drift among the kinds it is 4.6
@@ -180,7 +180,7 @@ def test_a_residual_of_rounding_is_white():
     times = irregular_times()
     columns = np.column_stack([1e-12 * np.sin(times), slopes(times)])
     posterior = NoiseSearch(times, columns, 1e-18).posterior()
-    assert posterior.likely == WHITE
+    assert posterior.likeliest == WHITE
     assert posterior.white == 1.0
     assert len(posterior.candidates) == 1
     assert posterior.fit.variance == pytest.approx(1e-18, rel=0.1)
@@ -190,9 +190,9 @@ def test_white_noise_is_told_from_correlated_noise():
     times = 0.02 * np.arange(400)
     random = np.random.default_rng(7)
     white = NoiseSearch(times, np.column_stack([random.normal(size=400), slopes(times)]), 0.0).posterior()
-    assert white.likely == WHITE
+    assert white.likeliest == WHITE
     assert white.white > 0.4
     drift = signal.lfilter([1.0], [1.0, -0.95], random.normal(size=400))
     found = NoiseSearch(times, np.column_stack([drift, slopes(times)]), 0.0).posterior()
     assert found.white < 1e-6
-    assert 0.15 < correlation_time(found.likely) < 0.9  # 0.39 s
+    assert 0.15 < correlation_time(found.likeliest) < 0.9  # 0.39 s

@@ -173,12 +173,12 @@ class Latch(NamedTuple):
     Args:
         value: Its robustness so far.
         held: For ``until``, the smallest value of ``before`` so far.
-        decided: Number of samples after which its truth was certain before its end; 0: not yet.
+        decision: Number of samples after which its truth was certain before its end; 0: not yet.
     """
 
     value: Scalar
     held: Scalar
-    decided: Scalar
+    decision: Scalar
 
 
 class LatchedFormula(NamedTuple):
@@ -223,42 +223,50 @@ def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar)
         held = jnp.where(waits, minimum(held, operands[0]), held)
     combine = minimum if isinstance(formula, Always) else maximum
     value = jnp.where(inside, combine(latch.value, value), latch.value)
-    certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
+    is_certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
     if operands:
-        certain = certain | (held < 0.0)
+        is_certain = is_certain | (held < 0.0)
     samples = jnp.asarray(k + 1, jnp.result_type(float))
-    return Latch(value, held, jnp.where(certain & (latch.decided == 0.0), samples, latch.decided))
+    return Latch(value, held, jnp.where(is_certain & (latch.decision == 0.0), samples, latch.decision))
 
 
 class Judgement(NamedTuple):
     """The robustness of a formula, and the number of samples after which its truth is certain."""
 
     value: Scalar
-    certain: Scalar
+    decision: Scalar
 
 
-def judged(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
-    """The judgement of a formula at the end of a flight, from its latches in the order of :func:`latched_formulas`."""
+def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
+    """The judgement of a formula at the end of a flight.
+
+    Args:
+        formula: The formula.
+        latches: Those of :func:`latched_formulas`, in its order.
+        extremes: Minimum and maximum.
+        at: The sample at which the formula is to hold.
+    """
     match formula:
         case Not():
-            inner = judged(formula.inner, latches, extremes, at)
-            return Judgement(-inner.value, inner.certain)
+            inner = judgement(formula.inner, latches, extremes, at)
+            return Judgement(-inner.value, inner.decision)
         case And() | Or():
             combine = extremes.minimum if isinstance(formula, And) else extremes.maximum
-            parts = [judged(part, latches, extremes, at) for part in formula.parts]
+            parts = [judgement(part, latches, extremes, at) for part in formula.parts]
             return reduce(partial(joint_judgement, combine, isinstance(formula, And)), parts)
-        case Always() | Eventually() if formula.begin == formula.end:
-            return judged(formula.inner, latches, extremes, at + formula.begin)
-    latch = next(latches)
-    end = float(at + horizon(formula) + 1)
-    return Judgement(latch.value, jnp.where(latch.decided > 0.0, latch.decided, end))
+        case Always() | Eventually() if formula.begin == formula.end:  # its inner formula, at one later sample
+            return judgement(formula.inner, latches, extremes, at + formula.begin)
+        case _:
+            latch = next(latches)
+            end = float(at + horizon(formula) + 1)  # samples that decide it if fewer do not
+            return Judgement(latch.value, jnp.where(latch.decision > 0.0, latch.decision, end))
 
 
 def joint_judgement(combine: Combination, conjunction: bool, first: Judgement, second: Judgement) -> Judgement:
     """The judgement of a conjunction or disjunction: it is certain once one part decides it, or both are certain."""
-    decisive = [jnp.where((part.value < 0.0) == conjunction, part.certain, FAR) for part in (first, second)]
+    decisive = [jnp.where((part.value < 0.0) == conjunction, part.decision, FAR) for part in (first, second)]
     early = jnp.minimum(*decisive)
-    late = jnp.maximum(first.certain, second.certain)
+    late = jnp.maximum(first.decision, second.decision)
     return Judgement(combine(first.value, second.value), jnp.where(early < FAR, early, late))
 
 
@@ -338,10 +346,10 @@ class RobustnessValue:
 
     def __call__(self, state: FormulaState, window: Window, span: Span) -> Scalar:
         """The exact robustness, with the derivatives of the smooth one."""
-        value = judged(self.formula, iter(state.exact.latches), EXACT).value
+        value = judgement(self.formula, iter(state.exact.latches), EXACT).value
         if not isinstance(state.smooth, Evaluation):
             return value
-        return with_slope_of(value, judged(self.formula, iter(state.smooth.latches), smooth(self.width)).value)
+        return with_slope_of(value, judgement(self.formula, iter(state.smooth.latches), smooth(self.width)).value)
 
 
 @dataclass(frozen=True)
@@ -351,8 +359,8 @@ class Certainty:
     formula: Formula
 
     def __call__(self, state: FormulaState) -> Scalar:
-        """From the state at the end of a flight."""
-        return judged(self.formula, iter(state.exact.latches), EXACT).certain
+        """The number for the state at the end of a flight."""
+        return judgement(self.formula, iter(state.exact.latches), EXACT).decision
 
 
 def formula_metric(formula: Formula, unit: str, meaning: str, width: float) -> Metric:

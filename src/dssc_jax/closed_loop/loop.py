@@ -39,7 +39,7 @@ class LoopParams(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """When a draw counts as settled and ends: after ``after``, |e| <= ``error`` in every channel for ``hold``.
+    """When a draw counts as settled and ends: once t >= ``after``, |e| <= ``error`` in every channel for ``hold``.
 
     Args:
         error: Bound on |e| [m; rad for psi].

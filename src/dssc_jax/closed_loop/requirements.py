@@ -19,15 +19,15 @@ VIOLATED_AT = "violated_at_"
 class Requirement:
     """A bound on one measure. Exactly one of ``maximum`` and ``minimum`` is set, in the metric's unit.
 
-    ``size`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0. Of a
-    formula, whose robustness must not be negative, ``formula`` is the text. ``written`` is the bound as the study has
-    it, if that has another unit.
+    ``typical_slack`` is a typical distance from the bound in that unit, if it is known; it serves where the bound is 0.
+    Of a formula, whose robustness must not be negative, ``formula`` is the text. ``written`` is the bound as the study
+    has it, if that has another unit.
     """
 
     measure: Measure
     maximum: float | None = None
     minimum: float | None = None
-    size: float | None = None
+    typical_slack: float | None = None
     formula: str = ""
     written: str = ""
 
@@ -59,8 +59,8 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Scale of slacks when requirements are compared: |bound|; if that is 0, ``size``, or 1 if it is not known."""
-        return abs(self.bound) or self.size or 1.0
+        """Scale of slacks when requirements are compared: |bound|, else the typical slack if that is known, else 1."""
+        return abs(self.bound) or self.typical_slack or 1.0
 
     @property
     def text(self) -> str:
@@ -98,14 +98,21 @@ class Requirement:
         return value - self.minimum  # type: ignore[operator]
 
 
-def add_sizes(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> tuple[Requirement, ...]:
-    """The requirements with the median distance from their bounds over some draws."""
-    with_sizes = []
+def with_typical_slacks(
+    requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]
+) -> tuple[Requirement, ...]:
+    """The requirements with their typical slack: the median of |slack| over some draws, None if no slack is finite.
+
+    Args:
+        requirements: The requirements.
+        results: The slack of each requirement by its name.
+    """
+    result = []
     for requirement in requirements:
-        distances = np.abs(results[requirement.name])
-        finite = distances[np.isfinite(distances)]
-        with_sizes.append(replace(requirement, size=float(np.median(finite)) if finite.size else None))
-    return tuple(with_sizes)
+        slacks = np.abs(results[requirement.name])
+        finite = slacks[np.isfinite(slacks)]
+        result.append(replace(requirement, typical_slack=float(np.median(finite)) if finite.size else None))
+    return tuple(result)
 
 
 def counted_places(requirements: Sequence[Requirement], label: str) -> list[int]:
@@ -151,14 +158,14 @@ def watch(
         sample_time: T_s [s].
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
-    noted = []
+    updates = []
     watched = (requirement for requirement in requirements if requirement.is_watched)
     for requirement, times in zip(watched, violations, strict=True):
         measure = requirement.measure
         value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
         is_first = (times == 0.0) & (requirement.slack(value) < 0.0)
-        noted.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
-    return tuple(noted)
+        updates.append(jnp.where(is_first, jnp.asarray(samples, jnp.result_type(float)), times))
+    return tuple(updates)
 
 
 def certain_violations(
@@ -176,17 +183,17 @@ def certain_violations(
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     remaining = iter(violations)
-    found = {}
+    samples = {}
     for requirement in requirements:
         measure = requirement.measure
         if requirement.is_watched:
-            noted = next(remaining)
-            found[requirement.label] = jnp.where(noted > 0.0, noted, steps)
+            times = next(remaining)
+            samples[requirement.label] = jnp.where(times > 0.0, times, steps)
         elif measure.metric.certain_after is not None:
-            found[requirement.label] = measure.metric.certain_after(states[measure.name])
+            samples[requirement.label] = measure.metric.certain_after(states[measure.name])
         else:
-            found[requirement.label] = samples_before_end(measure.window, sample_time, steps)
-    return found
+            samples[requirement.label] = samples_before_end(measure.window, sample_time, steps)
+    return samples
 
 
 def judge(

@@ -32,10 +32,10 @@ class SampledSignal(NamedTuple):
 
     unit: str
     meaning: str
-    of: Callable[[Instant], Scalar]
+    value: Callable[[Instant], Scalar]
 
 
-class Travelled(NamedTuple):
+class Variation(NamedTuple):
     """The last value of a signal, the sum of the sizes of its changes, and whether there was a sample, 1 or 0."""
 
     last: Scalar = 0.0
@@ -94,8 +94,8 @@ TIME = "t"
 
 
 def sampled_signals(
-    fields: Mapping[str, Sequence[str]],
-    seen: Sequence[str],
+    controller_fields: Mapping[str, Sequence[str]],
+    plant_fields: Sequence[str],
     units: Sequence[ChannelUnits],
     reports: Sequence[Mapping[str, Quantity]],
     outputs: Mapping[str, Quantity],
@@ -104,8 +104,8 @@ def sampled_signals(
     """Every signal of a loop, by the name of its column in a trajectory.
 
     Args:
-        fields: Field names of each channel's controller info, by channel.
-        seen: Field names of the plant's info.
+        controller_fields: Field names of each channel's controller info, by channel.
+        plant_fields: Field names of the plant's info.
         units: Units and meanings of each channel.
         reports: The quantities that each channel's controller declares.
         outputs: Those that the plant declares.
@@ -115,51 +115,68 @@ def sampled_signals(
         ConfigError: A controller or the plant reports a signal under the name of another one.
     """
     signals: dict[str, SampledSignal] = {}
-    for index, (channel, infos) in enumerate(fields.items()):
-        sources = {
-            "y": (Quantity("y", "output y"), of_output(index)),
-            "y_dot": (Quantity("y/s", "derivative y' of the output"), of_output_rate(index)),
-            "y_ref": (Quantity("y", "desired output y_m"), of_desired_output(index)),
-        }
-        for name, quantity in CHANNEL_SIGNALS.items():
-            sources[name] = quantity, of_channel(index, name)
-        for name in infos:
-            require_free("controller", name, {TIME, *sources})
-            sources[name] = reports[index].get(name, Quantity("1", name)), of_controller(index, name)
-        for name, (quantity, of) in sources.items():
-            unit = units[index].of(quantity.unit)
-            column = f"{channel}_{name}" if channel else name
-            signals[column] = SampledSignal(unit, units[index].named(quantity.meaning), of)
-    for index, signal in enumerate(measured):
-        signals[f"measured_{signal.name}"] = SampledSignal(
-            signal.unit or "1", f"measured {signal.quantity.meaning}", of_reading(index)
-        )
-    for name in seen:
+    for index, (channel, fields) in enumerate(controller_fields.items()):
+        for name, signal in channel_signals(index, fields, units[index], reports[index]).items():
+            signals[f"{channel}_{name}" if channel else name] = signal
+    for index, measure in enumerate(measured):
+        meaning = f"measured {measure.quantity.meaning}"
+        signals[f"measured_{measure.name}"] = SampledSignal(measure.unit or "1", meaning, of_reading(index))
+    for name in plant_fields:
         require_free("plant", name, {TIME, *signals})
         quantity = outputs.get(name, Quantity("1", name))
         signals[name] = SampledSignal(quantity.unit or "1", quantity.meaning, of_plant(name))
     return signals
 
 
-def require_free(part: str, name: str, taken: Collection[str]) -> None:
+def channel_signals(
+    index: int, fields: Sequence[str], units: ChannelUnits, reports: Mapping[str, Quantity]
+) -> dict[str, SampledSignal]:
+    """Every signal of one channel, by its name without that of the channel.
+
+    Args:
+        index: Index of the channel.
+        fields: Field names of its controller's info.
+        units: Units and meanings of the channel.
+        reports: The quantities that its controller declares.
+
+    Raises:
+        ConfigError: The controller reports a signal under the name of another one.
+    """
+    quantities = {
+        "y": (Quantity("y", "output y"), of_output(index)),
+        "y_dot": (Quantity("y/s", "derivative y' of the output"), of_output_rate(index)),
+        "y_ref": (Quantity("y", "desired output y_m"), of_desired_output(index)),
+    }
+    for name, quantity in CHANNEL_SIGNALS.items():
+        quantities[name] = quantity, of_channel(index, name)
+    for name in fields:
+        require_free("controller", name, {TIME, *quantities})
+        quantities[name] = reports.get(name, Quantity("1", name)), of_controller(index, name)
+    signals = {}
+    for name, (quantity, value) in quantities.items():
+        signals[name] = SampledSignal(units.of(quantity.unit), units.named(quantity.meaning), value)
+    return signals
+
+
+def require_free(part: str, name: str, names: Collection[str]) -> None:
     """Require that a part reports a signal under a name of its own; raises ConfigError."""
-    if name in taken:
+    if name in names:
         raise ConfigError(part, f"reports '{name}', which is another signal of the loop; give it a name of its own")
 
 
-def travelled(of: Callable[[Instant], Scalar]) -> Callable[[Travelled, Instant, Window], Travelled]:
-    """The sum of |change| from one sample in the window to the next."""
+def variation(signal: Callable[[Instant], Scalar]) -> Callable[[Variation, Instant, Window], Variation]:
+    """The update of the sum of |change| from one sample in the window to the next."""
 
-    def update(acc: Travelled, instant: Instant, window: Window) -> Travelled:
-        value = of(instant)
+    def update(acc: Variation, instant: Instant, window: Window) -> Variation:
+        value = signal(instant)
         change = jnp.where(acc.samples > 0.0, jnp.abs(value - acc.last), 0.0)
-        return Travelled(value, acc.sum + change, jnp.minimum(acc.samples + 1.0, 1.0))
+        return Variation(value, acc.sum + change, jnp.minimum(acc.samples + 1.0, 1.0))
 
     return update
 
 
-def travelled_sum(acc: Travelled, window: Window, span: Span) -> Scalar:
-    """The sum."""
+def variation_sum(acc: Variation, window: Window, span: Span) -> Scalar:
+    """The sum of the sizes of the changes."""
     return acc.sum
 
 
@@ -167,7 +184,7 @@ def running(
     extreme: Callable[[Scalar, Scalar], Scalar],
 ) -> Callable[[Callable[[Instant], Scalar]], Callable[[Scalar, Instant, Window], Scalar]]:
     """The update of a running extreme of a signal."""
-    return lambda of: lambda acc, instant, window: extreme(acc, of(instant))
+    return lambda signal: lambda acc, instant, window: extreme(acc, signal(instant))
 
 
 class SignalMetric(NamedTuple):
@@ -176,10 +193,10 @@ class SignalMetric(NamedTuple):
     Args:
         meaning: In words before the signal's own.
         update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
-        value: As in that.
-        start: As in that.
-        course: As in that.
-        least: As in that.
+        value: That of the metric.
+        start: That of the metric.
+        course: That of the metric.
+        least: That of the metric.
     """
 
     meaning: str
@@ -191,13 +208,13 @@ class SignalMetric(NamedTuple):
 
 
 SIGNAL_METRICS: dict[str, SignalMetric] = {
-    "rms": SignalMetric("rms of the", lambda of: total(lambda i: jnp.square(of(i))), root_mean, least=0.0),
+    "rms": SignalMetric("rms of the", lambda signal: total(lambda i: jnp.square(signal(i))), root_mean, least=0.0),
     "max_abs": SignalMetric("largest size of the", peak, course=Course.RISES, least=0.0),
     "highest": SignalMetric("highest", running(jnp.maximum), start=-jnp.inf, course=Course.RISES),
     "lowest": SignalMetric("lowest", running(jnp.minimum), start=jnp.inf, course=Course.FALLS),
     "mean": SignalMetric("mean", total, mean),
-    "final": SignalMetric("last", lambda of: lambda acc, i, window: of(i)),
-    "variation": SignalMetric("total variation of the", travelled, travelled_sum, Travelled(), Course.RISES, 0.0),
+    "final": SignalMetric("last", lambda signal: lambda acc, i, window: signal(i)),
+    "variation": SignalMetric("total variation of the", variation, variation_sum, Variation(), Course.RISES, 0.0),
 }
 """The metrics that a study takes of any signal."""
 
@@ -206,7 +223,7 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
     """The metric of a kind of a signal, in its unit."""
     form = SIGNAL_METRICS[kind]
     meaning = f"{form.meaning} {signal.meaning}"
-    update = form.update(signal.of)
+    update = form.update(signal.value)
     return Metric(
         signal.unit,
         meaning,
@@ -221,9 +238,9 @@ def signal_metric(kind: str, signal: SampledSignal) -> Metric:
 
 def metrics_of_signals(names: Sequence[str], signals: Mapping[str, SampledSignal]) -> dict[str, Metric]:
     """The metrics among names such as ``rms_tyre_force``: kind and signal."""
-    found = {}
+    metrics = {}
     for kind in SIGNAL_METRICS:
         for name, signal in signals.items():
             if suffixed(kind, name) in names:
-                found[suffixed(kind, name)] = signal_metric(kind, signal)
-    return found
+                metrics[suffixed(kind, name)] = signal_metric(kind, signal)
+    return metrics

@@ -28,14 +28,24 @@ def decibels(factor: float) -> str:
     return f"{factor:.4g} ({20.0 * math.log10(factor):.3g} dB)" if factor > 0.0 else "none"
 
 
+def seconds(value: float) -> str:
+    """A delay margin in seconds."""
+    return f"{value:.4g} s"
+
+
+def ratio(value: float) -> str:
+    """A number without a unit."""
+    return f"{value:.3g}"
+
+
 MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
     "gain_upper": ("gain margin", decibels),
     "gain_lower": ("lower gain margin", decibels),
     "phase": ("phase margin", lambda value: f"{math.degrees(value):.3g} deg"),
-    "delay": ("delay margin", lambda value: f"{value:.4g} s"),
-    "disk": ("disk margin", lambda value: f"{value:.3g}"),
-    "sensitivity_peak": ("peak sensitivity M_s", lambda value: f"{value:.3g}"),
-    "complementary_peak": ("peak complementary M_t", lambda value: f"{value:.3g}"),
+    "delay": ("delay margin", seconds),
+    "disk": ("disk margin", ratio),
+    "sensitivity_peak": ("peak sensitivity M_s", ratio),
+    "complementary_peak": ("peak complementary M_t", ratio),
     "crossover": ("crossover", lambda value: f"{value:.4g} rad/s"),
     "bandwidth": ("bandwidth", lambda value: f"{value:.4g} rad/s"),
 }
@@ -44,22 +54,21 @@ MARGIN_ROWS: dict[str, tuple[str, Callable[[float], str]]] = {
 
 def margin_lines(margins: DesignedMargins) -> list[str]:
     """The margins of a designed loop in words, one line each."""
-    lower = f", lower {decibels(margins.gain_lower_margin)}" if margins.gain_lower_margin > 0.0 else ""
-    lines = [f"gain margin {margin_text(margins.gain_margin, decibels)}{lower}"]
+    reduction = f", lower {decibels(margins.gain_lower_margin)}" if margins.gain_lower_margin > 0.0 else ""
+    lines = [f"gain margin {margin_text(margins.gain_margin, decibels)}{reduction}"]
     if not margins.gain_crossovers:
         return [*lines, "the loop gain is never 1, so there is no phase or delay margin"]
-    delay = margin_text(margins.delay_margin, MARGIN_ROWS["delay"][1])
     lines.append(
         f"phase margin {math.degrees(margins.phase_margin):.3g} deg at {margins.phase_margin_at:.4g} rad/s, "
-        f"delay margin {delay}"
+        f"delay margin {margin_text(margins.delay_margin, seconds)}"
     )
-    for places, meaning in (
+    for crossings, meaning in (
         (margins.gain_crossovers, "the loop gain is 1 at"),
         (margins.phase_crossings, "the phase is -180 degrees at"),
     ):
-        if len(places) > 1:
-            frequencies = ", ".join(f"{place:.4g}" for place in places)
-            lines.append(f"{meaning} {len(places)} frequencies: {frequencies} rad/s")
+        if len(crossings) > 1:
+            frequencies = ", ".join(f"{crossing:.4g}" for crossing in crossings)
+            lines.append(f"{meaning} {len(crossings)} frequencies: {frequencies} rad/s")
     return lines
 
 
@@ -122,10 +131,9 @@ def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
 
 def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:
     """The disk margin of all loops at once, in words."""
-    form = MARGIN_ROWS["disk"][1]
     margin = statistics.margin
     numbers = ", ".join(
-        f"{name} {margin_text(value, form)}"
+        f"{name} {margin_text(value, ratio)}"
         for name, value in (("median", margin.median), ("limit", margin.tolerance_limit), ("worst drawn", margin.worst))
     )
     text = f"all commands at once, {place}: disk margin {numbers}"
@@ -135,8 +143,8 @@ def multiloop_text(statistics: MultiloopStatistics, place: str) -> str:
         f"{channel} {gain:.3g} at {math.degrees(statistics.phases[channel]):.3g} deg"
         for channel, gain in statistics.factors.items()
     )
-    found = f"a perturbation of {form(statistics.found)} makes a loop oscillate at {statistics.frequency:.3g} rad/s"
-    return f"{text}; {found}: {factors}"
+    cause = f"a perturbation of {ratio(statistics.found)} makes a loop oscillate at {statistics.frequency:.3g} rad/s"
+    return f"{text}; {cause}: {factors}"
 
 
 def runs_linear_plants(study: Study | Described) -> bool:
@@ -195,14 +203,13 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
 
 def worst_multiloop_text(name: str, worst: MultiloopWorst, draws: int) -> str:
     """The worst disk margin of all commands at once, in words."""
-    form = MARGIN_ROWS["disk"][1]
-    bound = (
-        f"bounded by {form(worst.bounded)}" if math.isfinite(worst.bounded) else f"no bound after {worst.cells} cells"
-    )
+    bound = f"no bound after {worst.cells} cells"
+    if math.isfinite(worst.bounded):
+        bound = f"bounded by {ratio(worst.bounded)}"
     numbers = ", ".join(f"{number} = {value:.6g}" for number, value in worst.numbers.items())
     text = (
-        f"{name} at once: disk margin {form(worst.drawn)} in the worst of {draws} draws, worst found "
-        f"{form(worst.found)}, {bound}; found at {numbers}"
+        f"{name} at once: disk margin {ratio(worst.drawn)} in the worst of {draws} draws, worst found "
+        f"{ratio(worst.found)}, {bound}; found at {numbers}"
     )
     if worst.found == 0.0:
         return f"{text}, where a loop is unstable"

@@ -202,14 +202,18 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
 
 
 def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Numeric) -> Guarantee:
-    """The same at one k_p."""
+    """Decay rate and residual sets that the small-gain condition guarantees at one k_p.
+
+    Where the condition does not hold, the rate is 0 and the sets are infinite.
+    """
     spread = eigenvalues_of_p(k_p, p.eps, p.gamma)
     k = comparison_gains(p, c, eta, spread)
     margin = k.k_v1 - k.k_v2 * k.k_eta2 / k.k_eta1
     holds = margin > 0.0
     xp = namespace(margin)
-    driven = k.k_v3 * c.beta_m + k.k_v2 * k.k_eta3 * bounds.y_m_dot / k.k_eta1
-    w_v = xp.where(holds, driven / xp.where(holds, margin, 1.0), xp.inf)
+    # the residual set of the comparison system: W_v' = W_eta' = 0, where the drives of W_v equal margin W_v
+    drive = k.k_v3 * c.beta_m + k.k_v2 * k.k_eta3 * bounds.y_m_dot / k.k_eta1
+    w_v = xp.where(holds, drive / xp.where(holds, margin, 1.0), xp.inf)
     w_eta = (k.k_eta2 * w_v + k.k_eta3 * bounds.y_m_dot) / k.k_eta1
     # the smaller root of (k_eta1 - r)(k_v1 - r) = k_v2 k_eta2, without cancellation
     mean = 0.5 * (k.k_eta1 + k.k_v1)
@@ -218,4 +222,11 @@ def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics
     zeta = w_v / spread.low**0.5
     sigma = zeta / p.phi_b
     e = sigma / p.l0
-    return Guarantee(rate, sigma, e, zeta, w_eta / eta.spread.low**0.5, e * p.phi_b**2)
+    return Guarantee(
+        decay_rate=rate,
+        sigma=sigma,
+        e=e,
+        zeta=zeta,
+        x_eta=w_eta / eta.spread.low**0.5,
+        order=e * p.phi_b**2,
+    )

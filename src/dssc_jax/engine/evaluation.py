@@ -81,26 +81,32 @@ class Evaluator:
         return evaluate(self.engine, {name: column for name, column in values.items() if name in known}, indices)
 
     def fails(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Whether each lane fails, shape (n,); margins are computed only of those whose flight meets all else.
+        """Whether each lane fails, shape (n,).
+
+        Margins of the linearised loop are slow, so they are computed only for lanes that meet all other requirements.
 
         Args:
-            indices: As for a call.
-            values: As for a call.
+            indices: As for :meth:`__call__`.
+            values: As for :meth:`__call__`.
         """
         margins = margins_of(self.swept.measures)
         if not margins:
             return self(indices, values)["outcome"] != Outcome.OK
         required = [rule for rule in self.swept.requirements if rule.measure.name in margins]
-        met = {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
-        flown = self(indices, {**values, **{name: np.full(len(indices), np.nan) for name in margins}, **met})
-        left = np.flatnonzero(flown["outcome"] == Outcome.OK)
+        # First the flights, with margins that are set instead of computed: NaN, or a bound where one is required, so
+        # that the requirement is met.
+        placeholders = {name: np.full(len(indices), np.nan) for name in margins}
+        placeholders |= {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
+        flights = self(indices, {**values, **placeholders})
+        candidates = np.flatnonzero(flights["outcome"] == Outcome.OK)
         failed = np.ones(len(indices), bool)
-        if left.size:
-            found = self.engine.margins({name: column[left] for name, column in values.items()}, indices[left])
+        if candidates.size:
+            numbers = {name: column[candidates] for name, column in values.items()}
+            margin_values = self.engine.margins(numbers, indices[candidates])
             with arithmetic(self.swept.config.loop.precision):
-                slacks = [rule.slack(jnp.asarray(found[rule.measure.name])) for rule in required]
-            broken = [violated(np.asarray(slack)) for slack in slacks]
-            failed[left] = np.any(broken, axis=0)
+                slacks = [rule.slack(jnp.asarray(margin_values[rule.measure.name])) for rule in required]
+            violations = [violated(np.asarray(slack)) for slack in slacks]
+            failed[candidates] = np.any(violations, axis=0)
         return failed
 
 

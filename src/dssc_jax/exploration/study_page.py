@@ -183,7 +183,12 @@ class StudyPage(Page):
         self.work(partial(self._run, self.positions))
 
     def _run(self, positions: dict[Slider, float], stale: Stale) -> None:
-        """Simulate, and show the result, or the reason why there is none."""
+        """Simulate at the sliders' positions and show the result, or why there is none.
+
+        Args:
+            positions: Position of each slider.
+            stale: Whether newer positions have arrived; then nothing is shown.
+        """
         try:
             run = self.live.run(positions, stale, partial(self.update, self.say))
         except ConfigError as error:

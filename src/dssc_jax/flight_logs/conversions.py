@@ -15,13 +15,13 @@ FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says
 
 
 class Conversion(NamedTuple):
-    """A logged signal that is a multiple of the expected one.
+    """The hypothesis that a logged signal is a multiple of the expected one.
 
     Args:
         factor: The multiple.
-        words: The words for it.
-        unit: The unit in which the expected signal's must begin; empty: any.
-        meaning: What the multiple means in that unit.
+        words: What to call it, such as "with the opposite sign".
+        unit: What the expected signal's unit must begin with for ``meaning`` to apply; empty: any unit.
+        meaning: The multiple in terms of units, such as "degrees in place of radians".
     """
 
     factor: float
@@ -30,7 +30,7 @@ class Conversion(NamedTuple):
     meaning: str = ""
 
     def text(self, unit: str) -> str:
-        """The words for a signal of a unit, with the meaning if the unit is known to fit."""
+        """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
 
 
@@ -46,7 +46,7 @@ CONVERSIONS = (
     Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
 )
 OF_RATES = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
-"""Those of a rate beside its output, which are told from each other even where they are near."""
+"""Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
@@ -102,11 +102,12 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
     sizes = rms(logged[known]), rms(expected[known])
     if not 0.0 < min(sizes) <= max(sizes) < np.inf:
         return 1.0
-    seen, wanted = logged[known] / sizes[0], expected[known] / sizes[1]
-    correlation = float(seen @ wanted) / len(seen)
+    unit_logged = logged[known] / sizes[0]
+    unit_expected = expected[known] / sizes[1]
+    correlation = float(unit_logged @ unit_expected) / len(unit_logged)
     factor = correlation * (sizes[0] / sizes[1])
-    other = rms(seen - correlation * wanted) > SAME_REFERENCE
-    return 1.0 if other or abs(factor - 1.0) <= LEAST_FACTOR else factor
+    is_another = rms(unit_logged - correlation * unit_expected) > SAME_REFERENCE
+    return 1.0 if is_another or abs(factor - 1.0) <= LEAST_FACTOR else factor
 
 
 def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) -> str:
@@ -152,9 +153,9 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
         names: Of the outputs.
         unit: Of the output.
     """
-    found = conversion_text(logged, expected[index], PREDICTED, unit)
-    if found:
-        return f"looks like the study's {found}"
+    multiple = conversion_text(logged, expected[index], PREDICTED, unit)
+    if multiple:
+        return f"looks like the study's {multiple}"
     smallest = FEWER * rms(logged - expected[index])
     text = ""
     for place, output in enumerate(expected):
@@ -185,10 +186,10 @@ def factor_text(ratio: np.ndarray) -> str:
         ratio: The law's ends over the number.
     """
     low, high = np.sort(ratio)
-    found = [
+    candidates = [
         conversion.words for conversion in CONVERSIONS if conversion.factor > 0.0 and low <= conversion.factor <= high
     ]
-    return found[0] if len(found) == 1 else ""
+    return candidates[0] if len(candidates) == 1 else ""
 
 
 def reference_conversion(
@@ -207,9 +208,9 @@ def reference_conversion(
     distance = rms(logged - reference)
     if distance <= SAME_REFERENCE * rms(reference):
         return ""
-    found = conversion_text(logged, reference, SAME_REFERENCE, unit)
-    if found:
-        return f"is the study's {found}"
+    multiple = conversion_text(logged, reference, SAME_REFERENCE, unit)
+    if multiple:
+        return f"is the study's {multiple}"
     for place, channel in enumerate(channels):
         size = rms(references[place])
         if place != index and size > 0.0 and rms(logged - references[place]) <= SAME_REFERENCE * size:
@@ -227,12 +228,12 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
-        for shifted, original, found in (
+        for shifted, original, result in (
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
         ):
             if rms(original - np.mean(original)) > 0.5 * size and rms(shifted - original) <= SAME_REFERENCE * size:
-                return found
+                return result
     return 0
 
 

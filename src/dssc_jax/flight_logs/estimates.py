@@ -14,7 +14,7 @@ from dssc_jax.flight_logs.conversions import factor_text
 from dssc_jax.flight_logs.least_squares import fit_scale, from_fit_scale
 from dssc_jax.flight_logs.refusals import Doubt, Explained
 from dssc_jax.statistics.correlated_noise import correlation_time
-from dssc_jax.statistics.noise_posterior import Posterior
+from dssc_jax.statistics.noise_posterior import NoisePosterior
 from dssc_jax.study import Law, Study
 from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_dotted, toml_entries
 
@@ -34,10 +34,10 @@ class ResidualNoise(NamedTuple):
     explained: Explained  # the residual beside noise and output
 
     @classmethod
-    def of(cls, posterior: Posterior, explained: Explained) -> "ResidualNoise":
+    def of(cls, posterior: NoisePosterior, explained: Explained) -> "ResidualNoise":
         """The noise of a posterior law."""
-        likely = posterior.likely
-        return cls(posterior.white, likely.share, correlation_time(likely), explained)
+        likeliest = posterior.likeliest
+        return cls(posterior.white, likeliest.share, correlation_time(likeliest), explained)
 
     def summary(self) -> dict[str, float]:
         """For JSON."""

@@ -356,7 +356,7 @@ def fitted_minimum(
     try:
         require_identifiable(problem.names, information)
     except NotIdentifiable as refusal:
-        raise refusal.because(width_reasons(problem, rough, growth)) from None
+        raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
     outlying = outlier_doubts(problem, x)
     explained = {doubt.signal for doubt in outlying}

@@ -22,7 +22,7 @@ from dssc_jax.flight_logs.prediction import Prediction
 from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import SearchCount
 from dssc_jax.statistics.correlated_noise import WHITE, Noise, weighted_products
-from dssc_jax.statistics.noise_posterior import NoiseSearch, Posterior
+from dssc_jax.statistics.noise_posterior import NoisePosterior, NoiseSearch
 from dssc_jax.study import Law, Study
 
 ITERATIONS = 40  # of Gauss-Newton
@@ -182,7 +182,7 @@ class FitProblem:
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""
         for place, search in enumerate(self.noise_searches(x)):
-            self.noises[place], noise_fit = search.likely()
+            self.noises[place], noise_fit = search.likeliest()
             self.variances[place] = noise_fit.variance
 
 
@@ -366,7 +366,7 @@ def find_minima(problem: FitProblem, known: Sequence[Minimum] = ()) -> MinimumSe
     return MinimumSearch(minima[0], minima[1:], sum(end.starts for end in ends)) if minima else None
 
 
-def averaged_covariance(problem: FitProblem, posteriors: Sequence[Posterior]) -> np.ndarray:
+def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior]) -> np.ndarray:
     """Second moments of the coordinates about the estimate, over all noises that the residual allows; shape (p, p)."""
     size = len(problem.names)
     information = np.zeros((NOISE_DRAWS, size, size))

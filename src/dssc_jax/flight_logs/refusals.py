@@ -36,13 +36,13 @@ class FitRefused(ValueError):
 
 
 class NotIdentifiable(FitRefused):
-    """The numbers cannot be identified from the flight; the message says which.
+    """The flight does not identify the numbers, or a combination of them; the message says which.
 
     Args:
         message: The reason.
-        number: The number with the largest part in it; None: all of them.
-        width: The standard deviation along that combination over that of the laws.
-        reasons: What made it wide, and what to do, which the message ends with.
+        number: The number with the largest coefficient in the combination; None: no single number is to blame.
+        width: Standard deviation of the combination, relative to that of the laws.
+        reasons: Why it is so wide and what to do; the message ends with it.
     """
 
     def __init__(self, message: str, number: str | None = None, width: float = math.inf, reasons: str = "") -> None:
@@ -51,8 +51,8 @@ class NotIdentifiable(FitRefused):
         self.width = width
         self.reasons = reasons
 
-    def because(self, reasons: str) -> "NotIdentifiable":
-        """The same with reasons."""
+    def with_reasons(self, reasons: str) -> "NotIdentifiable":
+        """This refusal with reasons."""
         return NotIdentifiable(str(self), self.number, self.width, reasons)
 
 
@@ -107,10 +107,10 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
     """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
-    seen = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
+    noise_size = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     size = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
-    return Explained(size, min(seen, size), float(np.std(readings.values)), independent)
+    return Explained(size, min(noise_size, size), float(np.std(readings.values)), independent)
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
@@ -148,15 +148,15 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
         predicted = []
         for output, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
             predicted.append(np.interp(readings.times, output.times, output.values - columns[:, 0]))
-        found = likeness(place, readings.values, predicted, names, unit)
-        if found:
-            return f". {names[place]} {found}"
+        words = likeness(place, readings.values, predicted, names, unit)
+        if words:
+            return f". {names[place]} {words}"
     return ""
 
 
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
     """The residuals that are many times what noise explains, by channel, with the remedy."""
-    found = []
+    reasons = []
     for place, result in enumerate(results):
         if not result.doubtful:
             continue
@@ -167,13 +167,13 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
             f"the study lacks something of this flight, or the log is not what the study takes it for. {REMEDY}"
             f"{converted_text(problem, x, place)}"
         )
-        found.append(Doubt(name, text))
-    return tuple(found)
+        reasons.append(Doubt(name, text))
+    return tuple(reasons)
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
     """The readings that are far noisier than the study's sensor, by channel, with the remedy."""
-    found = []
+    reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
         if sensor == 0.0 or result.doubtful or result.noise <= NOISIER * sensor:
@@ -184,8 +184,8 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
             f"of the study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
             f"{converted_text(problem, x, place)}"
         )
-        found.append(Doubt(name, text))
-    return tuple(found)
+        reasons.append(Doubt(name, text))
+    return tuple(reasons)
 
 
 def reading_name(problem: FitProblem, place: int) -> tuple[str, str]:

@@ -60,7 +60,9 @@ class ProgramCache:
         return None
 
     def put(self, key: str, value: bytes) -> None:
-        """Store a program under its name.
+        """Store a program under its name, and now and then delete old ones.
+
+        Deletion searches the whole folder. That happens on average SEARCHES times while ``limit`` bytes are written.
 
         Raises:
             OSError: It cannot be written.
@@ -68,8 +70,9 @@ class ProgramCache:
         self._path.mkdir(parents=True, exist_ok=True)
         content = digest(key, value) + value
         write_file(self._file(key), content)
-        chance = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
-        if chance * self.limit < SEARCHES * max(len(content), DISK_BLOCK):
+        size = max(len(content), DISK_BLOCK)
+        uniform = int.from_bytes(content[:8]) / 2**64  # the digest is as good as a random number
+        if uniform * self.limit < SEARCHES * size:  # with probability SEARCHES size/limit; the limit may be 0
             self._make_room()
 
     def _file(self, key: str) -> Path:

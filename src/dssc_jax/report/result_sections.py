@@ -289,7 +289,7 @@ def run_caption(run: xr.Dataset) -> str:
 
 
 def chattering_section(subject: Subject) -> Section | None:
-    """How much the command moves, and whether the sampling is fast enough for the gains."""
+    """How much the command moves, and whether sampling is fast enough for the gains; None if no metric tells."""
     study = subject.result.study
     result = subject.point_result
     measures = [measure for measure in study.measures if measure.kind in CHATTER]
@@ -306,8 +306,8 @@ def chattering_section(subject: Subject) -> Section | None:
         h.p[
             "A total variation of the command far above its range means that it switches. A sampling ratio above 1 "
             "means that the sampled loop chatters or diverges, since the hold is too slow for the gain.",
-            above_one(subject),
-            off_reference(subject),
+            sampling_ratio_sentence(subject),
+            off_reference_sentence(subject),
         ],
         table(f"Chattering{subject.point_phrase}", head, rows, words=3),
     ]
@@ -321,8 +321,8 @@ def chattering_section(subject: Subject) -> Section | None:
     return Section("chattering", "Chattering", body)
 
 
-def above_one(subject: Subject) -> str:
-    """The number of lanes whose sampling ratio exceeds 1 at some time; for a vehicle, in any channel."""
+def sampling_ratio_sentence(subject: Subject) -> str:
+    """How many lanes have a sampling ratio above 1 at some time and in any channel; empty without that metric."""
     names = [measure.name for measure in subject.result.study.measures if measure.kind == "sampling_ratio"]
     if not names:
         return ""
@@ -332,8 +332,8 @@ def above_one(subject: Subject) -> str:
     return f" Of {ended:,} simulated loops that ran to their end, {exceeding:,} have one at some time."
 
 
-def off_reference(subject: Subject) -> str:
-    """The warning that measurement noise moves the loop off its reference, if it is predicted to."""
+def off_reference_sentence(subject: Subject) -> str:
+    """The warning that measurement noise moves the loop off its reference; empty unless that is predicted."""
     study = subject.result.study
     text = None if isinstance(study, Described) else noise_warning(study)
     return f" In this study, {text}." if text else ""

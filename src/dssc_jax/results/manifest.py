@@ -220,40 +220,47 @@ def require_startable(folder: Path, study: Study, resume: bool) -> None:
         require_same_study(folder, read_manifest(folder), study, resume)
 
 
-def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> bool:
+def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: bool) -> None:
     """Require that a folder's study is this one; a resumed run may ask for more draws.
-
-    Returns:
-        Whether it asks for more draws.
 
     Raises:
         ConfigError: The study is different (the message gives the differences), or draws cannot be added.
     """
-    old = manifest["study"]
     if resume and manifest.get("stopping"):
-        raise ConfigError(str(folder), "ended where its draws decided; that cannot be resumed, start over")
+        rule = "ended by a stopping rule that depends on its draws, so it cannot be resumed"
+        raise ConfigError(str(folder), f"{rule}; start over")
     if manifest["hash"] == study.hash:
-        return False
-    lines = differences(old, study.table)
+        return
+    old = manifest["study"]
+    if not asks_for_more_draws(manifest, study):
+        lines = listed(differences(old, study.table))
+        raise ConfigError(
+            str(folder), f"holds results of another study ({lines}); choose another `out`, nothing was written"
+        )
     draws = old.get("draws", 1)
     requested = study.config.draws
-    if [line.partition(":")[0] for line in lines] == ["draws"] and isinstance(draws, int) and requested > draws:
-        if study.config.sampling not in EXTENSIBLE:
-            raise ConfigError(
-                str(folder),
-                f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
-                f"{requested} of them are another set; choose another `out`, nothing was written",
-            )
-        if resume:
-            return True
+    if study.config.sampling not in EXTENSIBLE:
+        raise ConfigError(
+            str(folder),
+            f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
+            f"{requested} of them are another set; choose another `out`, nothing was written",
+        )
+    if not resume:
         raise ConfigError(
             str(folder),
             f"holds {draws} draws of this study; add {requested - draws} with `resume`, or choose another `out`, "
             "nothing was written",
         )
-    raise ConfigError(
-        str(folder), f"holds results of another study ({listed(lines)}); choose another `out`, nothing was written"
-    )
+
+
+def asks_for_more_draws(manifest: Manifest, study: Study) -> bool:
+    """Whether a study is that of a manifest but for a larger number of draws."""
+    if manifest["hash"] == study.hash:
+        return False
+    old = manifest["study"]
+    draws = old.get("draws", 1)
+    only_draws_differ = [line.partition(":")[0] for line in differences(old, study.table)] == ["draws"]
+    return only_draws_differ and isinstance(draws, int) and study.config.draws > draws
 
 
 def code_entries(study: Study) -> Manifest:

@@ -19,6 +19,7 @@ from dssc_jax.results.manifest import (
     SCHEMA,
     SUMMARY,
     Manifest,
+    asks_for_more_draws,
     occupied,
     read_manifest,
     require_same_machinery,
@@ -61,7 +62,9 @@ class Store:
             raise
         try:
             old = read_manifest(folder) if occupied(folder) else None
-            adds_draws = old is not None and require_same_study(folder, old, study, resume)
+            if old is not None:
+                require_same_study(folder, old, study, resume)
+            adds_draws = old is not None and asks_for_more_draws(old, study)
             with writing(folder):
                 if old is None or not resume or not self._resume(old, manifest, adds_draws):
                     self._begin(manifest)

@@ -33,7 +33,7 @@ def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
     rounding = ROUNDING * usual_sizes(np.concatenate([curves, tested[None]])).max()
     for signal, known in enumerate(np.isfinite(tested)):
         if known.any():
-            distance, size = distances(curves[:, signal, known], tested[signal, known])
+            distance, size = distances_from_median(curves[:, signal, known], tested[signal, known])
             least = max(LEAST_SPREAD * size, rounding)
             spread[signal] = np.count_nonzero(distance.max(axis=1) > least) >= 2
     return spread
@@ -45,15 +45,16 @@ def usual_sizes(curves: np.ndarray) -> np.ndarray:
     return np.median(finite.max(axis=2), axis=0)
 
 
-def distances(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, float]:
-    """Distances of all n + 1 curves of a signal from their pointwise median, which is taken over the finite values.
+def distances_from_median(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, float]:
+    """Distances of all n + 1 curves of a signal from their pointwise median, that of the finite values.
 
     Args:
-        curves: Shape (n, times).
-        tested: Finite, shape (times,).
+        curves: Curves of the draws, shape (n, times); not finite after a curve's end.
+        tested: The tested curve, finite, shape (times,).
 
     Returns:
-        The distances, infinite where a curve has ended, shape (n + 1, times); the largest absolute value of the median.
+        The distances, infinite where a curve has ended, shape (n + 1, times), those of the tested curve in the last
+        row; the largest absolute value of the median.
     """
     pooled = np.concatenate([curves, tested[None]])
     pooled = np.where(np.isfinite(pooled), pooled, np.nan)
@@ -88,7 +89,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     departures_of_tested = np.full(tested.shape, np.nan)
     for signal in np.flatnonzero(spread_signals(curves, tested)):
         at = known[signal]
-        distance, size = distances(curves[:, signal, at], tested[signal, at])
+        distance, size = distances_from_median(curves[:, signal, at], tested[signal, at])
         finite = np.where(np.isinf(distance), np.nan, distance)
         spread = np.nanmedian(finite, axis=0)
         scale = np.sqrt(np.mean(spread**2)) or np.sqrt(np.nanmean(finite**2))

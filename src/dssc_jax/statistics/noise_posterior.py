@@ -52,7 +52,7 @@ class Candidate(NamedTuple):
     Args:
         noise: The noise, of unit variance.
         weight: Its posterior probability.
-        fit: What the residual tells, if it is this noise.
+        fit: The fit of the residual with this noise.
     """
 
     noise: Noise
@@ -60,17 +60,17 @@ class Candidate(NamedTuple):
     fit: NoiseFit
 
 
-class Posterior(NamedTuple):
-    """The noises that a channel's residual allows.
+class NoisePosterior(NamedTuple):
+    """The posterior law of the noise of a channel's residual.
 
     Args:
-        likely: The noise at the mode of the likeliest kind.
-        fit: What the residual tells, if it is this noise.
+        likeliest: The noise at the mode of the likeliest kind.
+        fit: The fit of the residual with that noise.
         white: Posterior probability of white noise.
         candidates: Noises with their probabilities, whose sum is 1.
     """
 
-    likely: Noise
+    likeliest: Noise
     fit: NoiseFit
     white: float
     candidates: tuple[Candidate, ...]
@@ -147,7 +147,7 @@ NOISE_KINDS: tuple[tuple[Callable[[np.ndarray, TimeScale], Noise], int], ...] = 
 """Kinds of correlated noise: the noise at coordinates, and their number."""
 
 
-def spaced(times: np.ndarray) -> np.ndarray:
+def times_apart(times: np.ndarray) -> np.ndarray:
     """Times with no two closer than a share of their median gap, shape (n,)."""
     gaps = np.diff(times)
     return times[0] + np.concatenate([[0.0], np.cumsum(np.maximum(gaps, LEAST_GAP * np.median(gaps)))])
@@ -206,7 +206,7 @@ class NoiseSearch:
     """
 
     def __init__(self, times: np.ndarray, columns: np.ndarray, floor: float, least_white: float = 0.0) -> None:
-        self.times = spaced(times)
+        self.times = times_apart(times)
         self.columns = columns
         self.floor = floor
         self.least_white = least_white
@@ -228,40 +228,40 @@ class NoiseSearch:
         prior = -0.5 * float(point @ point) - 0.5 * len(point) * math.log(2.0 * math.pi)
         return fit.log_likelihood - self.white.log_likelihood + prior, fit
 
-    def likely(self) -> tuple[Noise, NoiseFit]:
-        """The noise at the mode of the likeliest kind, by Laplace's method."""
+    def likeliest(self) -> tuple[Noise, NoiseFit]:
+        """The noise at the mode of the likeliest kind, by Laplace's method, and the residual's fit with it."""
         share = (1.0 - WHITE_PRIOR) / len(NOISE_KINDS)
         evidence = [mode.evidence + math.log(share / WHITE_PRIOR) for mode in self.modes]
         if not evidence or max(evidence) <= 0.0:
-            return self.whitened(WHITE, self.white)
+            return self.with_sensor(WHITE, self.white)
         best = int(np.argmax(evidence))
         kind, _ = self.kinds[best]
         point = self.modes[best].point
-        return self.whitened(kind(point, self.scale), self.density(kind, point)[1])
+        return self.with_sensor(kind(point, self.scale), self.density(kind, point)[1])
 
-    def whitened(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
-        """A noise with at least the least variance of its white part, and what the residual tells by it."""
-        lacking = self.least_white - (1.0 - noise.share) * fit.variance
-        if lacking <= 0.0:
+    def with_sensor(self, noise: Noise, fit: NoiseFit) -> tuple[Noise, NoiseFit]:
+        """A noise whose white part has at least its least variance, and the residual's fit with that noise."""
+        shortage = self.least_white - (1.0 - noise.share) * fit.variance
+        if shortage <= 0.0:
             return noise, fit
-        variance = fit.variance + lacking
+        variance = fit.variance + shortage
         noise = noise._replace(share=noise.share * fit.variance / variance)
         products = weighted_products(noise, self.times, self.columns)[0] / variance
         return noise, fit._replace(variance=variance, information=products[1:, 1:], gradient=products[1:, 0])
 
-    def posterior(self) -> Posterior:
+    def posterior(self) -> NoisePosterior:
         """All noises that the residual allows, by importance sampling around the modes."""
         logs = [math.log(WHITE_PRIOR)]
-        found = [self.whitened(WHITE, self.white)]
+        fits = [self.with_sensor(WHITE, self.white)]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
             points, proposed = drawn_points(mode)
             for point, log_proposed in zip(points, proposed, strict=True):
                 log_density, fit = self.density(kind, point)
                 logs.append(math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / len(points)) + log_density - log_proposed)
-                found.append(self.whitened(kind(point, self.scale), fit))
+                fits.append(self.with_sensor(kind(point, self.scale), fit))
         weights = np.exp(np.array(logs) - max(logs))
         weights /= weights.sum()
         candidates = [
-            Candidate(noise, weight, fit) for weight, (noise, fit) in zip(weights.tolist(), found, strict=True)
+            Candidate(noise, weight, fit) for weight, (noise, fit) in zip(weights.tolist(), fits, strict=True)
         ]
-        return Posterior(*self.likely(), float(weights[0]), tuple(candidates))
+        return NoisePosterior(*self.likeliest(), float(weights[0]), tuple(candidates))

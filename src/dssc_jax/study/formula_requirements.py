@@ -90,4 +90,4 @@ def formula_requirement(
     name = table.name or f"formula_{number}"
     metric = formula_metric(parsed.formula, parsed.unit, f"robustness of {text}", width)
     measure = Measure(name, name, WHOLE_RUN, None, metric, channel_name="")
-    return Requirement(measure, minimum=0.0, size=parsed.size, formula=text)
+    return Requirement(measure, minimum=0.0, typical_slack=parsed.size, formula=text)

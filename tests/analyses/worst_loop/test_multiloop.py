@@ -12,7 +12,7 @@ from scipy.linalg import expm
 
 from dssc_jax.analyses.worst_loop.cells import cover
 from dssc_jax.analyses.worst_loop.family import unlimited
-from dssc_jax.analyses.worst_loop.joint import bounded_joint_margin, margins_of, worst_joint_margin
+from dssc_jax.analyses.worst_loop.joint import joint_mu_bound, margins_of, worst_joint_margin
 from dssc_jax.analyses.worst_loop.readouts import joint, norm_over_box
 from dssc_jax.analyses.worst_loop.search import radii_of
 
@@ -78,7 +78,7 @@ FAMILIES = {"satellite": (satellite, 3), "random 1": (random_family(1, 2), 2), "
 def test_the_bound_holds_on_a_dense_sample_and_is_near_the_worst_found(name):
     evaluate, sides = FAMILIES[name]
     worst = worst_joint_margin(evaluate, sides, 2, T_S, unlimited)
-    covered = bounded_joint_margin(evaluate, sides, 2, GAP / worst.value, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, sides, 2, GAP / worst.value, 20_000, unlimited)
     assert covered.stable
     bounded = 1.0 / covered.gains[0]
     points = np.array(list(itertools.product(np.linspace(-1.0, 1.0, 9), repeat=sides)))
@@ -117,7 +117,7 @@ def test_the_satellite_without_uncertainty_has_its_published_margin():
         return result
 
     found = margins_of(evaluate(np.zeros((1, 1))), 2, period).found[0]
-    covered = bounded_joint_margin(evaluate, 1, 2, 1.001 / found, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, 1, 2, 1.001 / found, 20_000, unlimited)
     s = 1j * np.geomspace(1e-3, 1e3, 2000)[:, None, None]
     loop = np.array([[1.0, -2.0], [0.0, 1.0]]) @ np.array([[1.0, 10.0], [-10.0, 1.0]])
     loop = loop @ np.linalg.inv(s * np.eye(2) - np.array([[0.0, 10.0], [-10.0, 0.0]]))
@@ -150,7 +150,7 @@ def test_three_channels_are_bounded_below_dense_perturbations():
         return result
 
     worst = worst_joint_margin(evaluate, 1, 3, T_S, unlimited)
-    covered = bounded_joint_margin(evaluate, 1, 3, GAP / worst.value, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, 1, 3, GAP / worst.value, 20_000, unlimited)
     bounded = 1.0 / covered.gains[0]
     assert worst.value / GAP * (1.0 - 1e-9) <= bounded <= worst.value
     for _ in range(2000):
@@ -175,7 +175,7 @@ def test_a_coupling_in_one_direction_does_not_spoil_the_bound():
 
     worst = worst_joint_margin(evaluate, 1, 2, T_S, unlimited)
     sampled = dense_alpha(evaluate(np.linspace(-1.0, 1.0, 41)[:, None]), np.linspace(1e-4, np.pi, 800)).min()
-    covered = bounded_joint_margin(evaluate, 1, 2, GAP / worst.value, 20_000, unlimited)
+    covered = joint_mu_bound(evaluate, 1, 2, GAP / worst.value, 20_000, unlimited)
     assert worst.value == pytest.approx(sampled, rel=1e-3)
     assert worst.value / GAP <= 1.0 / covered.gains[0] <= sampled
 

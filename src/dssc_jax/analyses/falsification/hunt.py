@@ -10,11 +10,11 @@ from dssc_jax.analyses.defaults import LEAST_BUDGET
 from dssc_jax.analyses.falsification.search_sets import SearchSet
 from dssc_jax.closed_loop.requirements import (
     Requirement,
-    add_sizes,
     binding_requirement,
     counted_places,
     ended_early,
     first_violation,
+    with_typical_slacks,
     worst_slack,
 )
 from dssc_jax.core.signals import ProgressCallback
@@ -137,7 +137,7 @@ class Hunt:
     def simulate(self, points: np.ndarray, evaluator: Evaluator, cost: int = 1) -> tuple[np.ndarray, Arrays]:
         """Slacks and results of points; ``cost`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
-        self.requirements = self.requirements or add_sizes(self.programs.study.requirements, results)
+        self.requirements = self.requirements or with_typical_slacks(self.programs.study.requirements, results)
         counted = counted_places(self.requirements, self.requirement)
         requirements = [self.requirements[place] for place in counted]
         slacks = worst_slack(requirements, results)

@@ -40,9 +40,7 @@ class SelectionAnswer:
     ranges: Annotated[dict[str, tuple[float, float]], Quantity("those of the numbers", "where candidates lie")]
     candidates: Annotated[int, Quantity("1", "number of candidates")]
     chosen: list[Chosen]
-    within: Annotated[
-        float, Quantity("1", "a chosen candidate fails at most this much more often than any not chosen")
-    ]
+    within: Annotated[float, Quantity("1", "a chosen candidate fails at most this much more often than any not chosen")]
     wanted_within: Annotated[float, Quantity("1", "the difference that was asked for")]
     confidence: Annotated[float, Quantity("1", "confidence of this statement on all candidates together")]
     left: Annotated[int, Quantity("1", "candidates that had not left the race at its end")]

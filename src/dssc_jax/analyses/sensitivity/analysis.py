@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.sensitivity.morris import morris_design, require_morris
+from dssc_jax.analyses.sensitivity.morris import morris_design, trajectory_count
 from dssc_jax.analyses.sensitivity.outputs import FAILURE, NOISE, RowDesign, output_of, row_count
 from dssc_jax.analyses.sensitivity.result import Sensitivity, sensitivity_dataset
 from dssc_jax.analyses.sensitivity.shapley import shapley_design
-from dssc_jax.analyses.sensitivity.sobol import require_sobol, sobol_design
+from dssc_jax.analyses.sensitivity.sobol import sobol_design, sobol_rows
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate, is_noisy
@@ -23,7 +23,8 @@ class MethodOfDesign(NamedTuple):
 
     Args:
         design: ``(study, whether in-loop noise is a factor, confidence) -> RowDesign``.
-        require: ``(study)`` raises ConfigError where the method cannot treat it, before anything is compiled.
+        require: ``(study)`` raises ConfigError where the method cannot treat it, before anything is compiled. It may be
+            the function that counts the method's rows; its result does not matter here.
     """
 
     design: Callable[[Study, bool, float], RowDesign]
@@ -31,9 +32,9 @@ class MethodOfDesign(NamedTuple):
 
 
 SENSITIVITY_METHODS = {
-    "sobol": MethodOfDesign(sobol_design, require_sobol),
+    "sobol": MethodOfDesign(sobol_design, sobol_rows),
     "shapley": MethodOfDesign(shapley_design, row_count),
-    "morris": MethodOfDesign(morris_design, require_morris),
+    "morris": MethodOfDesign(morris_design, trajectory_count),
 }
 
 
@@ -45,12 +46,16 @@ def sensitivity(
 
     Args:
         study: The study, or its file. Its sweep is ignored. Its number of draws, rounded down to a power of two, is
-            the number of rows; for ``morris`` it is about the total number of simulations.
+            the number of rows of each sample; for ``morris`` it is about the total number of simulations.
         method: ``sobol``: first-order and total indices of independent numbers. ``shapley``: Shapley effects, which
             share out the variance among correlated numbers too. ``morris``: screening of many numbers with few
             simulations.
         confidence: Confidence of the intervals.
         progress: Called with the simulations done and their total.
+
+    Returns:
+        The method's quantities of every output and factor with their intervals, and the reason of each output without
+        them.
 
     Raises:
         ConfigError: the method is unknown or cannot treat correlated numbers, nothing is uncertain, or there are too
@@ -63,10 +68,11 @@ def sensitivity(
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
     if not 0.0 < confidence < 1.0:
         raise ConfigError("confidence", f"must lie in (0, 1), got {confidence:g}")
-    SENSITIVITY_METHODS[method].require(study)
+    procedure = SENSITIVITY_METHODS[method]
+    procedure.require(study)
     engine = Engine(study, min(BLOCK, study.config.draws))
     noisy = is_noisy(engine)
-    design = SENSITIVITY_METHODS[method].design(study, noisy, confidence)
+    design = procedure.design(study, noisy, confidence)
     count = len(design.samples) * design.rows
     results: list[Arrays] = []
     for sample in design.samples:
@@ -80,9 +86,11 @@ def sensitivity(
         values = np.stack([output_of(result, name) for result in results])
         missing[name] = int(np.count_nonzero(~np.isfinite(values)))
         reason = f"has no value on {missing[name]:,} simulations" if missing[name] else design.refusal(values)
-        outputs[name] = None if reason else design.quantities(values)
         if reason:
+            outputs[name] = None
             reasons[name] = reason
+        else:
+            outputs[name] = design.quantities(values)
     factors = (*study.laws, NOISE) if noisy else tuple(study.laws)
     dataset = sensitivity_dataset(study, method, factors, outputs, missing)
     return Sensitivity(study, dataset, method, design.rows, count, reasons, confidence)

@@ -92,8 +92,8 @@ def with_interval(estimate: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.stack([estimate, np.maximum(estimate - half, 0.0), estimate + half], axis=1)
 
 
-def require_morris(study: Study, noisy: bool = False) -> int:
-    """The number of trajectories.
+def trajectory_count(study: Study, noisy: bool = False) -> int:
+    """The number of trajectories, if the study can be screened.
 
     Args:
         study: The study.
@@ -102,7 +102,7 @@ def require_morris(study: Study, noisy: bool = False) -> int:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_uncorrelated(study, "the moves of Morris screening are those of")
+    require_uncorrelated(study, claim="the moves of Morris screening are those of")
     factors = len(study.laws) + noisy
     count = study.config.draws // (factors + 1)
     if count < FEWEST:
@@ -122,7 +122,7 @@ def morris_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    count = require_morris(study, noisy)
+    count = trajectory_count(study, noisy)
     laws = len(study.laws)
     factors = laws + noisy
     levels, order = trajectories(count, factors, (study.config.seed, stream("morris")))

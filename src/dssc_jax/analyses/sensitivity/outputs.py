@@ -101,12 +101,12 @@ def row_count(study: Study) -> int:
     return rows
 
 
-def require_uncorrelated(study: Study, purpose: str) -> None:
+def require_uncorrelated(study: Study, claim: str) -> None:
     """Require numbers that are not correlated.
 
     Args:
         study: The study.
-        purpose: Why, as the beginning of the refusal's sentence.
+        claim: Why, as the beginning of the refusal, which goes on with "independent inputs, but".
 
     Raises:
         ConfigError: some are.
@@ -114,6 +114,6 @@ def require_uncorrelated(study: Study, purpose: str) -> None:
     if study.correlated:
         raise ConfigError(
             study.source,
-            f"{purpose} independent inputs, but {', '.join(study.correlated)} are correlated: use the method "
+            f"{claim} independent inputs, but {', '.join(study.correlated)} are correlated: use the method "
             "'shapley', leave them fixed, or make them independent: correlation = {}",
         )

@@ -130,13 +130,13 @@ def controlled(
     return share - np.einsum("nri,ri->nr", replicates, coefficients).reshape(-1)
 
 
-def require_sobol(study: Study) -> int:
-    """The number of A's rows.
+def sobol_rows(study: Study) -> int:
+    """The number of rows of the sample A, if Sobol indices can be computed.
 
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    require_uncorrelated(study, "Sobol indices divide up the variance of")
+    require_uncorrelated(study, claim="Sobol indices divide up the variance of")
     return row_count(study)
 
 
@@ -151,7 +151,7 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     Raises:
         ConfigError: inputs are correlated, or there are too few draws.
     """
-    rows = require_sobol(study)
+    rows = sobol_rows(study)
     factors = len(study.laws)
     a, b = map(inside, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
     indices_a = np.arange(rows)

@@ -36,6 +36,9 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 from dssc_jax.study.laws import SPREAD
 
+SECOND_SAMPLE = 1
+"""Index of the sample that is linearised: a controller may treat its first one unlike the others."""
+
 
 class Time(StrEnum):
     """Type of linearisation: of the sampled loop as simulated, or of the synthesised law in continuous time."""
@@ -51,15 +54,15 @@ CRITERION = {
 
 
 class Spectrum(NamedTuple):
-    """Eigenvalues of the linearised loop, and what was taken for parts without a derivative.
+    """The eigenvalues of the linearised loop, and notes on the substitutes of parts without a derivative.
 
     Args:
         eigenvalues: See :func:`spectrum`.
-        taken: In words; those about parts at a corner come with the values at which they are.
+        notes: Sentences. The list grows as ``eigenvalues`` meets parts at their corners.
     """
 
     eigenvalues: Callable[[Arrays], np.ndarray]
-    taken: list[str]
+    notes: list[str]
 
 
 def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.ndarray]:
@@ -81,46 +84,52 @@ def spectrum(study: Study, kind: Time = Time.SAMPLED) -> Callable[[Arrays], np.n
 
 
 def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
-    """The function of :func:`spectrum`, and what is taken for parts without a derivative.
+    """The function from the study's numbers to the eigenvalues of its loop at rest, with notes on the substitutes.
+
+    It linearises the loop with smooth substitutes in place of parts without a derivative.
 
     Raises:
         ConfigError: as :func:`spectrum` says.
     """
-    places, continuous = declared_places(study, moving=False), kind == Time.CONTINUOUS
-    if continuous:
+    parts = declared_places(study, moving=False)
+    is_continuous = kind == Time.CONTINUOUS
+    if is_continuous:
         require_continuous(study)
 
-    def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
-        return *substituted(study.loop, study.params(values), places), jax.random.key(0)
+    def smooth_loop(values: dict[str, jax.Array]) -> tuple[Loop, LoopParams]:
+        return substituted(study.loop, study.params(values), parts)
+
+    def keyed_loop(values: dict[str, jax.Array], index: jax.Array) -> tuple[Loop, LoopParams, jax.Array]:
+        return *smooth_loop(values), jax.random.key(0)  # the key with which start_at_rest makes its sample
 
     def start(values: dict[str, jax.Array]) -> jax.Array:
-        return start_at_rest(*substituted(study.loop, study.params(values), places))
+        return start_at_rest(*smooth_loop(values))
 
-    def at_rest_of(values: dict[str, jax.Array], findings: jax.Array) -> AtRest:
-        loop, params = substituted(study.loop, study.params(values), places)
-        if continuous:
-            return AtRest(continuous_matrix(loop, params), jnp.zeros(()))
-        return linearised_at_rest(*with_inner_sides(loop, params, places, findings))
+    def linearise(values: dict[str, jax.Array], findings: jax.Array) -> AtRest:
+        loop, params = smooth_loop(values)
+        if is_continuous:
+            return AtRest(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
+        return linearised_at_rest(*with_inner_sides(loop, params, parts, findings))
 
-    taken, examine, options = stated(places), examination(lane, places), plain_options()
+    notes = stated(parts)
+    examine = examination(keyed_loop, parts)
+    options = plain_options()
     starts = jax.jit(jax.vmap(start), compiler_options=options)
-    linearised = jax.jit(jax.vmap(at_rest_of), compiler_options=options)
+    linearisations = jax.jit(jax.vmap(linearise), compiler_options=options)
 
     def eigenvalues(values: Arrays) -> np.ndarray:
         with jax.enable_x64(True):
-            states = np.asarray(starts(values))
-            findings = examine(values, np.arange(len(states)), states, 1)
-            linear = jax.tree.map(np.asarray, linearised(values, findings))
+            rest_states = np.asarray(starts(values))
+            findings = examine(values, np.arange(len(rest_states)), rest_states, SECOND_SAMPLE)
+            linear = jax.tree.map(np.asarray, linearisations(values, findings))
         if np.any(linear.moved > 0.0):
             raise ConfigError(
                 study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
             )
-        for text in require_smooth_at(study, places, findings):
-            if text not in taken:
-                taken.append(text)
+        notes.extend(text for text in require_smooth_at(study, parts, findings) if text not in notes)
         return np.linalg.eigvals(linear.matrix)
 
-    return Spectrum(eigenvalues, taken)
+    return Spectrum(eigenvalues, notes)
 
 
 def local_margin(
@@ -153,25 +162,28 @@ def local_margin(
     Raises:
         ConfigError: the loop has no linearisation, or the number or a bound is not admissible.
     """
-    kind, resting, began = Time(kind), at_rest(study), time.perf_counter()
+    kind = Time(kind)
+    resting = at_rest(study)
+    began = time.perf_counter()
     walk = admissible_walk(over, bounds, log, points, bisections)
     if over in study.quantities and (over not in resting.quantities or not resting.followers(over)):
         raise ConfigError(over, "has no effect near the origin, where reference and disturbance are neglected")
     if over == SPREAD:
         require_spread(study, bounds)
     swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
-    draws, place = study.config.draws, lane_numbers(resting, over)
+    draws = study.config.draws
+    numbers_of = lane_numbers(resting, over)
     laws = drawn(swept, slice(0, draws))
-    eigenvalues_of, taken = spectrum_with_notes(swept, kind)
+    eigenvalues_of, notes = spectrum_with_notes(swept, kind)
 
     def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:
-        repeated = np.resize(lanes, draws)  # as many as all draws: a program of another size would be compiled anew
-        placed = place({name: column[repeated] for name, column in laws.items()}, np.resize(values, draws))
-        eigenvalues = eigenvalues_of(placed)[: len(lanes)]
+        batch = np.resize(lanes, draws)  # as many as all draws: a program of another size would be compiled anew
+        numbers = numbers_of({name: column[batch] for name, column in laws.items()}, np.resize(values, draws))
+        eigenvalues = eigenvalues_of(numbers)[: len(lanes)]
         if kind == Time.CONTINUOUS:
             return -np.max(np.real(eigenvalues), axis=-1)
         return -np.log(np.max(np.abs(eigenvalues), axis=-1)) / swept.loop.sample_time
 
     critical = search_critical(decay, draws, walk, bisections)
     seconds = time.perf_counter() - began
-    return Margins.of(study, over, walk, critical, laws, (CRITERION[kind], *taken), seconds, unit="1/s")
+    return Margins.of(study, over, walk, critical, laws, (CRITERION[kind], *notes), seconds, unit="1/s")

@@ -29,6 +29,7 @@ REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value withou
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
+UNKNOWN_WORDS = ("unknown", "nowhere")  # in the rules of errors about names that a study does not have
 
 
 def example(study: Study) -> str:
@@ -332,7 +333,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
     if table.certified and name in NUMBERS:
         raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
     if name not in study.leaves():
-        raise ConfigError(place, unfit(study, name))
+        raise ConfigError(place, reason_unfit(study, name))
     if study.numbers[name].expression:
         raise ConfigError(place, study.numbers[name].follows)
     for follower in study.followers(name) if table.certified or table.slack is not None else ():
@@ -350,17 +351,17 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         raise ConfigError(place, f"is uncertain: {leaf}; give it a number to tune it")
 
 
-def unfit(study: Study, name: str) -> str:
-    """The reason why a name is not a number of the loop."""
-    table: object = study.table
+def reason_unfit(study: Study, name: str) -> str:
+    """Why a name cannot be tuned: the predicate of a sentence about it."""
+    value: object = study.table
     for part in name.split("."):
-        table = table.get(part) if isinstance(table, Mapping) else None
-    if table is not None:
-        return f"is no number of the loop but {table!r}, which has no derivative"
+        value = value.get(part) if isinstance(value, Mapping) else None
+    if value is not None:
+        return f"is no number of the loop but {value!r}, which has no derivative"
     try:
         study.override({name: 1.0})
     except ConfigError as error:
-        if "unknown" in error.rule or "nowhere" in error.rule:
+        if any(word in error.rule for word in UNKNOWN_WORDS):
             return f"unknown parameter; {nearest(name, study.quantities)}"
         return f"is no number that may be moved: {error.rule}"
     return "has no value in this study; give one to start from"

@@ -53,36 +53,38 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
     if stable.any():
         a = matrices[stable, :-channels, :-channels]
         loops = JointLoops(a, matrices[stable, :-channels, -channels:], matrices[stable, -channels:, :-channels])
-        found = joint_margins(loops, np.linalg.eigvals(a), sample_time, balanced_bounds)
-        for total, part in zip(result, found, strict=True):
+        margins = joint_margins(loops, np.linalg.eigvals(a), sample_time, balanced_bounds)
+        for total, part in zip(result, margins, strict=True):
             total[stable] = part
     return result
 
 
-def worst_joint_margin(evaluate: Evaluate, sides: int, channels: int, sample_time: float, left: PointsLeft) -> Worst:
-    """The worst margin found in the box, and its point."""
+def worst_joint_margin(evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: PointsLeft) -> Worst:
+    """The worst margin that a search finds in the box, and its point."""
 
     def values_at(points: np.ndarray) -> np.ndarray:
         return margins_of(evaluate(points), channels, sample_time).found[:, None]
 
-    return worst_values(values_at, np.negative, sides, left)[0]
+    return worst_values(values_at, np.negative, sides, budget)[0]
 
 
-def bounded_joint_margin(
-    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, left: PointsLeft
+def joint_mu_bound(
+    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: PointsLeft
 ) -> Covered:
-    """A bound of mu on all of the box.
+    """An upper bound of mu over the whole box: 1/mu is the disk margin of all commands at once.
+
+    Cells are halved until the bound is ``goal`` or less, or their number or the budget is spent.
 
     Args:
-        evaluate: The loops; that in the middle of the box is stable.
-        sides: Number of coordinates.
+        evaluate: Gives the loops at points of the box [-1, 1]^n; that in the middle is stable.
+        sides: Number n of the box's coordinates.
         channels: Number of commands.
-        goal: A bound that is good enough.
+        goal: The bound at which halving ends.
         cells: Largest number of cells.
-        left: Number of points that may still be evaluated.
+        budget: Number of points that may still be evaluated.
     """
-    ones = np.ones(sides)
-    return cover(evaluate, (-ones, ones), np.array([goal]), cells, left, joint(channels))
+    ones = np.ones(sides)  # the box is [-1, 1]^n
+    return cover(evaluate, (-ones, ones), np.array([goal]), cells, budget, joint(channels))
 
 
 def joint_case(
@@ -107,12 +109,12 @@ def joint_case(
     """
     sides = len(broken.sides)
     count = len(channels)
-    left = broken.family.allowance(points)
+    budget = broken.family.allowance(points)
     worst = worst_joint_margin(broken.at, sides, count, sample_time, broken.family.allowance(points // 3))
     at_worst = margins_of(broken.at(worst.point[None]), count, sample_time)
     covered = Covered(np.array([np.inf]), 0)
     if worst.value > 0.0:
-        covered = bounded_joint_margin(broken.at, sides, count, gap / worst.value, cells, left)
+        covered = joint_mu_bound(broken.at, sides, count, gap / worst.value, cells, budget)
     bounded = 1.0 / covered.gains[0] if covered.stable else np.nan
     return JointCase(
         channels=channels,

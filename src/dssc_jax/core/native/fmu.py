@@ -67,7 +67,7 @@ class NativeFmu:
         version: Its version of FMI.
         model: Its model's name.
         variables: Its scalar real variables by name.
-        others: Type, and shape if it is an array, of every other variable by name.
+        unusable: What every other variable is instead, by name: its type, or that it is an array.
         step_size: The step of its default experiment [s]; None: it states none.
         calls: The functions of its library.
     """
@@ -77,7 +77,7 @@ class NativeFmu:
     version: str
     model: str
     variables: Mapping[str, FmuVariable] = field(compare=False)
-    others: Mapping[str, str] = field(compare=False)
+    unusable: Mapping[str, str] = field(compare=False)
     step_size: float | None
     calls: FmiCalls = field(compare=False, repr=False)
 
@@ -97,17 +97,21 @@ class NativeFmu:
         """
         if not isinstance(name, str):
             raise ConfigError(place, f"must be the name of a variable of '{self.file}', got {name!r}")
-        if name in self.others:
-            raise ConfigError(place, f"'{name}' of '{self.file}' is {self.others[name]}; must be one real number")
+        if name in self.unusable:
+            raise ConfigError(place, f"'{name}' of '{self.file}' is {self.unusable[name]}; must be one real number")
         if name not in self.variables:
-            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
-            raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {nearest(name, alike)}")
-        found = self.variables[name]
-        if found.causality != causality:
-            alike = [known for known, variable in self.variables.items() if variable.causality == causality]
-            has = f"the {causality}s of '{self.file}' are {', '.join(sorted(alike)) or 'none'}"
-            raise ConfigError(place, f"'{name}' must be an {causality}, it has the causality {found.causality}; {has}")
-        return found
+            hint = nearest(name, self.names_with(causality))
+            raise ConfigError(place, f"'{self.file}' has no variable '{name}'; {hint}")
+        variable = self.variables[name]
+        if variable.causality != causality:
+            rule = f"must be an {causality}, it has the causality {variable.causality}"
+            valid = f"the {causality}s of '{self.file}' are {', '.join(sorted(self.names_with(causality))) or 'none'}"
+            raise ConfigError(place, f"'{name}' {rule}; {valid}")
+        return variable
+
+    def names_with(self, causality: str) -> list[str]:
+        """The names of the variables of a causality."""
+        return [name for name, variable in self.variables.items() if variable.causality == causality]
 
     def parameter(self, name: str, place: str) -> FmuVariable:
         """The variable whose value before t = 0 a study sets, by its name in a study.
@@ -115,7 +119,7 @@ class NativeFmu:
         Raises:
             ConfigError: There is none, or its value cannot be chosen.
         """
-        by_field = {field_name(known): known for known in (*self.variables, *self.others)}
+        by_field = {field_name(known): known for known in (*self.variables, *self.unusable)}
         if name not in by_field:
             wanted = field_name(name)
             if wanted in by_field:
@@ -124,13 +128,13 @@ class NativeFmu:
             valid = [key for key in known if self.variables[by_field[key]].settable]
             raise ConfigError(place, f"'{self.file}' has no such parameter; {nearest(name, valid)}")
         inside = by_field[name]
-        if inside in self.others:
-            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.others[inside]}; must be one real number")
-        found = self.variables[inside]
-        if not found.settable:
+        if inside in self.unusable:
+            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.unusable[inside]}; must be one real number")
+        variable = self.variables[inside]
+        if not variable.settable:
             rule = "must be a parameter, an input or an exact initial value"
-            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {found.causality}")
-        return found
+            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {variable.causality}")
+        return variable
 
 
 def field_name(name: str) -> str:
@@ -157,9 +161,9 @@ def loaded_fmu(path: Path, content: bytes, digest: str) -> NativeFmu:
     """
     with ExitStack() as stack:
         place = Path(stack.enter_context(TemporaryDirectory(prefix="dssc-jax-fmu-")))
-        found = unpacked_fmu(path, content, digest, place)
+        fmu = unpacked_fmu(path, content, digest, place)
         UNPACKED.push(stack.pop_all())
-    return found
+    return fmu
 
 
 def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> NativeFmu:
@@ -170,30 +174,42 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
     unpacked = place / "unpacked"
     try:
         modules.package.extract(str(archive), unzipdir=str(unpacked))
-        version = required_version(path, files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace"))
-        described = modules.package.read_model_description(str(unpacked))
-    except ConfigError:
-        raise
+        text = files.read_bytes(unpacked / "modelDescription.xml").decode("utf-8", "replace")
     except Exception as error:  # FMPy raises errors of many kinds
-        raise ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}") from None
-    require_co_simulation(path, described)
-    require_library(path, described, unpacked, modules.package.platform, modules.package.platform_tuple)
+        raise unreadable(path, error) from None
+    version = required_version(path, text)
+    try:
+        description = modules.package.read_model_description(str(unpacked))
+    except Exception as error:
+        raise unreadable(path, error) from None
+    require_co_simulation(path, description)
+    require_library(path, description, unpacked, modules.package.platform, modules.package.platform_tuple)
+    variables, unusable = scalar_variables(description)
+    try:
+        calls = VERSIONS[version](unpacked, description)
+    except Exception as error:  # of the system's loader, or of FMPy
+        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
+    experiment = description.defaultExperiment
+    step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
+    return NativeFmu(str(path.resolve()), digest, version, description.modelName, variables, unusable, step, calls)
+
+
+def unreadable(path: Path, error: Exception) -> ConfigError:
+    """The error of a file that is no FMU, or a damaged one."""
+    return ConfigError("file", f"'{path}' is no FMU that can be read: {first_lines(error)}")
+
+
+def scalar_variables(description: "ModelDescription") -> tuple[dict[str, FmuVariable], dict[str, str]]:
+    """The scalar real variables of an FMU by name; and what every other variable is instead, by name."""
     variables = {}
-    remaining = {}
-    for variable in described.modelVariables:
+    unusable = {}
+    for variable in description.modelVariables:
         if variable.type in REAL_TYPES and not variable.dimensions:
             variables[variable.name] = described_variable(variable)
         else:
-            remaining[variable.name] = (
-                f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
-            )
-    try:
-        calls = VERSIONS[version](unpacked, described)
-    except Exception as error:  # of the system's loader, or of FMPy
-        raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
-    experiment = described.defaultExperiment
-    step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
-    return NativeFmu(str(path.resolve()), digest, version, described.modelName, variables, remaining, step, calls)
+            kind = f"an array of {variable.type}" if variable.dimensions else f"of type {variable.type}"
+            unusable[variable.name] = kind
+    return variables, unusable
 
 
 def required_version(path: Path, text: str) -> str:
@@ -202,23 +218,23 @@ def required_version(path: Path, text: str) -> str:
     Raises:
         ConfigError: It is another one.
     """
-    found = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
-    written = found[1] if found else "none"
-    version = next((known for known in VERSIONS if written.startswith(known)), None)
+    match = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
+    text_of_version = match[1] if match else "none"
+    version = next((known for known in VERSIONS if text_of_version.startswith(known)), None)
     if version is None:
-        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {written}")
+        raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {text_of_version}")
     return version
 
 
-def require_co_simulation(path: Path, described: "ModelDescription") -> None:
+def require_co_simulation(path: Path, description: "ModelDescription") -> None:
     """Require that an FMU has a solver of its own, and may have many instances.
 
     Raises:
         ConfigError: It has not, or may not.
     """
-    simulation = described.coSimulation
+    simulation = description.coSimulation
     if simulation is None:
-        kinds = {"model exchange": described.modelExchange, "scheduled execution": described.scheduledExecution}
+        kinds = {"model exchange": description.modelExchange, "scheduled execution": description.scheduledExecution}
         has = " and ".join(name for name, kind in kinds.items() if kind is not None)
         rule = "must be for co-simulation, which has a solver of its own"
         raise ConfigError("file", f"'{path}' {rule}; it is for {has} only: export it again for co-simulation")
@@ -229,19 +245,19 @@ def require_co_simulation(path: Path, described: "ModelDescription") -> None:
         raise ConfigError("file", f"'{path}' needs the tool that made it; export it with all that it runs")
 
 
-def require_library(path: Path, described: "ModelDescription", unpacked: Path, *platforms: str) -> None:
+def require_library(path: Path, description: "ModelDescription", unpacked: Path, *platforms: str) -> None:
     """Require a library for this machine.
 
     Args:
         path: The FMU's file, for messages.
-        described: Its description.
+        description: Its description.
         unpacked: Its folder.
         platforms: Names of this machine's platform, in FMI 2.0 and 3.0.
 
     Raises:
         ConfigError: There is none.
     """
-    name = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
+    name = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     binaries = unpacked / "binaries"
     if any((binaries / platform).is_dir() and [*(binaries / platform).glob(f"{name}.*")] for platform in platforms):
         return

@@ -68,28 +68,40 @@ def wide_index(build: Builder, start: Value) -> Value:
 
 
 def clipped(build: Builder, start: Value, limit: int) -> Value:
-    """A wide index within 0 .. most."""
+    """A wide index within 0 .. limit."""
     return build.add("min", build.add("max", start, build.constant(0, start.dtype)), build.constant(limit, start.dtype))
 
 
 def window(build: Builder, operand: Any, starts: Sequence[Value], sizes: Sequence[int]) -> Tensor:
-    """A part of an array of fixed size that begins at indices of the run; moved inside if it would reach beyond."""
-    varied = [axis for axis, start in enumerate(starts) if operand.shape[axis] > sizes[axis]]
+    """``lax.dynamic_slice``: a part of fixed size at indices of the run, moved inwards where it would reach beyond.
+
+    Each element of the part is chosen from its candidates: the array's elements at that position for every start.
+    """
     limits = [size - part for size, part in zip(operand.shape, sizes, strict=True)]
-    flat_start: Value | None = None
-    for axis in varied:
-        start = clipped(build, starts[axis], limits[axis])
-        start = build.add("convert", start, dtype=INDEX_TYPE)
-        stride = int(np.prod([limits[inner] + 1 for inner in varied if inner > axis]))
-        part = build.add("mul", start, build.constant(stride, INDEX_TYPE))
-        flat_start = part if flat_start is None else build.add("add", flat_start, part)
+    start = flat_start(build, starts, limits)
     result = np.empty(tuple(sizes), object)
     for position in np.ndindex(*sizes):
-        candidates = operand[tuple(
-            slice(at, at + limit + 1) for at, limit in zip(position, limits, strict=True))]  # fmt: skip
-        flat = np.ascontiguousarray(candidates).reshape(-1)
-        result[position] = element(build, flat, build.constant(0, INDEX_TYPE) if flat_start is None else flat_start)
+        slices = tuple(slice(at, at + limit + 1) for at, limit in zip(position, limits, strict=True))
+        candidates = np.ascontiguousarray(operand[slices]).reshape(-1)
+        result[position] = element(build, candidates, start)
     return result
+
+
+def flat_start(build: Builder, starts: Sequence[Value], limits: Sequence[int]) -> Value:
+    """The number of a start among all that are possible, 0 .. limit along every axis, in C order."""
+    axes = [axis for axis, limit in enumerate(limits) if limit]
+    if not axes:
+        return build.constant(0, INDEX_TYPE)
+
+    def term(axis: int) -> Value:
+        start = build.add("convert", clipped(build, starts[axis], limits[axis]), dtype=INDEX_TYPE)
+        stride = int(np.prod([limits[inner] + 1 for inner in axes if inner > axis]))
+        return build.add("mul", start, build.constant(stride, INDEX_TYPE))
+
+    total = term(axes[0])
+    for axis in axes[1:]:
+        total = build.add("add", total, term(axis))
+    return total
 
 
 def index_rows(build: Builder, indices: Any) -> list[list[Value]]:

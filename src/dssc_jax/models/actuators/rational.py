@@ -37,16 +37,17 @@ def prepare(params: RationalActuatorParams) -> RationalActuatorParams:
     low, high = extent(params.denominator[0])
     if low <= 0.0 <= high:
         raise ConfigError("denominator.0", f"must not be or become 0, so that G stays proper, got [{low:g}, {high:g}]")
-    return params._replace(unit=unit_of([nominal(coefficient) for coefficient in params.denominator]))
+    return params._replace(unit=time_unit([nominal(coefficient) for coefficient in params.denominator]))
 
 
-def unit_of(denominator: list[float]) -> float:
-    """The geometric mean of the time constants of the poles that are not 0 [s]; 1 if there are none."""
+def time_unit(denominator: list[float]) -> float:
+    """The geometric mean of the time constants of the poles that are not 0 [s], at least FASTEST; 1 without any."""
     leading = denominator[0]
-    for excess, coefficient in enumerate(reversed(denominator[1:])):
+    for zero_poles, coefficient in enumerate(reversed(denominator[1:])):
         if coefficient != 0.0:
-            count = len(denominator) - 1 - excess
-            return max(abs(leading / coefficient) ** (1.0 / count), FASTEST)
+            count = len(denominator) - 1 - zero_poles
+            mean = abs(leading / coefficient) ** (1.0 / count)  # |coefficient/leading| is the product of their sizes
+            return max(mean, FASTEST)
     return 1.0
 
 

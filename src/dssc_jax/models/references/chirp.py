@@ -43,34 +43,36 @@ class Phase(NamedTuple):
     sweep: Scalar
 
 
-def linear_phase(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase of a frequency that grows by equal amounts in equal times."""
+def linear_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
+    """The phase of a frequency that moves from ``start`` to ``end`` [Hz] by equal amounts in equal times."""
     slope = (params.end - params.start) / params.duration
-    turn = 2.0 * math.pi
-    return Phase(
-        turn * elapsed * (params.start + 0.5 * slope * elapsed), turn * (params.start + slope * elapsed), turn * slope
-    )
+    angle = math.tau * elapsed * (params.start + 0.5 * slope * elapsed)
+    rate = math.tau * (params.start + slope * elapsed)
+    return Phase(angle, rate, math.tau * slope)
 
 
-def logarithmic_phase(params: ChirpParams, elapsed: Scalar) -> Phase:
-    """The phase of a frequency that grows by equal factors in equal times; (e^x - 1)/x is 1 + x/2 near x = 0."""
+def logarithmic_sweep(params: ChirpParams, elapsed: Scalar) -> Phase:
+    """The phase of a frequency that moves from ``start`` to ``end`` [Hz] by equal factors in equal times.
+
+    (e^x - 1)/x is 1 + x/2 near x = 0.
+    """
     growth = jnp.log(params.end / params.start) / params.duration
     exponent = growth * elapsed
     small = jnp.abs(exponent) < 1e-6
     mean = jnp.where(small, 1.0 + 0.5 * exponent, jnp.expm1(exponent) / jnp.where(small, 1.0, exponent))
-    rate = 2.0 * math.pi * params.start * jnp.exp(exponent)
-    return Phase(2.0 * math.pi * params.start * elapsed * mean, rate, growth * rate)
+    rate = math.tau * params.start * jnp.exp(exponent)
+    return Phase(math.tau * params.start * elapsed * mean, rate, growth * rate)
 
 
 def chirp(spacing: Spacing) -> Reference:
     """The chirp whose frequency moves in the given way."""
-    moving = linear_phase if spacing is Spacing.LINEAR else logarithmic_phase
+    sweep_phase = linear_sweep if spacing is Spacing.LINEAR else logarithmic_sweep
 
     def at(params: ChirpParams, t: Scalar) -> ReferencePoint:
         elapsed = jnp.maximum(t - params.at, 0.0)
         within = jnp.minimum(elapsed, params.duration)
-        angle, rate, sweep = moving(params, within)
-        angle = angle + 2.0 * math.pi * params.end * (elapsed - within)
+        angle, rate, sweep = sweep_phase(params, within)
+        angle = angle + math.tau * params.end * (elapsed - within)
         on = jnp.where(reached(t, params.at), params.amplitude, 0.0)
         sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
         sine = on * jnp.sin(angle)

@@ -121,7 +121,10 @@ class Setting(NamedTuple):
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
-        """One sample at every corner of the box and of the gains in each piece of a region."""
+        """The linear map of a sample, at every corner of the box of plants and of the gains in each piece of a region.
+
+        Where z holds q = v - phi_1(s), a sample needs the gains themselves; where it holds v, those of the increments.
+        """
         steps: list[Step] = []
         for hull in region.pieces:
             gains = hull if self.integrated else self.increments(region, hull)

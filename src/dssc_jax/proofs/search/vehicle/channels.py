@@ -54,81 +54,93 @@ class Sampled:
 
 
 class Parts:
-    """The parts of a linear channel while it is put together."""
+    """The parts of a linear channel while it is put together, see :class:`Linear`.
 
-    def __init__(self, states: int, *, lagged: bool) -> None:
+    ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's share
+    in these, and ``remainders`` the columns of the remainders by name.
+    """
+
+    def __init__(self, count: int, *, lag: bool) -> None:
         """Matrices of zeros; with a lag there is one more state, the last one."""
-        m = states + lagged
-        self.unit = np.eye(m)
-        self.f = np.zeros((m, m))
-        self.g = np.zeros(m)
-        self.b: dict[str, np.ndarray] = {}
+        m = count + lag
+        self.states = np.eye(m)
+        self.slopes = np.zeros((m, m))
+        self.control = np.zeros(m)
+        self.remainders: dict[str, np.ndarray] = {}
         self.signals: dict[str, Signal] = {}
 
-    def drive(self, place: int, demand: Signal, lag: float, achieved: str) -> None:
-        """Let a demand drive the slope of a state, at once or through a lag, whose state is the signal ``achieved``."""
+    def drive(self, index: int, demand: Signal, lag: float, response: str) -> None:
+        """Let a demand drive the slope of a state, at once or through a lag, whose state is the signal ``response``."""
         if not lag:
-            self.f[place], self.g[place] = demand
+            self.slopes[index], self.control[index] = demand
             return
-        state = self.unit[-1]
+        state = self.states[-1]
         error = (demand[0] - state, demand[1])
-        self.f[place] = state
-        self.f[-1] = error[0] / lag
-        self.g[-1] = error[1] / lag
-        self.b["lag"] = state
-        self.signals |= {achieved: (state, 0.0), "behind": error}
+        self.slopes[index] = state
+        self.slopes[-1] = error[0] / lag
+        self.control[-1] = error[1] / lag
+        self.remainders["lag"] = state
+        self.signals |= {response: (state, 0.0), "behind": error}
 
     def channel(self, controller: ChannelProblem) -> Linear:
         """The channel, with the signals e, e', sigma and the slope of sigma."""
-        e, e_dot = self.unit[:2]
+        e, e_dot = self.states[:2]
         errors = {
             "e": (e, 0.0),
             "e_dot": (e_dot, 0.0),
             "sigma": (e_dot + controller.l0 * e, 0.0),
-            "bend": (self.f[1] + controller.l0 * e_dot, self.g[1]),
+            "bend": (self.slopes[1] + controller.l0 * e_dot, self.control[1]),
         }
-        return Linear(self.f, self.g, self.b, errors | self.signals)
+        return Linear(self.slopes, self.control, self.remainders, errors | self.signals)
 
 
 def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
-    """The channel of x and y: chi = (e, e', alpha, alpha', and gamma with a lag). ``damping`` is that of drag [1/s]."""
-    k_v, a_0, a_1 = problem.velocity_gain, problem.stiffness, problem.damping
-    parts = Parts(4, lagged=problem.rotor_lag > 0.0)
-    _, e_dot, alpha, alpha_dot = parts.unit[:4]
+    """The channel of x and y: chi = (e, e', alpha, alpha'), or with a lag (e, e', alpha, alpha', gamma).
+
+    ``damping`` is that of drag [1/s].
+    """
+    k_v = problem.velocity_gain
+    a_0 = problem.stiffness
+    a_1 = problem.damping
+    parts = Parts(4, lag=problem.rotor_lag > 0.0)
+    _, e_dot, alpha, alpha_dot = parts.states[:4]
     demand = (-k_v * e_dot, k_v)
     turn = (a_0 * (demand[0] - alpha) - a_1 * alpha_dot, a_0 * k_v)
-    parts.f[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
+    parts.slopes[:3] = [e_dot, alpha - damping * e_dot, alpha_dot]
     parts.drive(3, turn, problem.rotor_lag, "gamma")
-    parts.b |= {"force": e_dot, "torque": alpha_dot}
+    parts.remainders |= {"force": e_dot, "torque": alpha_dot}
     parts.signals |= {"alpha": (alpha, 0.0), "alpha_dot": (alpha_dot, 0.0), "wanted": demand, "turn": turn}
-    parts.signals |= {"speed": (e_dot, 0.0), "acceleration": (parts.f[1], 0.0)}
+    parts.signals |= {"speed": (e_dot, 0.0), "acceleration": (parts.slopes[1], 0.0)}
     return parts.channel(problem.channels["x"])
 
 
 def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
-    """The channel of z: chi = (e, e', and q with a lag)."""
+    """The channel of z: chi = (e, e'), or with a lag (e, e', q), where q is the acceleration that the rotors achieve.
+
+    ``damping`` is that of drag [1/s].
+    """
     k_v = problem.velocity_gain
-    parts = Parts(2, lagged=problem.rotor_lag > 0.0)
-    e_dot = parts.unit[1]
+    parts = Parts(2, lag=problem.rotor_lag > 0.0)
+    e_dot = parts.states[1]
     demand = (-k_v * e_dot, k_v)
-    parts.f[0] = e_dot
-    parts.drive(1, demand, problem.rotor_lag, "lift")
-    parts.f[1] -= damping * e_dot
-    parts.b["force"] = e_dot
-    parts.signals |= {"wanted": demand, "acceleration": (parts.f[1], parts.g[1])}
+    parts.slopes[0] = e_dot
+    parts.drive(1, demand, problem.rotor_lag, "lift")  # e'' is the demand through the rotors, less the damping of drag
+    parts.slopes[1] -= damping * e_dot
+    parts.remainders["force"] = e_dot
+    parts.signals |= {"wanted": demand, "acceleration": (parts.slopes[1], parts.control[1])}
     return parts.channel(problem.channels["z"])
 
 
 def yaw_channel(problem: VehicleProblem) -> Linear:
-    """The channel of psi: chi = (e, psi', I, and gamma_psi with a lag)."""
-    parts = Parts(3, lagged=problem.rotor_lag > 0.0)
-    _, rate, integrated = parts.unit[:3]
+    """The channel of psi: chi = (e, psi', I), or with a lag (e, psi', I, gamma_psi); I is the integral of U - psi'."""
+    parts = Parts(3, lag=problem.rotor_lag > 0.0)
+    _, rate, integral = parts.states[:3]
     follow = (-rate, 1.0)
-    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integrated, problem.yaw_gain)
-    parts.f[0] = rate
+    demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)
+    parts.slopes[0] = rate
     parts.drive(1, demand, problem.rotor_lag, "gamma")
-    parts.f[2], parts.g[2] = follow
-    parts.b["torque"] = rate
+    parts.slopes[2], parts.control[2] = follow
+    parts.remainders["torque"] = rate
     parts.signals |= {"wanted": demand, "follow": follow}
     return parts.channel(problem.channels["psi"])
 
