@@ -57,14 +57,15 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
         state = initial_state(loop, params, key)
         derivative = initial_derivative(loop, params, state)
         require_form("plant", "derivative", "the state's derivative", state.plant, derivative)
-        after, _ = step(loop, params, key, state, 0)
+        next_state, _ = step(loop, params, key, state, 0)
         require_repeatable(loop, params)
-    require_form("plant", "project", "the state", state.plant, after.plant)
+    require_form("plant", "project", "the state", state.plant, next_state.plant)
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
-            initial, following = (getattr(at.channels[channel], slot) for at in (state, after))
+            initial = getattr(state.channels[channel], slot)
+            following = getattr(next_state.channels[channel], slot)
             require_form(place_of(slot, name), "step", "the state", initial, following)
-    require_form("wind", "step", "the state", state.wind, after.wind)
+    require_form("wind", "step", "the state", state.wind, next_state.wind)
 
 
 def require_repeatable(loop: Loop, params: LoopParams) -> None:

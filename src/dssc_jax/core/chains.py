@@ -128,13 +128,13 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         return tuple(model.init(p) for model, p in zip(models, params, strict=True))
 
     def sample(params: Values, states: States, command: Scalar, key: jax.Array, dt: Scalar) -> States:
-        after = list(states)
+        next_states = list(states)
         value = command
         for index in arrangement.sampled:
             element_key = jax.random.fold_in(key, index)
-            after[index] = models[index].sample(params[index], states[index], value, element_key, dt)
-            value = models[index].output(params[index], after[index], value)
-        return tuple(after)
+            next_states[index] = models[index].sample(params[index], states[index], value, element_key, dt)
+            value = models[index].output(params[index], next_states[index], value)
+        return tuple(next_states)
 
     def output_of(indices: Sequence[int], params: Values, states: States, command: Scalar) -> Scalar:
         value = command
@@ -160,21 +160,21 @@ def chain(elements: tuple[Element, ...]) -> Unmodelled:
         def move(states: States, command: Scalar) -> tuple[States, Moments]:
             value = output_of(arrangement.sampled, params, states, command)
             course = Course((value,) * len(NODES), Moments(value, 0.0))
-            after = dict(enumerate(states))
+            next_states = dict(enumerate(states))
             for stage in stages:
-                changed, course = stage(states, course)
-                after |= changed
-            return tuple(after.values()), course.line
+                stage_states, course = stage(states, course)
+                next_states |= stage_states
+            return tuple(next_states.values()), course.line
 
         return move
 
     def step(params: Values, states: States, command: Scalar, dt: Scalar) -> States:
-        after, line = advance(params, dt)(states, command)
+        next_states, line = advance(params, dt)(states, command)
         if not arrangement.linear:
-            return after
+            return next_states
         stage = linear_stage(models, arrangement.linear, params, dt, constant=not moving)
-        changed, _ = stage(after, Course((command,) * len(NODES), line))
-        return tuple(changed.get(index, state) for index, state in enumerate(after))
+        linear_states, _ = stage(next_states, Course((command,) * len(NODES), line))
+        return tuple(linear_states.get(index, state) for index, state in enumerate(next_states))
 
     return Unmodelled(
         NoParams,
@@ -240,17 +240,17 @@ def linear_stage(
     forcing = Forcing(system.b, 1 if constant else 2)
     transitions = [hold(system.a, (forcing,), share * dt).full for share in NODES[1:]]
 
-    def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
+    def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
         leaves, structure = jax.tree.flatten([states[index] for index in indices])
-        line = entering.line
-        reached = [tuple(leaves)]
+        line = source.line
+        solutions = [tuple(leaves)]
         for share, transition in zip(NODES[1:], transitions, strict=True):
             terms = (line.mean,) if constant else (line.mean - 0.5 * line.rise, share * line.rise)
-            reached.append(transition.apply(leaves, (terms,)))
+            solutions.append(transition.apply(leaves, (terms,)))
         row = (*system.c, system.d)
-        nodes = tuple(dot(row, (*x, value)) for x, value in zip(reached, entering.nodes, strict=True))
-        after = dict(zip(indices, structure.unflatten(list(reached[-1])), strict=True))
-        return after, Course(nodes, line_through(nodes))
+        nodes = tuple(dot(row, (*x, value)) for x, value in zip(solutions, source.nodes, strict=True))
+        next_states = dict(zip(indices, structure.unflatten(list(solutions[-1])), strict=True))
+        return next_states, Course(nodes, line_through(nodes))
 
     return stage
 
@@ -259,16 +259,16 @@ def stepped_stage(model: Unmodelled, index: int, params: Params, dt: Scalar, con
     """The stage of another element: from node to node; if its input is constant, with its moments."""
     follow = model.follow or follow_mean(model)
 
-    def stage(states: States, entering: Course) -> tuple[dict[int, State], Course]:
+    def stage(states: States, source: Course) -> tuple[dict[int, State], Course]:
         begin = states[index]
-        start = entering.nodes[0]
+        start = source.nodes[0]
         state = model.step(params, begin, start, 0.0)
         nodes = [model.output(params, state, start)]
-        for i, value in enumerate(entering.nodes[1:]):
+        for i, value in enumerate(source.nodes[1:]):
             if constant:
                 state = model.step(params, begin, value, NODES[i + 1] * dt)
             else:
-                state = follow(params, state, entering.nodes[i], value, (NODES[i + 1] - NODES[i]) * dt)
+                state = follow(params, state, source.nodes[i], value, (NODES[i + 1] - NODES[i]) * dt)
             nodes.append(model.output(params, state, value))
         if constant and model.moments is not None:
             line = model.moments(params, begin, start, dt)

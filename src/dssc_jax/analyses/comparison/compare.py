@@ -129,12 +129,12 @@ class Contest(NamedTuple):
         """For every pair a, b: failure probability of a minus that of b, and the median of each metric's difference."""
         pairs = []
         for a, b in itertools.combinations(self.tables, 2):
-            left = self.dataset.sel(controller=a)
-            right = self.dataset.sel(controller=b)
-            failures = compare_failures(left["failed"].values, right["failed"].values, confidence)
+            first = self.dataset.sel(controller=a)
+            second = self.dataset.sel(controller=b)
+            failures = compare_failures(first["failed"].values, second["failed"].values, confidence)
             metrics = {}
             for name in self.metrics(study):
-                paired = compare_metrics(left[name].values, right[name].values, confidence=confidence)
+                paired = compare_metrics(first[name].values, second[name].values, confidence=confidence)
                 metrics[name] = MetricDifference(paired.difference, paired.interval)
             pairs.append(ControllerPair(a, b, **failures._asdict(), metrics=metrics))
         return pairs
@@ -350,7 +350,7 @@ def compare(
     if budget and len(study.loop.channels) > 1:
         raise ConfigError("candidates", "a plant of several channels is not tuned here; give the gains, and 0")
     extents = tuning_ranges(studies) if budget else {}
-    untuned = {name: untuned_reason(studies[name], name) for name, found in extents.items() if not found}
+    untuned = {name: untuned_reason(studies[name], name) for name, ranges in extents.items() if not ranges}
     corresponding = Contest.of(study, tables, step)
     if budget is None or len(untuned) == len(names):
         return Comparison.of(study, corresponding, seconds=time.perf_counter() - began, untuned=untuned)

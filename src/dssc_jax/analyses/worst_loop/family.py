@@ -156,10 +156,10 @@ class BrokenFamily:
         """The sides of the box that change the loop."""
         sides = len(self.family.box.sides)
         bases = np.random.default_rng(0).uniform(-0.5, 0.5, (PROBES, sides))
-        moved = np.repeat(bases[:, None], sides, axis=1)
-        moved[:, range(sides), range(sides)] += 0.5
+        neighbours = np.repeat(bases[:, None], sides, axis=1)
+        neighbours[:, range(sides), range(sides)] += 0.5
         reference = self._matrices(bases)
-        after = self._matrices(moved.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
+        variants = self._matrices(neighbours.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
-        unchanged = np.abs(after - reference[:, None]) <= limit  # not where there is no equilibrium
+        unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
         return np.flatnonzero(np.any(~unchanged, axis=(0, 2, 3))).tolist()

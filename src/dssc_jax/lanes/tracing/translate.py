@@ -296,9 +296,9 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
         if number == len(branches) - 1:
             return translator.run(branches[number], remaining)
         if condition is not None:  # a truth value that JAX has made a number
-            taken = build.add("xor", condition, build.constant(True, BOOL))
+            predicate = build.add("xor", condition, build.constant(True, BOOL))
         else:
-            taken = build.add("le", index, build.constant(number, index.dtype))
+            predicate = build.add("le", index, build.constant(number, index.dtype))
         kinds: list[list[Any]] = []
 
         def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
@@ -309,7 +309,7 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
             return scalars
 
         sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: chosen(number + 1))
-        joined = build.branch(taken, sides)
+        joined = build.branch(predicate, sides)
         return assembled(kinds[0], joined)
 
     return chosen(0)
