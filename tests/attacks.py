@@ -7,6 +7,7 @@ import os
 import resource
 import shutil
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -197,13 +198,16 @@ def state(folder: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def largest_file(limit: int) -> Iterator[None]:
-    """Let no file of this process grow beyond a number of bytes, as a full disk does."""
+    """Let no file of this process grow beyond a number of bytes, as a full disk does; modules leave no cut bytecode."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    writes_bytecode = not sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = not writes_bytecode
 
 
 def ended(arguments: list[str]) -> tuple[int | str, str]:
