@@ -31,7 +31,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
-from dssc_jax.flight_logs.held_outputs import readings_alone, usual_hold
+from dssc_jax.flight_logs.held_signals import readings_alone, usual_hold
 from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -234,6 +234,8 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
                 slow[signal_name(channel, "y")] = hold * loop.sample_time
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
+            if usual_hold(command) > 1:
+                command = readings_alone(command)
             commands[row] = command
             if is_rare(command):
                 rare.append(signal_name(channel, "u_total"))
