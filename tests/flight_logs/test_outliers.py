@@ -7,7 +7,7 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log, sampled_log
-from dssc_jax.flight_logs.held_signals import readings_alone, usual_hold
+from dssc_jax.flight_logs.held_signals import drop_repeats, usual_hold
 from dssc_jax.flight_logs.outliers import outliers
 from dssc_jax.flight_logs.reader import Column, read_log
 from dssc_jax.flight_logs.refusals import Unexplained
@@ -88,7 +88,7 @@ def test_held_outputs_are_taken_where_they_change():
     u, y = flight()
     held = np.repeat(y[::5], 5)
     assert usual_hold(held) == 5
-    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(readings_alone(held))), np.arange(0, 400, 5))
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(drop_repeats(held))), np.arange(0, 400, 5))
     for other in (y, np.round(y, 1), np.round(2.0 * TIMES, 1), np.zeros(400), np.full(400, np.nan)):
         assert usual_hold(other) == 1
     rare = np.where(np.arange(400) % 5 == 0, y, np.nan)

@@ -31,7 +31,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
-from dssc_jax.flight_logs.held_signals import readings_alone, usual_hold
+from dssc_jax.flight_logs.held_signals import drop_repeats, usual_hold
 from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -230,12 +230,12 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             outputs[row] = np.where(np.isfinite(offsets[row]), signals["y"], np.nan)
             hold = usual_hold(outputs[row])
             if hold > 1:
-                outputs[row] = readings_alone(outputs[row])
+                outputs[row] = drop_repeats(outputs[row])
                 slow[signal_name(channel, "y")] = hold * loop.sample_time
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
             if usual_hold(command) > 1:
-                command = readings_alone(command)
+                command = drop_repeats(command)
             commands[row] = command
             if is_rare(command):
                 rare.append(signal_name(channel, "u_total"))

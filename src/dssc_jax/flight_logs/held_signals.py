@@ -30,7 +30,7 @@ def usual_hold(values: np.ndarray) -> int:
     return usual if is_held else 1
 
 
-def readings_alone(values: np.ndarray) -> np.ndarray:
+def drop_repeats(values: np.ndarray) -> np.ndarray:
     """A signal with NaN in place of every value that repeats the one before."""
     known = np.flatnonzero(np.isfinite(values))
     repeated = known[1:][np.diff(values[known]) == 0.0]

@@ -77,18 +77,20 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
         single = [outlier for outlier in seen if not outlier.lasts]
         jumps = [outlier for outlier in seen if outlier.lasts]
         if single:
-            text = f"single readings of {name} stand out {listed(single, unit)} of the study. Leave such cells empty"
+            text = (
+                f"single readings of {name} stand out {outlier_list(single, unit)} of the study. Leave such cells empty"
+            )
             found.append(Doubt(name, text))
         if jumps:
             text = (
-                f"{name} jumps {listed(jumps, unit)} of the study, and what is predicted does not: a reset of the "
+                f"{name} jumps {outlier_list(jumps, unit)} of the study, and what is predicted does not: a reset of the "
                 "estimator, or two flights in one log. Fit the part before or after"
             )
             found.append(Doubt(name, text))
     return tuple(found)
 
 
-def listed(seen: list[Outlier], unit: str) -> str:
+def outlier_list(seen: list[Outlier], unit: str) -> str:
     """Sizes and times of the first outliers, and the number of the others."""
     further = f" and at {len(seen) - NAMED} more times" if len(seen) > NAMED else ""
     return ", ".join(outlier.text(unit) for outlier in seen[:NAMED]) + further
