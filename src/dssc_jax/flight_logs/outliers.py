@@ -77,20 +77,18 @@ def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
         single = [outlier for outlier in seen if not outlier.lasts]
         jumps = [outlier for outlier in seen if outlier.lasts]
         if single:
-            text = (
-                f"single readings of {name} stand out {outlier_list(single, unit)} of the study. Leave such cells empty"
-            )
+            text = f"single readings of {name} stand out {list_text(single, unit)} of the study. Leave such cells empty"
             found.append(Doubt(name, text))
         if jumps:
             text = (
-                f"{name} jumps {outlier_list(jumps, unit)} of the study, and what is predicted does not: a reset of the "
+                f"{name} jumps {list_text(jumps, unit)} of the study, and what is predicted does not: a reset of the "
                 "estimator, or two flights in one log. Fit the part before or after"
             )
             found.append(Doubt(name, text))
     return tuple(found)
 
 
-def outlier_list(seen: list[Outlier], unit: str) -> str:
+def list_text(seen: list[Outlier], unit: str) -> str:
     """Sizes and times of the first outliers, and the number of the others."""
     further = f" and at {len(seen) - NAMED} more times" if len(seen) > NAMED else ""
     return ", ".join(outlier.text(unit) for outlier in seen[:NAMED]) + further
