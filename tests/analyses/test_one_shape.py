@@ -40,6 +40,7 @@ WALK = {"over": "unmodelled.mu", "bounds": (0.02, 1.5), "log": True, "points": 4
 PAIR = (dj.RegionAxis("unmodelled.mu", 0.02, 1.0, True), dj.RegionAxis("plant.k_p", 0.5, 1.5))
 TIMES = np.arange(75) * 0.02
 LOG = dj.FlightLog("sine", {name: Column(TIMES, np.sin(TIMES)) for name in ("y", "y_dot", "u_total")}, 0.0)
+LOGS = [dj.FlightLog("sine", {"y": Column(TIMES, np.sin(TIMES) + 0.01 * k)}, 0.0) for k in range(9)]
 SPENT = dj.Splitting(particles=10, killed=5, moves=1, repeats=10, plain=64)
 HOVER = {
     "name": "shape",
@@ -62,7 +63,7 @@ RUN = {
     ),
     "region": lambda study: dj.region(study.override({"draws": 200}), over=PAIR, halvings=0),
     "compare-log": lambda study: dj.compare_log(study, LOG),
-    "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), [LOG] * 9),
+    "next-flight": lambda study: dj.next_flight(study.override({"draws": 40}), LOGS),
     "probability": lambda study: dj.probability(study, 0.1),
     "select": lambda study: dj.select(study, candidates=8, keep=2, within=0.3),
     "rare": lambda study: dj.rare(study, None, SPENT),

@@ -168,7 +168,7 @@ def read_description(folder: Path, kind: str) -> Manifest:
     except ConfigError as error:
         raise error.within(str(path)) from None
     if hash_of(description["study"]) != description["hash"]:
-        raise ConfigError(str(path), "is damaged: the study in it is not the one that its hash is of")
+        raise ConfigError(str(path), "is damaged: its study does not match its hash")
     return description
 
 

@@ -274,7 +274,7 @@ def inner(content):
         (lambda path: path.write_text(path.read_text()[:200]), "not valid JSON"),
         (lambda path: path.write_text("[]"), "has no schema version"),
         (lambda path: changed(path, lambda all: [all.pop(name) for name in ("study", "hash")]), "has no study, hash"),
-        (lambda path: changed(path, lambda all: all["study"].update(seed=5)), "not the one that its hash is of"),
+        (lambda path: changed(path, lambda all: all["study"].update(seed=5)), "its study does not match its hash"),
         (
             lambda path: changed(path, lambda all: inner(all).pop("walk")),
             "damaged, or of another version: walk: is missing",
@@ -285,9 +285,12 @@ def inner(content):
         ),
         (
             lambda path: changed(path, lambda all: inner(all)["walk"].update(end=2.0), seal=False),
-            "its content is not",
+            "its content does not match its digest",
         ),
-        (lambda path: changed(path, lambda all: all.pop("digest"), seal=False), "its content is not"),
+        (
+            lambda path: changed(path, lambda all: all.pop("digest"), seal=False),
+            "its content does not match its digest",
+        ),
     ],
 )
 def test_a_damaged_description_is_told(over_mu, tmp_path, change, rule):
