@@ -285,11 +285,11 @@ def inner(content):
         ),
         (
             lambda path: changed(path, lambda all: inner(all)["walk"].update(end=2.0), seal=False),
-            "its content does not match its digest",
+            "content does not match its digest",
         ),
         (
             lambda path: changed(path, lambda all: all.pop("digest"), seal=False),
-            "its content does not match its digest",
+            "content does not match its digest",
         ),
     ],
 )
