@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.fit import fit_log, sampled_log
+from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.held_signals import drop_repeats, usual_hold
 from dssc_jax.flight_logs.outliers import outliers
 from dssc_jax.flight_logs.reader import Column, read_log
@@ -97,20 +97,6 @@ def test_held_outputs_are_taken_where_they_change():
     taken, expected = (fit_log(linear(), log_of(values, u), names) for values in (held, rare))
     np.testing.assert_allclose(taken.estimates, expected.estimates, rtol=1e-9)
     assert f"y is held for {5 * DT:.3g} s at a time" in "; ".join(doubt.text for doubt in taken.doubts)
-
-
-def test_held_commands_are_taken_where_they_change():
-    """As if the log had no others: the fit then tries what they do in between."""
-    random = np.random.default_rng(4)
-    u = 0.1 * np.cumsum(random.normal(size=400))
-    y = output(1.1, 0.8, u)
-    held = np.repeat(u[::5], 5)
-    rare = np.where(np.arange(400) % 5 == 0, u, np.nan)
-    logs = [sampled_log(linear(), log_of(y, command)) for command in (held, rare)]
-    assert logs[0].rare == logs[1].rare == ("u_total",)
-    np.testing.assert_array_equal(logs[0].commands, logs[1].commands)
-    steps = np.repeat(random.normal(size=9), 45)[:400]  # a command that rests has few changes
-    np.testing.assert_array_equal(sampled_log(linear(), log_of(y, steps)).commands[0], steps)
 
 
 def test_columns_that_share_a_name_and_cells_that_are_text_are_refused(tmp_path):

@@ -234,8 +234,6 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
                 slow[signal_name(channel, "y")] = hold * loop.sample_time
         command = signals.get("u_total")
         if command is not None and np.isfinite(command).any():
-            if usual_hold(command) > 1:
-                command = drop_repeats(command)
             commands[row] = command
             if is_rare(command):
                 rare.append(signal_name(channel, "u_total"))

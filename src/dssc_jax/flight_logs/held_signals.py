@@ -1,6 +1,6 @@
 """Signals that a log holds between their values, as the position of a slow receiver in the rows of a fast controller.
 
-A value that is repeated is none: it is late by up to the time between two of them.
+A reading that is repeated is none: it is late by up to the time between two of them. A command may rest.
 """
 
 import numpy as np
