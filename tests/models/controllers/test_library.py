@@ -12,6 +12,7 @@ from benchmarks.library import command_lanes
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.allowed import LOADED
+from dssc_jax.core.native.libraries import parameters_without_effect
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.engine.sampling import draw
 from dssc_jax.flight_code.controller import study_values
@@ -157,6 +158,13 @@ def test_a_sample_without_telemetry_gives_all_else(place, without):
     signals = dj.simulate(flown, 0)
     assert np.all(signals["flag"] == (7.0 if without else 0.0))
     np.testing.assert_array_equal(signals["error"], signals["y_ref"] - signals["y_measured"])
+
+
+def test_trial_flights_begin_within_narrow_limits(place):
+    """Else every command is at its limit, and gains seem to have no effect."""
+    text = template_text("library.c").replace("limit = 10;", "limit = 0.01;")
+    library = dj.allow_native(built(place, "narrow", text))
+    assert parameters_without_effect(library.controllers[0]) == ()
 
 
 def test_plain_xla_is_the_reference(study, tmp_path, monkeypatch):

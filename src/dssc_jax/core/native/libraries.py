@@ -194,7 +194,7 @@ def flown_with(
 ) -> list[bytes]:
     """Reset some flights and fly them in turn, sample by sample; return the bits of all commands of each flight.
 
-    Signals oscillate, and grow from 1 to ``LARGEST_SIGNAL``, so that limits are met as well.
+    Signals oscillate, and grow from 1/``LARGEST_SIGNAL`` to ``LARGEST_SIGNAL``, so that limits are met as well.
 
     Args:
         controller: The controller.
@@ -210,7 +210,7 @@ def flown_with(
     for k in range(TRIED_SAMPLES):
         for flight, memory in memories.items():
             angles = np.arange(1.0, 1.0 + len(controller.inputs)) * (0.1 * k + flight + 1.0)
-            signals = (LARGEST_SIGNAL ** (k / TRIED_SAMPLES) * np.cos(angles)).astype(real)
+            signals = (LARGEST_SIGNAL ** (2.0 * k / TRIED_SAMPLES - 1.0) * np.cos(angles)).astype(real)
             for place, signal in zip(controller.inputs, signals, strict=True):
                 memory[place : place + real.itemsize] = np.frombuffer(signal.tobytes(), np.uint8)
             step(memory.ctypes.data)
