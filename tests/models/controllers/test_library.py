@@ -19,7 +19,7 @@ from dssc_jax.flight_code.controller import study_values
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.template_files import template_text
 from tests.cli.conftest import last_json
-from tests.conftest import CASE_2
+from tests.conftest import CASE_2, UNCERTAIN
 from tests.flight_code.compiling import require
 from tests.models.controllers.libraries import built, loaded, table
 from tests.mutations import document
@@ -161,10 +161,13 @@ def test_a_sample_without_telemetry_gives_all_else(place, without):
 
 
 def test_trial_flights_begin_within_narrow_limits(place):
-    """Else every command is at its limit, and gains seem to have no effect."""
-    text = template_text("library.c").replace("limit = 10;", "limit = 0.01;")
-    library = dj.allow_native(built(place, "narrow", text))
-    assert parameters_without_effect(library.controllers[0]) == ()
+    """Else every command is at its limit, and the integral gain seems to have no effect."""
+    gains = {"kind": "pid", "k_p": 8.0, "k_i": 3.0, "k_d": 4.0, "filter": 0.03, "low": -2.0, "high": 1.5}
+    study = dj.Study.from_table({**UNCERTAIN, "name": "narrow", "sweep": {}, "controller": gains})
+    texts = FlightFolder(study).texts()
+    (place / "narrow_controller.h").write_text(texts["narrow_controller.h"])
+    library = dj.allow_native(built(place, "narrow", texts["narrow_controller.c"]))
+    assert "k_i" not in parameters_without_effect(library.controllers[0])
 
 
 def test_plain_xla_is_the_reference(study, tmp_path, monkeypatch):
