@@ -7,7 +7,7 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.held_signals import drop_repeats, usual_hold
+from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.outliers import outliers
 from dssc_jax.flight_logs.reader import Column, read_log
 from dssc_jax.flight_logs.refusals import Unexplained

@@ -45,7 +45,7 @@ CONVERSIONS = (
     Conversion(np.pi / 180.0, "times 0.01745", "deg", "radians in place of degrees"),
     Conversion(1.0 / 0.3048, "times 3.281", "m", "feet in place of metres"),
 )
-OF_RATES = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
+RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something

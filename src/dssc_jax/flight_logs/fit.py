@@ -31,7 +31,7 @@ from dssc_jax.flight_logs.coverage import time_unit_text
 from dssc_jax.flight_logs.estimates import Fitted, ResidualNoise, RivalMinimum
 from dssc_jax.flight_logs.first_integrals import free_integrals, require_first_integrals
 from dssc_jax.flight_logs.gaps import gap_text, log_gaps
-from dssc_jax.flight_logs.held_signals import drop_repeats, usual_hold
+from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
 from dssc_jax.flight_logs.late_outputs import delay_doubts
 from dssc_jax.flight_logs.least_squares import (
     LEAST_SAMPLES,
@@ -340,8 +340,8 @@ def fitted_minimum(
     try:
         results = require_description(problem, x)
     except Unexplained as refusal:
-        found = (*outlier_doubts(problem, x), *delay_doubts(problem, search.best))
-        reasons = "".join(f". {doubt.text}" for doubt in found)
+        causes = (*outlier_doubts(problem, x), *delay_doubts(problem, search.best))
+        reasons = "".join(f". {doubt.text}" for doubt in causes)
         raise Unexplained(f"{refusal}{reasons}") from None
     require_identifiable(problem.names, search.best.equations.information)
     require_first_integrals(free_integrals(problem, search.best))
@@ -358,8 +358,8 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
-    outlying = outlier_doubts(problem, x)
-    explained = {doubt.signal for doubt in outlying}
+    outliers = outlier_doubts(problem, x)
+    with_outliers = {doubt.signal for doubt in outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
     for rival in search.rivals:
@@ -385,8 +385,8 @@ def fitted_minimum(
         problem.count.reason,
         (
             *doubts(problem, x, results),
-            *outlying,
-            *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in explained),
+            *outliers,
+            *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *late,
             *held_doubts(problem.log),
             *rare,

@@ -1,20 +1,20 @@
-"""Signals that a log holds between their values, as the position of a slow receiver in the rows of a fast controller.
+"""Outputs that a log holds between their readings, as the position of a slow receiver in the rows of a fast controller.
 
 A reading that is repeated is none: it is late by up to the time between two of them. A command may rest.
 """
 
 import numpy as np
 
-LEAST_CHANGES = 10  # of a signal that is held: fewer do not tell a rate
+LEAST_CHANGES = 10  # of an output that is held: fewer do not tell a rate
 REGULAR = 0.9  # of the times between two changes that are the usual one, to a sample
 DIFFERENT = 0.5  # of the changes that differ in size: fewer are those of a coarse scale
 
 
 def usual_hold(values: np.ndarray) -> int:
-    """The samples from one change of a signal to the next; 1 if it is not held.
+    """The samples from one change of an output to the next; 1 if it is not held.
 
     Args:
-        values: The signal, NaN where missing, shape (samples,).
+        values: The output, NaN where missing, shape (samples,).
     """
     known = np.flatnonzero(np.isfinite(values))
     differences = np.diff(values[known])
@@ -31,7 +31,7 @@ def usual_hold(values: np.ndarray) -> int:
 
 
 def drop_repeats(values: np.ndarray) -> np.ndarray:
-    """A signal with NaN in place of every value that repeats the one before."""
+    """An output with NaN in place of every value that repeats the one before."""
     known = np.flatnonzero(np.isfinite(values))
     repeated = known[1:][np.diff(values[known]) == 0.0]
     alone = values.copy()
