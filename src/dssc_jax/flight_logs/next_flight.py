@@ -37,6 +37,7 @@ from dssc_jax.statistics.conformal import (
 from dssc_jax.statistics.exchangeable import Yardstick
 from dssc_jax.study import Study
 
+SHORT = 0.9  # of the study, or of the longest log: a shorter log is told
 PROBABILITY = 0.9
 SHARES = (0.1, 0.2, 0.5)
 """Shares of flights beyond the draws' line for which the number of flights is told."""
@@ -273,6 +274,14 @@ def next_flight(
     analysis = NextFlight(study, dataset, tuple(log.name for log in logs), probability)
     departure = analysis.limit("departure")
     return analysis if departure is None else with_band(analysis, departure)
+
+
+def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
+    """The shortest log, if it ends far before the study or the longest one: no flight is compared beyond it."""
+    lengths = [log.end - log.start for log in logs]
+    duration = study.loop.sample_time * study.loop.steps
+    shortest = min(lengths)
+    return logs[lengths.index(shortest)] if shortest < SHORT * min(max(lengths), duration) else None
 
 
 def require_different(logs: Sequence[FlightLog]) -> None:

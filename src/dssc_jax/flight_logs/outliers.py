@@ -53,7 +53,7 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     if usual == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
         return []
     beside = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
-    found = []
+    result = []
     counted = -1
     for row in rows.tolist():
         if row <= counted:
@@ -62,33 +62,33 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
         returns = abs(size + following) < ALONE * abs(size)
         after = second if returns else following
         if max(abs(before), abs(after)) < ALONE * abs(size):
-            found.append(Outlier(float(times[row + 1]), float(size), not returns))
+            result.append(Outlier(float(times[row + 1]), float(size), not returns))
             counted = row + 1 if returns else row
-    return found
+    return result
 
 
 def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
     """The readings that stand out of the residual at coordinates x, by channel, with the remedy."""
-    found = []
+    doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
         name = signal_name(problem.study.loop.channels[readings.channel], "y")
         unit = problem.study.units[readings.channel].output
-        seen = outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor)))
-        single = [outlier for outlier in seen if not outlier.lasts]
-        jumps = [outlier for outlier in seen if outlier.lasts]
+        changes = outliers(readings.times, columns[:, 0], float(np.sqrt(readings.sensor)))
+        single = [outlier for outlier in changes if not outlier.lasts]
+        jumps = [outlier for outlier in changes if outlier.lasts]
         if single:
             text = f"single readings of {name} stand out {list_text(single, unit)} of the study. Leave such cells empty"
-            found.append(Doubt(name, text))
+            doubts.append(Doubt(name, text))
         if jumps:
             text = (
                 f"{name} jumps {list_text(jumps, unit)} of the study, and what is predicted does not: a reset of the "
                 "estimator, or two flights in one log. Fit the part before or after"
             )
-            found.append(Doubt(name, text))
-    return tuple(found)
+            doubts.append(Doubt(name, text))
+    return tuple(doubts)
 
 
-def list_text(seen: list[Outlier], unit: str) -> str:
+def list_text(changes: list[Outlier], unit: str) -> str:
     """Sizes and times of the first outliers, and the number of the others."""
-    further = f" and at {len(seen) - NAMED} more times" if len(seen) > NAMED else ""
-    return ", ".join(outlier.text(unit) for outlier in seen[:NAMED]) + further
+    further = f" and at {len(changes) - NAMED} more times" if len(changes) > NAMED else ""
+    return ", ".join(outlier.text(unit) for outlier in changes[:NAMED]) + further

@@ -256,6 +256,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     compared = compared_references(study, log, channels, references)
     integrals = integral_hints(study, log)
     conversions = integrals.units | compared.conversions
+    factors = dict(integrals.factors)
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         followed = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
@@ -277,7 +278,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             if text:
                 conversions[name] = f"is the analysed controller's {text}"
             elif hint:
-                integrals.factors[name] = hint
+                factors[name] = hint
     hints = LogHints(
         conversions,
         compared.shifts,
@@ -285,7 +286,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         start_hints(study, log),
         attitude_hints(study, log),
         reset_hints(study, log),
-        integrals.factors,
+        factors,
         integrals.jumps,
     )
     differences = compared.differences

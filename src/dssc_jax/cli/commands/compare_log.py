@@ -15,14 +15,12 @@ from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.comparison import compare_log
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight
+from dssc_jax.flight_logs.next_flight import PROBABILITY, next_flight, short_log
 from dssc_jax.flight_logs.reader import FlightLog
 from dssc_jax.flight_logs.refusals import FitRefused, NotIdentifiable
 from dssc_jax.flight_logs.replay import replay_log
 from dssc_jax.flight_logs.search_limits import MOST_SIMULATIONS, SearchLimits
 from dssc_jax.study import Study
-
-SHORT = 0.9  # of the study, or of the longest log: a shorter log is told
 
 
 def run(options: CompareLog) -> int:
@@ -66,10 +64,10 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     for log in logs:
         for name, text in replay_log(study, log, commands=False).hints.all().items():
             say(f"warning: {log.name}: {name} {text}")
-    shortest = min(logs, key=lambda log: log.end - log.start)
-    lengths = [log.end - log.start for log in logs]
-    if min(lengths) < SHORT * min(max(lengths), study.loop.sample_time * study.loop.steps):
-        say(f"warning: {shortest.name} ends after {min(lengths):.4g} s, and all flights are compared up to there only")
+    short = short_log(study, logs)
+    if short is not None:
+        length = short.end - short.start
+        say(f"warning: {short.name} ends after {length:.4g} s, and all flights are compared up to there only")
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         found = next_flight(study, logs, probability=probability, progress=advance)
     finish(found, folder, options, show_next_flight)
