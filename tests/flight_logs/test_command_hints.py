@@ -30,19 +30,36 @@ def test_an_offset_and_a_multiple_are_told():
     assert command_hint(2.5 * replayed, replayed, DT, "N").startswith("is 2.5 times what the analysed")
 
 
+@pytest.mark.parametrize("hold", [2, 5, 10])
+def test_a_command_of_a_slower_clock_is_told(hold):
+    replayed = command()
+    rows = np.arange(500)
+    logged = replayed[np.maximum(rows - (rows - 3) % hold, 0)]
+    assert command_hint(logged, replayed, DT, "N").startswith(
+        f"is what the analysed controller gives every {hold * DT}"
+    )
+    assert command_hint(logged, logged, DT, "N") == ""
+
+
+def test_another_controller_is_told():
+    replayed = command()
+    rate = np.gradient(np.sin(3.0 * DT * np.arange(500)), DT)
+    text = command_hint(replayed + 0.1 * rate, replayed, DT, "N")
+    assert text.startswith("is not what the analysed controller gives for the logged measurements: they differ by 0.")
+    assert command_hint(np.zeros(500), replayed, DT, "N").startswith("is not what the analysed")
+
+
 @pytest.mark.parametrize("seed", range(10))
-def test_another_command_and_the_same_one_are_not(seed):
-    """The same one to a log's resolution; one with another first state; that of other gains; nothing at all."""
+def test_the_same_command_is_not(seed):
+    """The same one to a log's resolution; one with another first state; nothing at all."""
     replayed = command(seed)
     time = DT * np.arange(500)
     for logged in (
         replayed,
         np.round(replayed, 3),
         replayed + 0.5 * np.exp(-time),
-        replayed + 0.3 * np.gradient(np.sin(3.0 * time), DT),
-        command(seed + 100),
         np.full(500, np.nan),
-        np.zeros(500),
     ):
         assert command_hint(logged, replayed, DT, "N") == ""
+    assert command_hint(9.81 + 1e-4 * command(seed + 100), 9.81 + 1e-4 * replayed, DT, "N") == ""  # rounded
     assert "beside" in command_hint(np.full(500, 1e300), replayed, DT, "N")  # and no warning of NumPy

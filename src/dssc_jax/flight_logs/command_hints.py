@@ -1,18 +1,22 @@
 """What a logged command is of the one that the analysed controller gives for the logged measurements.
 
 The same measurements with their noise lead to the same command, but for the controller's first state. So a multiple, a
-delay or an offset shows, which a fit would put into gains, lags and disturbances.
+delay, an offset or a slower clock shows, which a fit would put into gains, lags and disturbances; so does another
+controller.
 """
 
 import numpy as np
 
 from dssc_jax.flight_logs.conversions import FEWER, multiple_of, rms
+from dssc_jax.flight_logs.held_outputs import usual_hold
 
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # of the command's deviation from its median: what may be left of a command that is explained
 LARGE_OFFSET = 0.1  # of the same: a smaller one is not told
 LEAST_VALUES = 20
+ANOTHER = 0.25  # of the command's deviation from its median: a larger difference is that of another controller
+ROUNDING = 1e-3  # of a command's root mean square: no smaller difference says anything
 
 
 def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
@@ -36,6 +40,15 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     size = rms(logged - np.median(logged[known]))
     least = EXPLAINED * size
     difference = rms(logged - replayed)
+    if difference <= ROUNDING * rms(logged):
+        return ""
+    hold = usual_hold(logged)
+    if hold > 1 and rms(logged - held_as(logged, replayed)) <= min(least, FEWER * difference):
+        return (
+            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between: the log has a slower "
+            "clock than the study, or the flight had. Where it is the log's, the vehicle flew other commands, and a fit "
+            "takes that for a lag; where it is the flight's, give loop.sample_time that value"
+        )
     shift, left = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
     if shift != 0 and left <= min(least, FEWER * difference):
         side = "later" if shift > 0 else "earlier"
@@ -50,7 +63,21 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
         )
+    if difference > ANOTHER * size:
+        return (
+            f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
+            f"{unit} rms, and the logged one varies by {size:.4g}. Other gains, limits or another first state flew, or "
+            "a column is wrong"
+        )
     return ""
+
+
+def held_as(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """The replayed command with its value of the last change of the logged one, shape (samples,)."""
+    known = np.flatnonzero(np.isfinite(logged))
+    changes = known[np.flatnonzero(np.diff(logged[known], prepend=np.nan) != 0.0)]
+    last = np.searchsorted(changes, np.arange(len(logged)), side="right") - 1
+    return replayed[changes[np.maximum(last, 0)]]
 
 
 def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:
