@@ -45,9 +45,9 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     hold = usual_hold(logged)
     if hold > 1 and rms(logged - held_as(logged, replayed)) <= min(least, FEWER * difference):
         return (
-            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between: the log has a slower "
-            "clock than the study, or the flight had. Where it is the log's, the vehicle flew other commands, and a fit "
-            "takes that for a lag; where it is the flight's, give loop.sample_time that value"
+            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If the log alone is "
+            "so slow, the vehicle flew other commands, and a fit takes that for a lag; if the flight was, give "
+            "loop.sample_time that value"
         )
     shift, left = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
     if shift != 0 and left <= min(least, FEWER * difference):
