@@ -45,7 +45,7 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     hold = usual_hold(logged)
     if hold > 1 and rms(logged - held_as(logged, replayed)) <= min(least, FEWER * difference):
         return (
-            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If the log alone is "
+            f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
             "so slow, the vehicle flew other commands, and a fit takes that for a lag; if the flight was, give "
             "loop.sample_time that value"
         )
