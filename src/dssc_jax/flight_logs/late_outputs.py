@@ -30,6 +30,7 @@ LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
 MOST_SHIFTS = 25  # on either side
 LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
+ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform error of one
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
 EXPLAINED = 0.97  # of the residual without a shift: what is left of one that a shift explains
@@ -273,7 +274,8 @@ def refinement(
 ) -> tuple[float, float]:
     """The distance of the best shift from a whole one, by a parabola through three fits, and its deviation, in samples.
 
-    The deviation is infinite where they are on no parabola with a minimum.
+    Commands and outputs count at the nearest sample, so the deviation has that of a uniform error of one sample, too.
+    It is infinite where the fits are on no parabola with a minimum.
     """
     if abs(shift) == margin:
         return 0.0, math.inf
@@ -281,7 +283,7 @@ def refinement(
     bend = sides[0] + sides[1] - 2.0 * end.cost
     if not math.isfinite(bend) or bend <= 0.0:
         return 0.0, math.inf
-    return float(np.clip(0.5 * (sides[0] - sides[1]) / bend, -0.5, 0.5)), math.sqrt(2.0 / bend)
+    return float(np.clip(0.5 * (sides[0] - sides[1]) / bend, -0.5, 0.5)), math.hypot(math.sqrt(2.0 / bend), ROUNDING)
 
 
 def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tuple[float, ...]:
