@@ -9,10 +9,10 @@ import pytest
 import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.flight_logs.clocks import falls_of, gaps_of, rising_rows
+from dssc_jax.flight_logs.clocks import falls_of, gaps_of, repeated_times_text, rising_rows
 from dssc_jax.flight_logs.contents import log_contents, topic_table
 from dssc_jax.flight_logs.coverage import few_samples_remedy
-from dssc_jax.flight_logs.reader import FlightLog
+from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.ulog import list_topics
 from tests.cli.conftest import last_json
 from tests.flight_logs.test_ulog import TAKEOFF, log_head, message
@@ -198,6 +198,25 @@ def test_gaps_and_rare_values_have_their_own_remedies():
     assert "at most 25 in a row (between 0.58 s and 1.1 s of the study)" in few_samples_remedy(known, 0.02)
     assert few_samples_remedy(np.arange(100) % 2 == 0, 0.02).startswith("log it as often as the controller runs")
     assert few_samples_remedy(np.zeros(100, bool), 0.02).startswith("log it as often")
+    assert few_samples_remedy(np.arange(100) < 7, 0.02).startswith("it has values from 0 s to 0.12 s of the study only")
+
+
+def test_times_that_repeat_are_told():
+    rounded = repeated_times_text(np.round(RATE, 1))
+    assert rounded.startswith("repeats from one row to the next in 79 of 100 rows, and rises by 0.1 s else")
+    doubled = repeated_times_text(np.repeat(RATE, 2))
+    assert doubled.startswith("repeats from one row to the next in 100 of 200 rows, and rises by 0.02 s else")
+    assert repeated_times_text(RATE) == repeated_times_text(np.sort([*RATE, *RATE[:5]])) == ""
+
+
+@pytest.mark.parametrize(("unit", "name"), [(1e-6, "microseconds"), (1e-9, "nanoseconds")])
+def test_times_since_1970_in_another_unit_are_refused(unit, name):
+    """Rounded to a number of 64 bits, one row would stand for many samples."""
+    study = dj.Study.load("motor")
+    time = (1.79e9 + study.loop.sample_time * np.arange(400)) / unit
+    log = dj.FlightLog("log", {"y": Column(time, np.ones(400))}, float(time[0]))
+    with pytest.raises(ConfigError, match=f"are so large that they are rounded to .*: are its times in {name}"):
+        dj.compare_log(study, log)
 
 
 def test_a_topic_that_is_sent_in_bursts_has_no_gap(tmp_path):

@@ -60,6 +60,22 @@ def test_a_smooth_misfit_counts_at_most_as_the_sensor():
         assert np.linalg.eigvalsh(most - fit.information)[0] > -1e-9 * most.max()
 
 
+def test_a_residual_that_a_limit_of_the_plant_leaves_is_told():
+    """A limit that the study lacks biases the gain; the residual is not even twice the noise. Without it nothing is."""
+    sensor = {"kind": "noisy", "position_std": STD}
+    for size, is_told in ((0.7, True), (10.0, False)):
+        limited = study(sensor).override({"unmodelled": {"kind": "saturation", "limit": size}})
+        run = dj.simulate(limited, 0)
+        noise = STD * np.random.default_rng(1).normal(size=len(run["t"]))
+        columns = {
+            "y": Column(run["t"].values, run["y"].values + noise),
+            "u_total": Column(run["t"].values, run["u_total"].values),
+        }
+        fitted = fit_log(study(sensor), FlightLog("flight", columns, 0.0))
+        texts = [doubt.text for doubt in fitted.doubts if doubt.signal == "y"]
+        assert any("such as a limit or friction" in text for text in texts) == is_told, (size, texts)
+
+
 def test_readings_without_noise_count_as_the_sensor():
     """Exact readings give the interval of least squares with the sensor's noise; without one nearly none."""
     run = dj.simulate(study({"kind": "ideal"}), 0)

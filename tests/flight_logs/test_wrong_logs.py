@@ -116,6 +116,10 @@ def test_references_of_other_channels_and_times():
     assert reference_shift((TIME > 2.5).astype(float), step) == -25
     assert reference_shift(step, step) == reference_shift(SINE**3 + 1.0, step) == 0
     assert reference_shift(np.ones(400), np.zeros(400)) == 0
+    pulses = (np.floor(0.5 * TIME) % 2).astype(float)
+    edge = pulses.copy()
+    edge[100] = 1.0 - edge[100]
+    assert reference_shift(edge, pulses) == 0  # and not a period
 
 
 def flying_references(x, y):
@@ -183,10 +187,11 @@ def test_what_an_output_looks_like(x, y, words):
         ((5.0, 9.0), 2.0, "times 3.281"),
         ((5.0, 9.0), 20.0, ""),
         ((-9.0, 9.0), 90.0, ""),
+        ((100.0, 120.0), 2.0, ""),  # 57.3, and nothing is an angle
     ],
 )
 def test_the_multiple_that_brings_an_estimate_into_its_law(ends, value, words):
-    assert factor_text(np.array(ends) / value) == words
+    assert factor_text(np.array(ends) / value, ["m", "N"]) == words
 
 
 def test_a_comparison_names_a_mirrored_output_and_an_early_end(tmp_path, capsys):
@@ -258,11 +263,14 @@ def test_what_identifies_nothing_because_it_is_wrong_is_not_described(flight, fa
 
 
 def test_a_command_that_is_missing_at_its_step_is_told(flight):
-    """The duplicate of a time stamp takes one command of 400, at a change of 3.4 or within a hold of ten samples."""
+    """The duplicate of a time stamp takes one command of 400, at a change of 3.4 or within a hold of ten samples.
+
+    At the change the residual grows, too.
+    """
     u, y = flight
     log = log_of(y, u)
     place = 10 * int(np.argmax(np.abs(np.diff(u[::10])))) + 10
-    for index, told in ((place, ["u_total"]), (place + 5, [])):
+    for index, told in ((place, ["y", "u_total"]), (place + 5, [])):
         time = TIME.copy()
         time[index] = time[index - 1]
         doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})

@@ -17,6 +17,7 @@ LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
 """Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
+MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
 SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
 
 
@@ -96,6 +97,23 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
     rising = steps[steps > 0.0]
     usual = float(1.0 / np.median(rising)) if rising.size else np.nan
     return LogTopic(name, len(known), float(known[0]), float(known[-1]), len(falls), fall, usual, gap)
+
+
+def repeated_times_text(time: np.ndarray) -> str:
+    """That many rows of a column share their time with the row before, in words; empty if few do.
+
+    Args:
+        time: Finite times that do not fall [s], shape (n,).
+    """
+    steps = np.diff(time)
+    repeated = int(np.count_nonzero(steps == 0.0))
+    if repeated <= MOST_REPEATED * len(time) or repeated == len(steps):
+        return ""
+    usual = float(np.median(steps[steps > 0.0]))
+    return (
+        f"repeats from one row to the next in {repeated:,} of {len(time):,} rows, and rises by {usual:.3g} s else: "
+        "times are rounded, or rows are doubled. Log times with more digits"
+    )
 
 
 def grouped(found: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:

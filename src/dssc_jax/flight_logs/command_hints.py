@@ -15,7 +15,7 @@ LONGEST_SHARE = 0.1  # of the log
 EXPLAINED = 0.1  # of the command's deviation from its median: what may be left of a command that is explained
 LARGE_OFFSET = 0.1  # of the same: a smaller one is not told
 LEAST_VALUES = 20
-ANOTHER = 0.25  # of the command's deviation from its median: a larger difference is that of another controller
+ANOTHER = 0.1  # of the command's deviation from its median: a larger difference is that of another controller
 ROUNDING = 1e-3  # of a command's root mean square: no smaller difference says anything
 
 
@@ -63,11 +63,12 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
         )
-    if difference > ANOTHER * size:
+    latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
+    if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * size:
         return (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
-            f"{unit} rms, and the logged one varies by {size:.4g}. Other gains, limits or another first state flew, or "
-            "a column is wrong"
+            f"{unit} rms, and the logged one varies by {size:.4g}. Other gains or limits flew, or a measurement "
+            "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
     return ""
 

@@ -49,6 +49,7 @@ RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in pla
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
+FEW_SAMPLES = 0.005  # share of samples at which a reference may differ that is the same: edges between two samples
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
@@ -179,16 +180,19 @@ def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
     return f"lies {shift:.4g} {unit} from the study's from the start on: compare the study's initial state"
 
 
-def factor_text(ratio: np.ndarray) -> str:
+def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     """The multiple that would bring a number into its law, in words; empty if none does, or several do.
 
     Args:
         ratio: The law's ends over the number.
+        units: Of the study's outputs and commands; a multiple of angles counts only where one is an angle.
     """
     low, high = np.sort(ratio)
-    candidates = [
-        conversion.words for conversion in CONVERSIONS if conversion.factor > 0.0 and low <= conversion.factor <= high
-    ]
+    candidates = []
+    for conversion in CONVERSIONS:
+        usable = conversion.unit not in ONLY_WITH_UNIT or any(is_of(unit, conversion.unit) for unit in units)
+        if usable and conversion.factor > 0.0 and low <= conversion.factor <= high:
+            candidates.append(conversion.words)
     return candidates[0] if len(candidates) == 1 else ""
 
 
@@ -221,10 +225,13 @@ def reference_conversion(
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
 
-    Of several shifts the smallest counts.
+    It is the same, too, if it differs at single samples alone, where an edge falls to the sample before or after. Of
+    several shifts the smallest counts.
     """
     size = rms(reference - np.mean(reference))
-    if size == 0.0 or rms(logged - reference) <= SAME_REFERENCE * size:
+    difference = (logged - reference)[np.isfinite(logged)]
+    differing = np.count_nonzero(np.abs(difference) > SAME_REFERENCE * size)
+    if size == 0.0 or rms(difference) <= SAME_REFERENCE * size or differing <= FEW_SAMPLES * len(difference):
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):

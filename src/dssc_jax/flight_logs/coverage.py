@@ -12,6 +12,7 @@ LEAST_COMPARED = 5
 """Samples of a study at which a log needs a value to be compared."""
 UNUSUAL_GAP = (1.0 / 30.0, 100.0)  # sample times between two values, beyond which the unit of time is doubted
 USUAL_GAP = (0.1, 10.0)
+COARSE = 0.1  # sample times between two floating-point numbers at the log's start: more blur its times
 
 
 class TimeUnit(NamedTuple):
@@ -54,6 +55,9 @@ def few_samples_remedy(known: np.ndarray, sample_time: float) -> str:
     steps = np.diff(places)
     if not steps.size or np.median(steps) > 1:
         return "log it as often as the controller runs, or set loop.sample_time to the log's"
+    if steps.max() == 1:
+        begin, end = sample_time * places[0], sample_time * places[-1]
+        return f"it has values from {begin:.4g} s to {end:.4g} s of the study only. Compare `start` and loop.duration"
     longest = int(np.argmax(steps))
     begin, end = sample_time * places[longest], sample_time * places[longest + 1]
     return (
@@ -71,9 +75,16 @@ def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
         known: Whether it has any compared value, at each sample up to its end, shape (samples,).
 
     Raises:
-        ConfigError: it has hardly any.
+        ConfigError: it has hardly any, or its times are too large to be in seconds.
     """
     loop = study.loop
+    resolution = float(np.spacing(abs(log.start)))
+    if resolution > COARSE * loop.sample_time:
+        text = (
+            f"its times, {log.start:.6g} s at the start, are so large that they are rounded to {resolution:g} s, "
+            f"and the study's samples are {loop.sample_time:g} s apart"
+        )
+        raise ConfigError(log.name, f"{text}{time_unit_text(log, loop.sample_time) or '; they must be in seconds'}")
     count = int(np.count_nonzero(known))
     span = f"{loop.steps * loop.sample_time:g} s from {log.start:g} s on"
     hint = time_unit_text(log, loop.sample_time)

@@ -126,8 +126,9 @@ class Fitted:
     def outside_laws(self) -> dict[str, str]:
         """Numbers whose estimates lie clearly outside their laws in the study, each with the multiple that lies inside.
 
-        The multiple is one of another unit, in words; empty if none lies inside.
+        The multiple is one of another unit, in words; empty if none lies inside, or not the same one for all of them.
         """
+        units = [unit for channel in self.study.units for unit in (channel.output, channel.of("u"))]
         outside = {}
         for name, value, scaled, deviation in zip(
             self.names, self.estimates, self.scaled, self.deviations, strict=True
@@ -136,8 +137,8 @@ class Fitted:
             ends = law.quantile(np.array([0.001, 0.999]))
             low, high = fit_scale(law, ends)
             if scaled < low - OUTSIDE_LAW * deviation or scaled > high + OUTSIDE_LAW * deviation:
-                outside[name] = factor_text(ends / value) if value != 0.0 else ""
-        return outside
+                outside[name] = factor_text(ends / value, units) if value != 0.0 else ""
+        return outside if len(set(outside.values())) == 1 else dict.fromkeys(outside, "")
 
     def toml(self) -> str:
         """The proposal as TOML, one line for each entry; a number in a list comes with the whole list."""

@@ -87,7 +87,10 @@ def compared_references(
         elif shift and all(is_shifted(values, references[place, 0], shift) for place, values in logged.items()):
             side = "later" if shift > 0 else "earlier"
             start = log.start + shift * loop.sample_time
-            found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: set start to {start:g} s"
+            remedy = f"set start to {start:g} s"
+            if start < first_time(log):
+                remedy = "the log does not begin so early: shift the study's reference, or let its record begin there"
+            found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
         if channel not in rates:
             continue
         distance, rate = rates[channel]
@@ -103,6 +106,11 @@ def compared_references(
                 f"% of it, though y_ref is the same: {RATE_REMEDY}"
             )
     return found
+
+
+def first_time(log: FlightLog) -> float:
+    """The time of a log's first value [s]."""
+    return min(float(column.time[0]) for column in log.columns.values())
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:

@@ -21,7 +21,9 @@ from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
 MOST_UNEXPLAINED = 0.1  # of the output's variance
 EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
-MANY_TIMES = 3.0  # what noise explains of a residual: above, the residual is doubted
+MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual is doubted
+NOISE_CONFIDENCE = 0.9999  # that noise alone is no larger than its limit
+NOISE_DEVIATIONS = 4.0  # of the sizes of simulated noise, up to their limit
 LEAST_DOUBTED = 1e-5  # of the output's variance left unexplained, in a residual that is doubted
 REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISIER = 3.0  # than the study's sensor: a residual with as much noise is doubted
@@ -67,6 +69,7 @@ class Explained(NamedTuple):
     noise: float  # root mean square of the noise that log and study account for
     output: float  # standard deviation of the logged output
     independent: float  # number of independent samples of the residual
+    limit: float  # root mean square that noise alone hardly exceeds
 
     @property
     def unexplained(self) -> float:
@@ -81,8 +84,8 @@ class Explained(NamedTuple):
 
     @property
     def doubtful(self) -> bool:
-        """Whether the residual is many times what noise explains, and no trifle."""
-        return self.residual > MANY_TIMES * self.noise and self.unexplained > LEAST_DOUBTED
+        """Whether the residual is clearly larger than noise explains, and no trifle."""
+        return self.residual > max(MUCH_LARGER * self.noise, self.limit) and self.unexplained > LEAST_DOUBTED
 
 
 class Doubt(NamedTuple):
@@ -110,7 +113,10 @@ def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> E
     noise_size = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     size = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
-    return Explained(size, min(noise_size, size), float(np.std(readings.values)), independent)
+    noise_size = min(noise_size, size)
+    count = len(readings.values)
+    limit = noise_size * math.sqrt(float(stats.chi2.ppf(NOISE_CONFIDENCE, count)) / count)
+    return Explained(size, noise_size, float(np.std(readings.values)), independent, limit)
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
@@ -126,8 +132,11 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
         return results
     added = study_noise(problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES)
     for place, readings in enumerate(problem.readings):
-        simulated = float(np.sqrt(np.mean(readings.interpolate(added[:, readings.channel]) ** 2)))
-        results[place] = results[place]._replace(noise=max(results[place].noise, simulated))
+        sizes = np.sqrt(np.mean(readings.interpolate(added[:, readings.channel]) ** 2, axis=-1))  # of each replicate
+        simulated = float(np.sqrt(np.mean(sizes**2)))
+        limit = float(np.mean(sizes) + NOISE_DEVIATIONS * np.std(sizes))
+        result = results[place]
+        results[place] = result._replace(noise=max(result.noise, simulated), limit=max(result.limit, limit))
     return results
 
 
@@ -155,7 +164,7 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
 
 
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
-    """The residuals that are many times what noise explains, by channel, with the remedy."""
+    """The residuals that are clearly larger than noise explains, by channel, with the remedy."""
     reasons = []
     for place, result in enumerate(results):
         if not result.doubtful:
@@ -164,7 +173,8 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
-            f"the study lacks something of this flight, or the log is not what the study takes it for. {REMEDY}"
+            "the study lacks something of this flight, such as a limit or friction, or the log is not what the study "
+            f"takes it for. Estimates may be wrong by more than their intervals. {REMEDY}"
             f"{converted_text(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))

@@ -20,6 +20,7 @@ from dssc_jax.engine.batching import drawn
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
+from dssc_jax.flight_logs.clocks import repeated_times_text
 from dssc_jax.flight_logs.command_hints import command_hint
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
@@ -257,6 +258,9 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     integrals = integral_hints(study, log)
     conversions = integrals.units | compared.conversions
     factors = dict(integrals.factors)
+    repeated = next(filter(None, (repeated_times_text(column.time) for column in log.columns.values())), "")
+    if repeated:
+        factors["t"] = repeated
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
         followed = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""

@@ -83,7 +83,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     replay = replay_log(study, log)
     replayed = replay.summary(study)
     try:
-        with progress_bar(study, quiet=as_json, of="simulations", early="its starts have ended") as advance:
+        with progress_bar(study, quiet=as_json, of="simulations", early="the search is complete") as advance:
             fitted = fit_log(
                 study,
                 log,
