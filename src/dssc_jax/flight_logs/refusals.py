@@ -186,7 +186,7 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
-        if sensor == 0.0 or result.doubtful or result.noise <= NOISIER * sensor:
+        if sensor == 0.0 or result.noise <= NOISIER * sensor:
             continue
         name, unit = reading_name(problem, place)
         text = (
