@@ -267,7 +267,7 @@ def test_a_command_that_is_missing_at_its_step_is_told(flight):
         time[index] = time[index - 1]
         doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})
         fitted = fit_log(linear(), doubled)
-        assert fitted.held == {"u_total": 1}
+        assert fitted.held_samples == {"u_total": 1}
         assert [doubt.signal for doubt in fitted.doubts] == told
 
 

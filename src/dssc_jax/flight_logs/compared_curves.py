@@ -82,8 +82,8 @@ def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
     names = [signal_name(channel, "y") for channel in study.loop.channels]
     names = [name for name in names if name in logged]
     expected = [dataset["median"].sel(signal=name).values for name in names]
-    found = {}
+    likenesses = {}
     for index, name in enumerate(names):
         values = dataset["logged"].sel(signal=name).values
-        found[name] = likeness(index, values, expected, names, signal_unit(study, name))
-    return {name: text for name, text in found.items() if text}
+        likenesses[name] = likeness(index, values, expected, names, signal_unit(study, name))
+    return {name: text for name, text in likenesses.items() if text}

@@ -1,4 +1,4 @@
-"""What a logged signal would be with another sign, unit or start: hints for a log that contradicts its study."""
+"""Hints that a logged signal is the study's with another sign, unit or start."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
+MOST_PRODUCTS = 20_000_000  # of samples and shifts
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
@@ -54,7 +54,7 @@ ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit on
 
 
 def is_of(unit: str, begin: str) -> bool:
-    """Whether a unit is a base unit or a quotient or product that begins with it: m/s is of m, mol is not."""
+    """Whether a unit is a base unit, or a quotient or product that begins with it: m/s is of m, mol is not."""
     return unit == begin or unit.startswith((f"{begin}/", f"{begin} "))
 
 
@@ -68,7 +68,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> str:
-    """The multiple of the expected signal that the logged one is, in words; empty if there is none, or none is needed.
+    """The multiple by which the logged signal differs from the expected one, in words; empty if none fits better.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -80,13 +80,13 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     if size == 0.0 or not np.isfinite(size):
         return ""
     best = ""
-    smallest = min(tolerance * size, FEWER * rms(logged - expected))
+    smallest_distance = min(tolerance * size, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
         if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
             continue
         distance = rms(logged / conversion.factor - expected)
-        if distance <= smallest:
-            smallest = distance
+        if distance <= smallest_distance:
+            smallest_distance = distance
             best = conversion.text(unit)
     return best
 
@@ -98,12 +98,12 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
         logged: Values, NaN where missing, shape (samples,).
         expected: Values at the same times.
     """
-    known = np.isfinite(logged) & np.isfinite(expected)
-    sizes = rms(logged[known]), rms(expected[known])
+    has_both = np.isfinite(logged) & np.isfinite(expected)
+    sizes = rms(logged[has_both]), rms(expected[has_both])
     if not 0.0 < min(sizes) <= max(sizes) < np.inf:
         return 1.0
-    unit_logged = logged[known] / sizes[0]
-    unit_expected = expected[known] / sizes[1]
+    unit_logged = logged[has_both] / sizes[0]
+    unit_expected = expected[has_both] / sizes[1]
     correlation = float(unit_logged @ unit_expected) / len(unit_logged)
     factor = correlation * (sizes[0] / sizes[1])
     is_another = rms(unit_logged - correlation * unit_expected) > SAME_REFERENCE
@@ -122,17 +122,17 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
         reference: The reference of its channel in the study at the same times.
         unit: Of the output.
     """
-    known = np.isfinite(logged)
-    if not known.any():
+    is_finite = np.isfinite(logged)
+    if not is_finite.any():
         return ""
-    square = float(reference[known] @ reference[known])
-    factor = float(logged[known] @ reference[known]) / square if square > 0.0 else 0.0
+    square = float(reference[is_finite] @ reference[is_finite])
+    factor = float(logged[is_finite] @ reference[is_finite]) / square if square > 0.0 else 0.0
     for conversion in CONVERSIONS:
         text = conversion.text(unit)
-        near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
-        if text == OPPOSITE and not has_opposite_mean(logged[known], reference[known]):
+        is_near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
+        if text == OPPOSITE and not has_opposite_mean(logged[is_finite], reference[is_finite]):
             continue
-        if near and conversion_text(logged, reference, FOLLOWED, unit) == text:
+        if is_near and conversion_text(logged, reference, FOLLOWED, unit) == text:
             return f"follows its reference {text}"
     return ""
 
@@ -144,7 +144,7 @@ def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
 
 
 def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:
-    """What a logged output looks like, if not like the one that is expected of its channel: in words, or empty.
+    """What a logged output looks like if it differs from its channel's expected output, in words; else empty.
 
     Args:
         index: Position of its channel.
@@ -156,18 +156,18 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
     multiple = conversion_text(logged, expected[index], PREDICTED, unit)
     if multiple:
         return f"looks like the study's {multiple}"
-    smallest = FEWER * rms(logged - expected[index])
+    smallest_distance = FEWER * rms(logged - expected[index])
     text = ""
     for place, output in enumerate(expected):
         distance = rms(logged - output)
-        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest):
-            smallest = distance
+        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest_distance):
+            smallest_distance = distance
             text = f"looks like the study's {names[place]}"
     return text or shift_text(logged, expected[index], unit)
 
 
 def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
-    """That a logged output lies beside the expected one all the time, in words; empty if it does not."""
+    """The constant offset of a logged output from the expected one, in words; empty if there is none."""
     difference = logged - expected
     difference = difference[np.isfinite(difference)]
     if not difference.size:
@@ -195,7 +195,7 @@ def factor_text(ratio: np.ndarray) -> str:
 def reference_conversion(
     index: int, logged: np.ndarray, references: np.ndarray, channels: Sequence[str], unit: str
 ) -> str:
-    """What a channel's logged reference is of the study's, in words; empty: nothing simple.
+    """How a channel's logged reference follows from the study's, in words; empty if in no simple way.
 
     Args:
         index: Position of the channel.
@@ -238,7 +238,7 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
 
 
 def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
-    """Whether nothing in a logged reference contradicts that it is the study's so many samples later.
+    """Whether a logged reference agrees with the study's, shifted by a number of samples.
 
     One that never moves, or is not logged, contradicts no shift.
     """
@@ -251,7 +251,7 @@ def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
 
 
 class LogHints(NamedTuple):
-    """Why a log may contradict its study: signals, each with the words for it.
+    """Why a log may contradict its study, in words for each signal or number.
 
     Args:
         conversions: Signals that are the study's in another unit, sign or column.

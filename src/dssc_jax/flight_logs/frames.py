@@ -134,11 +134,11 @@ GROUND_TRUTH = "_groundtruth"
 
 def derived_fields(topic: str, columns: Fields) -> dict[str, DerivedField]:
     """The fields in the model's axes of a topic with given fields, by name; a field of its own goes first."""
-    found = {}
+    derived = {}
     for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):
         if field.name not in columns and all(name in columns for name in field.needs):
-            found[field.name] = field
-    return found
+            derived[field.name] = field
+    return derived
 
 
 def field_values(topic: str, columns: Fields, name: str) -> np.ndarray | None:

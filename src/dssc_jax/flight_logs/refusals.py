@@ -124,15 +124,18 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
         results.append(explain_channel(readings, noise, columns[:, 0]))
     if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.doubtful for result in results):
         return results
-    added = study_noise(problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES)
+    simulated_noise = study_noise(
+        problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES
+    )
     for place, readings in enumerate(problem.readings):
-        simulated = float(np.sqrt(np.mean(readings.interpolate(added[:, readings.channel]) ** 2)))
+        added_noise = readings.interpolate(simulated_noise[:, readings.channel])
+        simulated = float(np.sqrt(np.mean(added_noise**2)))
         results[place] = results[place]._replace(noise=max(results[place].noise, simulated))
     return results
 
 
 def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
-    """In which other unit, sign or channel a channel's readings are what the study predicts; empty if in none.
+    """The unit, sign or channel in which a channel's readings would match the prediction, in words; empty if none.
 
     Predicted are the outputs at coordinates x and at the medians of the laws.
 
@@ -155,7 +158,7 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
 
 
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
-    """The residuals that are many times what noise explains, by channel, with the remedy."""
+    """The doubts about residuals that are many times what noise explains, by channel, with the remedy."""
     reasons = []
     for place, result in enumerate(results):
         if not result.doubtful:
@@ -172,7 +175,7 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
-    """The readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
@@ -221,7 +224,7 @@ def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
 
 
 def combination(names: Sequence[str], direction: np.ndarray) -> str:
-    """A direction in the space of the numbers, in words."""
+    """Describe a direction in the space of the numbers in words."""
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
     if len(terms) == 1:
@@ -230,7 +233,7 @@ def combination(names: Sequence[str], direction: np.ndarray) -> str:
 
 
 def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
-    """Require along every direction a standard deviation below that of the laws, in which the information counts."""
+    """Require a standard deviation below that of the laws along every direction of the numbers' coordinates."""
     diagonal = np.diag(information)
     for name, entry in zip(names, diagonal, strict=True):
         if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
@@ -280,11 +283,11 @@ def require_unique_minimum(problem: FitProblem, search: MinimumSearch, informati
         search: Its minima.
         information: The inverse of the covariance that the answer states.
     """
-    allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
+    allowed_difference = float(stats.chi2.ppf(TIE, len(problem.names)))
     for rival in search.rivals:
         move = rival.x - search.best.x
-        is_near = float(move @ information @ move) <= allowed
-        if rival.cost - search.best.cost <= allowed and not is_near:
+        is_near = float(move @ information @ move) <= allowed_difference
+        if rival.cost - search.best.cost <= allowed_difference and not is_near:
             best = assignments(problem.named_values(search.best.x))
             second = assignments(problem.named_values(rival.x))
             raise NotIdentifiable(
