@@ -82,11 +82,11 @@ def value_near(column: Column | None, time: float) -> float:
 def logged_motion(log: FlightLog) -> FirstMotion:
     """The attitude and body rate with which a log begins."""
     columns = attitude_columns(log)
-    parts = []
+    angles_and_rates = []
     for names in (ANGLES, RATES):
         values = tuple(value_near(columns.get(name), log.start) for name in names)
-        parts.append(values if np.isfinite(values).all() else ())
-    return FirstMotion(*parts)
+        angles_and_rates.append(values if np.isfinite(values).all() else ())
+    return FirstMotion(*angles_and_rates)
 
 
 def study_motion(study: Study) -> FirstMotion | None:

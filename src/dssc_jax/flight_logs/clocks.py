@@ -78,8 +78,8 @@ def span_of(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
             ends.append(topic.gap.early if is_stray else topic.last)
     end = max(ends or [topic.last for topic in stamped_topics], default=0.0)
     limit = end + max(LATE, end / LATE)
-    late = [LateMessage(topic.name, topic.last) for topic in stamped_topics if topic.last > limit]
-    return max((topic.last for topic in stamped_topics if topic.last <= limit), default=end), late
+    late_messages = [LateMessage(topic.name, topic.last) for topic in stamped_topics if topic.last > limit]
+    return max((topic.last for topic in stamped_topics if topic.last <= limit), default=end), late_messages
 
 
 def column_clock(name: str, time: np.ndarray) -> LogTopic:
@@ -91,12 +91,12 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
         return LogTopic(name, len(finite_times), single_time, single_time)
     falls = np.flatnonzero(steps < 0.0)
     fall = Stamps(float(finite_times[falls[0]]), float(finite_times[falls[0] + 1])) if falls.size else Stamps()
-    longest = int(np.argmax(steps))
-    gap = Stamps(float(finite_times[longest]), float(finite_times[longest + 1]))
+    row_before_gap = int(np.argmax(steps))
+    gap = Stamps(float(finite_times[row_before_gap]), float(finite_times[row_before_gap + 1]))
     rising = steps[steps > 0.0]
-    usual = float(1.0 / np.median(rising)) if rising.size else np.nan
+    usual_rate = float(1.0 / np.median(rising)) if rising.size else np.nan
     return LogTopic(
-        name, len(finite_times), float(finite_times[0]), float(finite_times[-1]), len(falls), fall, usual, gap
+        name, len(finite_times), float(finite_times[0]), float(finite_times[-1]), len(falls), fall, usual_rate, gap
     )
 
 
@@ -132,15 +132,15 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
     last_rows: list[int] = []  # its row
     predecessor = np.full(len(time), -1)
     for row, value in enumerate(time.tolist()):
-        place = bisect.bisect_right(last_times, value)
-        if place:
-            predecessor[row] = last_rows[place - 1]
-        if place == len(last_times):
+        length = bisect.bisect_right(last_times, value)
+        if length:
+            predecessor[row] = last_rows[length - 1]
+        if length == len(last_times):
             last_times.append(value)
             last_rows.append(row)
         else:
-            last_times[place] = value
-            last_rows[place] = row
+            last_times[length] = value
+            last_rows[length] = row
     selected_rows = []
     row = last_rows[-1] if last_rows else -1
     while row >= 0:

@@ -112,10 +112,10 @@ def allowed_difference(problem: FitProblem) -> float:
 
 
 def better_commands(
-    problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]
+    problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]
 ) -> Reconstruction | None:
     """The reconstruction that describes the flight best; None if it is that of the fit."""
-    best = min(compared, key=lambda item: item.cost, default=None)
+    best = min(comparisons, key=lambda item: item.cost, default=None)
     if best is None or not best.cost < minimum.cost - allowed_difference(problem):
         return None
     return best.reconstruction
@@ -127,10 +127,10 @@ def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog
     return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
 
 
-def command_moves(problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]) -> np.ndarray:
+def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]) -> np.ndarray:
     """How far equally good reconstructions move the coordinates, shape (k, p)."""
     highest_cost = minimum.cost + allowed_difference(problem)
-    moves = [item.move for item in compared if item.cost <= highest_cost]
+    moves = [item.move for item in comparisons if item.cost <= highest_cost]
     return np.array(moves).reshape(len(moves), len(problem.names))
 
 
@@ -147,10 +147,10 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
         return ()
     move_texts = []
     if len(moves):
-        sizes = np.sqrt(np.sum(moves**2, axis=0))
-        for name, size, deviation in zip(problem.names, sizes, deviations, strict=True):
-            if size > TOLD * deviation:
-                move_texts.append(f"{name} by {size / deviation:.2g} standard deviations")
+        distances = np.sqrt(np.sum(moves**2, axis=0))
+        for name, distance, deviation in zip(problem.names, distances, deviations, strict=True):
+            if distance > TOLD * deviation:
+                move_texts.append(f"{name} by {distance / deviation:.2g} standard deviations")
     text = (
         f"the study's controller gives commands more often than the log has them ({', '.join(log.rare)}). Between two "
         f"values of a command {log.between}, which describes the flight best"

@@ -37,8 +37,8 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
     has_both = np.isfinite(logged) & np.isfinite(replayed)
     if np.count_nonzero(has_both) < LEAST_VALUES:
         return ""
-    size = rms(logged - np.median(logged[has_both]))
-    largest_residual = EXPLAINED * size
+    deviation = rms(logged - np.median(logged[has_both]))
+    largest_residual = EXPLAINED * deviation
     difference = rms(logged - replayed)
     if difference <= ROUNDING * rms(logged):
         return ""
@@ -58,16 +58,16 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
         )
     offset = float(np.median((logged - replayed)[has_both]))
     residual = rms(logged - replayed - offset)
-    if abs(offset) > LARGE_OFFSET * size and residual <= min(largest_residual, FEWER * difference):
+    if abs(offset) > LARGE_OFFSET * deviation and residual <= min(largest_residual, FEWER * difference):
         return (
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
         )
-    if difference > ANOTHER * size:
+    if difference > ANOTHER * deviation:
         return (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
-            f"{unit} rms, and the logged one varies by {size:.4g}. Other gains, limits or another first state flew, or "
-            "a column is wrong"
+            f"{unit} rms, and the logged one varies by {deviation:.4g}. Other gains, limits or another first state "
+            "flew, or a column is wrong"
         )
     return ""
 

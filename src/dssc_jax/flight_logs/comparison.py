@@ -245,14 +245,14 @@ class LogComparison(Analysis):
         slack = RANGE_ROUNDING * max(np.max(np.abs(logged[is_finite]), initial=0.0), 1e-300)
         below_range = logged < signal["lowest"].values - slack
         above_range = logged > signal["highest"].values + slack
-        outside = is_finite & (below_range | above_range) & has_spread
+        is_outside = is_finite & (below_range | above_range) & has_spread
         return SignalAnswer(
             unit=self.unit(name),
             samples=int(is_finite.sum()),
             largest_departure=float(np.nanmax(departure)) if has_spread else None,
-            outside_share=float(outside.sum() / is_finite.sum()) if has_spread else None,
-            first_outside=float(time[outside][0]) if outside.any() else None,
-            outside_to_the_end_since=start_of_last_excursion(time[is_finite], outside[is_finite]),
+            outside_share=float(is_outside.sum() / is_finite.sum()) if has_spread else None,
+            first_outside=float(time[is_outside][0]) if is_outside.any() else None,
+            outside_to_the_end_since=start_of_last_excursion(time[is_finite], is_outside[is_finite]),
             replay=replayed_command(time, logged, signal["commanded"].values),
         )
 
@@ -261,12 +261,12 @@ class LogComparison(Analysis):
         return signal_unit(self.study, name)
 
 
-def start_of_last_excursion(time: np.ndarray, outside: np.ndarray) -> float | None:
+def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float | None:
     """Time from which a signal is outside without interruption to its end; None if it ends inside."""
-    if not outside.size or not outside[-1]:
+    if not is_outside.size or not is_outside[-1]:
         return None
-    inside = np.flatnonzero(~outside)
-    return float(time[inside[-1] + 1 if inside.size else 0])
+    inside_rows = np.flatnonzero(~is_outside)
+    return float(time[inside_rows[-1] + 1 if inside_rows.size else 0])
 
 
 def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | None = None) -> LogComparison:

@@ -129,8 +129,8 @@ class LogContents:
             resets[-1] |= {"size": reset.size, "unit": reset.counter.unit, "stated": reset.is_stated}
         invalid = [span._asdict() for span in self.invalid]
         lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
-        late = [message._asdict() for message in self.late]
-        facts = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
+        late_messages = [message._asdict() for message in self.late]
+        facts = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late_messages}
         del facts["clock"]
         return facts
 
@@ -250,23 +250,23 @@ def topic_table(
         time = stamps(signals, begin)
         finite_times = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
-        part = log_span if segment is None else named_segment(segment, segments_of(data, begin))
-        origin = part.begin if start is None else start
-        signals = valid_signals(path, topic, data, begin, Segment("part", origin, part.end))
-        first = max(part.begin, origin)
-        inside = (time >= first) & (time <= part.end)
-        if not inside.any():
+        span = log_span if segment is None else named_segment(segment, segments_of(data, begin))
+        origin = span.begin if start is None else start
+        signals = valid_signals(path, topic, data, begin, Segment("part", origin, span.end))
+        first = max(span.begin, origin)
+        is_inside = (time >= first) & (time <= span.end)
+        if not is_inside.any():
             span_text = "none has a stamp"
             if finite_times.size:
                 span_text = f"its messages are from {finite_times.min():.4g} s to {finite_times.max():.4g} s"
             raise ConfigError(topic, f"has no message from {first:.4g} s on in the part asked for; {span_text}")
         earlier = np.flatnonzero(time < first)
-        inside[earlier[-1:]] = True
-        table = {TIME: time[inside] - origin}
+        is_inside[earlier[-1:]] = True
+        table = {TIME: time[is_inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)
             if values is not None and not field.startswith("timestamp"):
-                table[field] = values[inside]
+                table[field] = values[is_inside]
         return table
 
 

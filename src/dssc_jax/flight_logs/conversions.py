@@ -76,19 +76,19 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
         tolerance: Largest root mean square of the difference, as a share of the expected signal's.
         unit: Of the expected signal.
     """
-    size = rms(expected[np.isfinite(logged)])
-    if size == 0.0 or not np.isfinite(size):
+    expected_rms = rms(expected[np.isfinite(logged)])
+    if expected_rms == 0.0 or not np.isfinite(expected_rms):
         return ""
-    best = ""
-    smallest_distance = min(tolerance * size, FEWER * rms(logged - expected))
+    best_text = ""
+    smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
         if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
             continue
         distance = rms(logged / conversion.factor - expected)
         if distance <= smallest_distance:
             smallest_distance = distance
-            best = conversion.text(unit)
-    return best
+            best_text = conversion.text(unit)
+    return best_text
 
 
 def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
@@ -158,11 +158,11 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
         return f"looks like the study's {multiple}"
     smallest_distance = FEWER * rms(logged - expected[index])
     text = ""
-    for place, output in enumerate(expected):
+    for channel, output in enumerate(expected):
         distance = rms(logged - output)
-        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest_distance):
+        if channel != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest_distance):
             smallest_distance = distance
-            text = f"looks like the study's {names[place]}"
+            text = f"looks like the study's {names[channel]}"
     return text or shift_text(logged, expected[index], unit)
 
 
@@ -211,9 +211,9 @@ def reference_conversion(
     multiple = conversion_text(logged, reference, SAME_REFERENCE, unit)
     if multiple:
         return f"is the study's {multiple}"
-    for place, channel in enumerate(channels):
-        size = rms(references[place])
-        if place != index and size > 0.0 and rms(logged - references[place]) <= SAME_REFERENCE * size:
+    for row, channel in enumerate(channels):
+        channel_rms = rms(references[row])
+        if row != index and channel_rms > 0.0 and rms(logged - references[row]) <= SAME_REFERENCE * channel_rms:
             return f"is the study's of {channel}"
     return ""
 
@@ -223,8 +223,8 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
 
     Of several shifts the smallest counts.
     """
-    size = rms(reference - np.mean(reference))
-    if size == 0.0 or rms(logged - reference) <= SAME_REFERENCE * size:
+    variation = rms(reference - np.mean(reference))
+    if variation == 0.0 or rms(logged - reference) <= SAME_REFERENCE * variation:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
@@ -232,7 +232,8 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
         ):
-            if rms(original - np.mean(original)) > 0.5 * size and rms(shifted - original) <= SAME_REFERENCE * size:
+            has_variation = rms(original - np.mean(original)) > 0.5 * variation
+            if has_variation and rms(shifted - original) <= SAME_REFERENCE * variation:
                 return result
     return 0
 
@@ -242,12 +243,12 @@ def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
 
     One that never moves, or is not logged, contradicts no shift.
     """
-    size = rms(reference - np.mean(reference))
-    if size == 0.0 or not np.isfinite(logged).any():
+    variation = rms(reference - np.mean(reference))
+    if variation == 0.0 or not np.isfinite(logged).any():
         return True
-    late, early = max(shift, 0), max(-shift, 0)
+    delay, lead = max(shift, 0), max(-shift, 0)
     samples = len(reference) - abs(shift)
-    return rms(logged[late : late + samples] - reference[early : early + samples]) <= SAME_REFERENCE * size
+    return rms(logged[delay : delay + samples] - reference[lead : lead + samples]) <= SAME_REFERENCE * variation
 
 
 class LogHints(NamedTuple):

@@ -58,18 +58,18 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
     Returns:
         None if the study has no plain numbers for them.
     """
-    fixed = fixed_integrals(problem.study)
-    if not fixed:
+    fixed_values = fixed_integrals(problem.study)
+    if not fixed_values:
         return None
-    study_integrals = np.array(list(fixed.values()))
+    study_integrals = np.array(list(fixed_values.values()))
     p = len(problem.names)
     _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), study_integrals]), problem.log.commands)
-    products = np.zeros((1 + p + len(fixed),) * 2)
+    products = np.zeros((1 + p + len(fixed_values),) * 2)
     rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
     for readings, noise, variance, columns in rows:
         extended = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
         products += weighted_products(noise, readings.times, extended)[0] / variance
-    return gauss_newton_step(tuple(fixed), problem.names, study_integrals, products)
+    return gauss_newton_step(tuple(fixed_values), problem.names, study_integrals, products)
 
 
 def gauss_newton_step(

@@ -33,24 +33,24 @@ class Gap(NamedTuple):
 
 def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float]]:
     """Find spans between two times [s] in which a signal with a rate lacks messages while its value changes."""
-    inside = (column.time >= begin) & (column.time <= end)
-    time, value = column.time[inside], column.value[inside]
+    is_selected = (column.time >= begin) & (column.time <= end)
+    time, value = column.time[is_selected], column.value[is_selected]
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     if not steps.size:
         return []
-    usual = float(np.median(steps))
-    if np.quantile(steps, 0.9, method="lower") > REGULAR * usual:
+    usual_step = float(np.median(steps))
+    if np.quantile(steps, 0.9, method="lower") > REGULAR * usual_step:
         return []
     bounds = np.concatenate([[begin], time, [end]])
-    places = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual)
+    rows = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual_step)
     least_change = UNCHANGED * np.ptp(value)
     spans: list[tuple[float, float]] = []
-    for place in places.tolist():
-        nearby_values = value[max(place - BESIDE, 0) : place + BESIDE]
-        is_inside = 0 < place < len(time)  # beyond the messages the change is not known
+    for row in rows.tolist():
+        nearby_values = value[max(row - BESIDE, 0) : row + BESIDE]
+        is_inside = 0 < row < len(time)  # beyond the messages the change is not known
         if not is_inside or not np.ptp(nearby_values) <= least_change:
-            spans.append((float(bounds[place]), float(bounds[place + 1])))
+            spans.append((float(bounds[row]), float(bounds[row + 1])))
     return spans
 
 

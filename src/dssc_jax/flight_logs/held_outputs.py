@@ -22,13 +22,13 @@ def usual_hold(values: np.ndarray) -> int:
     if len(changes) < LEAST_CHANGES:
         return 1
     steps = np.diff(finite_rows[changes + 1])
-    usual = int(np.median(steps))
+    usual_step = int(np.median(steps))
     sizes = np.abs(differences[changes])
     distinct_size_count = len(np.unique(np.round(sizes / sizes.max(), 6)))
-    is_regular = np.mean(np.abs(steps - usual) <= 1) >= REGULAR
-    is_slower = usual > int(np.median(np.diff(finite_rows)))
+    is_regular = np.mean(np.abs(steps - usual_step) <= 1) >= REGULAR
+    is_slower = usual_step > int(np.median(np.diff(finite_rows)))
     is_held = is_slower and is_regular and distinct_size_count > DIFFERENT * len(sizes)
-    return usual if is_held else 1
+    return usual_step if is_held else 1
 
 
 def drop_repeats(values: np.ndarray) -> np.ndarray:

@@ -53,8 +53,8 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
     output, slope = between(y, begin, end), between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return None
-    inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
-    time, value = output.time[inside], output.value[inside]
+    is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
+    time, value = output.time[is_inside], output.value[is_inside]
     if len(time) < LEAST_VALUES:
         return None
     sizes = float(np.abs(value).max()), float(np.abs(slope.value).max())
@@ -108,8 +108,8 @@ def likeness_to_integral(output: Column, rate: Column) -> float:
 
 def between(column: Column, begin: float, end: float) -> Column:
     """Select the values between two times; of several at one time, the first."""
-    inside = np.flatnonzero((column.time >= begin) & (column.time <= end))
-    rows = inside[np.diff(column.time[inside], prepend=-np.inf) > 0.0]
+    selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
+    rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
     return Column(column.time[rows], column.value[rows])
 
 

@@ -76,13 +76,14 @@ class LateOutput(NamedTuple):
 
     def matters(self, sample_time: float) -> bool:
         """Whether the outputs are certainly at other times, and the estimates depend on it."""
-        moved = max(map(abs, self.moves.values())) > LARGE_MOVE
-        return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and moved
+        is_large_move = max(map(abs, self.moves.values())) > LARGE_MOVE
+        return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and is_large_move
 
     @property
     def explains(self) -> bool:
         """Whether the shift clearly lowers the residual of any of the channels."""
-        return any(late < EXPLAINED * early for early, late in zip(self.unshifted, self.shifted, strict=True))
+        pairs = zip(self.unshifted, self.shifted, strict=True)
+        return any(shifted < EXPLAINED * unshifted for unshifted, shifted in pairs)
 
 
 class ShiftedProblems:
@@ -156,10 +157,10 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     distance, deviation = refinement(shifts, end, channels, shift, margin)
     delay = sample_time * (shift + distance)
     deviations = np.sqrt(np.diag(np.linalg.pinv(unshifted_end.equations.information)))
-    moves = dict(zip(problem.names, ((end.x - unshifted_end.x) / np.maximum(deviations, TINY)).tolist(), strict=True))
-    unshifted, shifted = (
-        residuals(part, channels, x) for part, x in ((unshifted_problem, unshifted_end.x), (shifted_problem, end.x))
-    )
+    relative_moves = (end.x - unshifted_end.x) / np.maximum(deviations, TINY)
+    moves = dict(zip(problem.names, relative_moves.tolist(), strict=True))
+    unshifted = residuals(unshifted_problem, channels, unshifted_end.x)
+    shifted = residuals(shifted_problem, channels, end.x)
     return LateOutput(
         channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), unshifted, shifted
     )
@@ -184,13 +185,14 @@ def screened_shift(shifts: ShiftedProblems, x: np.ndarray, margin: int, white: b
     plain = shifts.at((), 0)
     prediction = plain.predict(plain.values(x), plain.log.commands)
     channels = tuple(readings.channel for readings in plain.readings)
-    sizes = [float(np.mean(c[:, 0] ** 2)) + TINY for c in replace_prediction(shifts.at((), 0), prediction).columns(x)]
+    unshifted_columns = replace_prediction(shifts.at((), 0), prediction).columns(x)
+    mean_squares = [float(np.mean(columns[:, 0] ** 2)) + TINY for columns in unshifted_columns]
     products = []  # by channel and shift
     for shift in range(-margin, margin + 1):
         shifted_problem = replace_prediction(shifts.at(channels, shift), prediction)
         columns = shifted_problem.columns(x)
         if white:
-            products.append([c.T @ c / size for c, size in zip(columns, sizes, strict=True)])
+            products.append([c.T @ c / mean_square for c, mean_square in zip(columns, mean_squares, strict=True)])
             continue
         rows = zip(shifted_problem.readings, shifted_problem.noises, shifted_problem.variances, columns, strict=True)
         products.append([weighted_products(noise, part.times, c)[0] / variance for part, noise, variance, c in rows])
@@ -198,16 +200,16 @@ def screened_shift(shifts: ShiftedProblems, x: np.ndarray, margin: int, white: b
     if not np.isfinite(table).all():
         return ScreenedShift((), 0, 1.0)
     best = ((), 0)
-    unshifted = linear_cost(table[margin].sum(axis=0))
-    least = unshifted
+    unshifted_cost = linear_cost(table[margin].sum(axis=0))
+    least_cost = unshifted_cost
     for shifted_channels in choices_of(channels):
         is_shifted = np.isin(channels, shifted_channels)
-        for place, shift in enumerate(range(-margin, margin + 1)):
-            cost = linear_cost(table[place, is_shifted].sum(axis=0) + table[margin, ~is_shifted].sum(axis=0))
-            if cost < least:
-                least = cost
+        for row, shift in enumerate(range(-margin, margin + 1)):
+            cost = linear_cost(table[row, is_shifted].sum(axis=0) + table[margin, ~is_shifted].sum(axis=0))
+            if cost < least_cost:
+                least_cost = cost
                 best = (shifted_channels, shift)
-    return ScreenedShift(*best, least / max(unshifted, TINY))
+    return ScreenedShift(*best, least_cost / max(unshifted_cost, TINY))
 
 
 def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
@@ -247,12 +249,12 @@ def climbed_shift(
     """
     ends = {0: unshifted_end}
 
-    def cost(place: int) -> float:
-        if abs(place) > margin:
+    def cost(candidate: int) -> float:
+        if abs(candidate) > margin:
             return math.inf
-        if place not in ends:
-            ends[place] = minimise(shifts.at(channels, place), start.x)
-        return ends[place].cost
+        if candidate not in ends:
+            ends[candidate] = minimise(shifts.at(channels, candidate), start.x)
+        return ends[candidate].cost
 
     while True:
         better = min((shift, shift - 1, shift + 1), key=cost)

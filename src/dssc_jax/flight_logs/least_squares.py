@@ -78,17 +78,17 @@ class Readings(NamedTuple):
         """The readings of a channel."""
         finite_rows = np.flatnonzero(np.isfinite(log.outputs[channel]))
         values = log.outputs[channel, finite_rows]
-        place = finite_rows + log.offsets[channel, finite_rows]
-        first = np.clip(np.floor(place).astype(int) - 1, 0, max(log.outputs.shape[1] - 4, 0))
+        position = finite_rows + log.offsets[channel, finite_rows]
+        first = np.clip(np.floor(position).astype(int) - 1, 0, max(log.outputs.shape[1] - 4, 0))
         nodes = first[:, None] + np.arange(4)
         weights = np.ones((len(finite_rows), 4))
         for i in range(4):
             for j in range(4):
                 if i != j:
-                    weights[:, i] *= (place - nodes[:, j]) / (i - j)
-        size = max(float(np.abs(values).max(initial=0.0)), TINY)
+                    weights[:, i] *= (position - nodes[:, j]) / (i - j)
+        largest = max(float(np.abs(values).max(initial=0.0)), TINY)
         sensor = log.sensor_noise[channel] ** 2
-        return cls(channel, sample_time * place, values, nodes, weights, (LEAST_NOISE * size) ** 2, sensor)
+        return cls(channel, sample_time * position, values, nodes, weights, (LEAST_NOISE * largest) ** 2, sensor)
 
     def interpolate(self, sampled: np.ndarray) -> np.ndarray:
         """Values at the times of the readings, shape (..., n), of a signal of shape (..., samples)."""
@@ -161,17 +161,17 @@ class FitProblem:
     def normal_equations(self, x: np.ndarray, commands: np.ndarray | None = None) -> NormalEquations:
         """The normal equations at coordinates; infinite cost where the simulated output diverges."""
         self.count.add()
-        size = len(self.names)
-        products = np.zeros((1 + size, 1 + size))
+        count = len(self.names)
+        products = np.zeros((1 + count, 1 + count))
         for readings, noise, variance, columns in zip(
             self.readings, self.noises, self.variances, self.columns(x, commands), strict=True
         ):
             if not np.isfinite(columns).all():
-                return NormalEquations(math.inf, np.zeros(size), np.eye(size))
+                return NormalEquations(math.inf, np.zeros(count), np.eye(count))
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # squares of what diverges
                 products += weighted_products(noise, readings.times, columns)[0] / variance
         if not np.isfinite(products).all():
-            return NormalEquations(math.inf, np.zeros(size), np.eye(size))
+            return NormalEquations(math.inf, np.zeros(count), np.eye(count))
         return NormalEquations(float(products[0, 0]), products[1:, 0], products[1:, 1:])
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
@@ -181,9 +181,9 @@ class FitProblem:
 
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""
-        for place, search in enumerate(self.noise_searches(x)):
-            self.noises[place], noise_fit = search.likeliest()
-            self.variances[place] = noise_fit.variance
+        for row, search in enumerate(self.noise_searches(x)):
+            self.noises[row], noise_fit = search.likeliest()
+            self.variances[row] = noise_fit.variance
 
 
 class Minimum(NamedTuple):
@@ -246,10 +246,10 @@ def screened_points(problem: FitProblem) -> np.ndarray:
     points = candidate_points(problem)
     costs = np.full(len(points), np.inf)
     costs[0] = -np.inf
-    for place in range(1, len(points)):
+    for row in range(1, len(points)):
         if problem.count.reason:
             break
-        costs[place] = problem.normal_equations(points[place]).cost
+        costs[row] = problem.normal_equations(points[row]).cost
     return points[np.argsort(costs, kind="stable")]
 
 
@@ -258,9 +258,9 @@ def distinct_minima(ends: Sequence[Minimum]) -> list[Minimum]:
     minima: list[Minimum] = []
     finite = [end for end in ends if math.isfinite(end.cost)]
     for end in sorted(finite, key=lambda end: end.cost):
-        for place, minimum in enumerate(minima):
+        for index, minimum in enumerate(minima):
             if np.abs(end.x - minimum.x).max() < SAME_MINIMUM:
-                minima[place] = minimum._replace(starts=minimum.starts + end.starts)
+                minima[index] = minimum._replace(starts=minimum.starts + end.starts)
                 break
         else:
             minima.append(end)
@@ -368,9 +368,9 @@ def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) ->
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior]) -> np.ndarray:
     """Second moments of the coordinates about the estimate, over all noises that the residual allows; shape (p, p)."""
-    size = len(problem.names)
-    information = np.zeros((NOISE_DRAWS, size, size))
-    gradient = np.zeros((NOISE_DRAWS, size))
+    count = len(problem.names)
+    information = np.zeros((NOISE_DRAWS, count, count))
+    gradient = np.zeros((NOISE_DRAWS, count))
     random = np.random.default_rng(0)
     for posterior in posteriors:
         noise_fits = [candidate.fit for candidate in posterior.candidates]
@@ -380,7 +380,7 @@ def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior
         information += np.array([fit.information for fit in noise_fits])[candidate_indices]
         gradient += np.array([fit.gradient for fit in noise_fits])[candidate_indices]
     scale = np.sqrt(np.mean([np.diag(matrix) for matrix in information], axis=0))
-    scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(size)
+    scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(count)
     covariances = np.linalg.inv(scaled)
     moves = np.einsum("gij,gj->gi", covariances, gradient / scale)
     moments = np.mean(covariances + moves[:, :, None] * moves[:, None, :], axis=0)

@@ -367,8 +367,8 @@ def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draw
 
 def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
     """Which samples lie in the window of the study's metrics; all of them if the logs end before it."""
-    inside = times >= study.config.metrics.window.after - 1e-9
-    return inside if inside.any() else np.ones_like(inside)
+    is_inside = times >= study.config.metrics.window.after - 1e-9
+    return is_inside if is_inside.any() else np.ones_like(is_inside)
 
 
 def largest(errors: np.ndarray) -> np.ndarray:

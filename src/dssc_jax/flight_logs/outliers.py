@@ -47,10 +47,10 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     changes = np.diff(residual)
     if len(changes) < 3:
         return []
-    usual = max(usual_size(changes - np.median(changes)), np.sqrt(2.0) * sensor)
-    is_large = (np.abs(changes) > OUTSTANDING * usual) & (gaps <= CLOSE * np.median(gaps))
+    usual_change = max(usual_size(changes - np.median(changes)), np.sqrt(2.0) * sensor)
+    is_large = (np.abs(changes) > OUTSTANDING * usual_change) & (gaps <= CLOSE * np.median(gaps))
     rows = np.flatnonzero(is_large)
-    if usual == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
+    if usual_change == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
         return []
     padded_changes = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
     result = []

@@ -134,7 +134,7 @@ def read_log(
         is_px4 = is_ulog(file)
         if columns.segment is not None and not is_px4:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
-        raw_log = (uraw_log if is_px4 else table_columns)(file, columns, channels)
+        raw_log = (ulog_columns if is_px4 else table_columns)(file, columns, channels)
         if not any(name.endswith(("y", "u_total")) for name in raw_log.columns):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
             raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}{raw_log.reason}")
@@ -220,7 +220,7 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
     return LogColumns(signal_columns)
 
 
-def uraw_log(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
+def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
     """Read the fields of a ULog's topics, by the signals' names; without a segment there is no beginning.
 
     Times count from the beginning of the log. Stated jumps of the estimator after the start are taken out.
@@ -281,8 +281,8 @@ def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 def column_remedy(channel: str, name: str) -> str:
     """How a table of columns gives a signal, with the column that a ULog of PX4 usually has."""
     signal = signal_name(channel, name)
-    usual = PX4_COLUMNS.get(channel, {}).get(name)
-    example = f", which PX4 logs as {' or '.join(usual)}" if usual else ""
+    usual_columns = PX4_COLUMNS.get(channel, {}).get(name)
+    example = f", which PX4 logs as {' or '.join(usual_columns)}" if usual_columns else ""
     return f"give its column in the table of columns, or by --column {signal}=COLUMN{example}"
 
 
@@ -313,12 +313,12 @@ def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Colu
 
 def within_segment(name: str, column: Column, segment: Segment) -> Column:
     """The values of a column within a segment."""
-    inside = (column.time >= segment.begin) & (column.time <= segment.end)
-    if not inside.any():
+    is_inside = (column.time >= segment.begin) & (column.time <= segment.end)
+    if not is_inside.any():
         raise ConfigError(
             name, f"has no value in the segment '{segment.name}', {segment.begin:.4g} s to {segment.end:.4g} s"
         )
-    return Column(column.time[inside], column.value[inside])
+    return Column(column.time[is_inside], column.value[is_inside])
 
 
 def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:

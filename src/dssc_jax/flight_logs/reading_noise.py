@@ -34,8 +34,8 @@ def reading_noise(study: Study, outputs: np.ndarray) -> tuple[float, ...]:
             times = loop.sample_time * np.arange(len(logged))
             true = np.interp(times, times[finite_rows], logged[finite_rows])
             key = loop.key(draw_key(study.config.seed, 0), "sensor", loop.channels[i])
-            added = sensor_readings(study, i, params.sensor[i], key, true) - true
-            noise[i] = noise_between_neighbours(times, added)
+            noise_values = sensor_readings(study, i, params.sensor[i], key, true) - true
+            noise[i] = noise_between_neighbours(times, noise_values)
     return tuple(noise)
 
 

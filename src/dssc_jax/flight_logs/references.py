@@ -84,7 +84,7 @@ def compared_references(
         shift = 0 if text else reference_shift(values, reference)
         if text:
             comparison.conversions[name] = text
-        elif shift and all(is_shifted(values, references[place, 0], shift) for place, values in logged.items()):
+        elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
             side = "later" if shift > 0 else "earlier"
             start = log.start + shift * loop.sample_time
             comparison.shifts[name] = (
@@ -123,9 +123,9 @@ def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, 
         column = log.columns.get(signal_name(channel, "y_ref_dot"))
         if column is not None:
             time = column.time - log.start
-            inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
-            if inside.any():
-                columns[index] = (time[inside], column.value[inside])
+            is_inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
+            if is_inside.any():
+                columns[index] = (time[is_inside], column.value[is_inside])
     if not columns:
         return {}
     times, places = np.unique(np.concatenate([time for time, _ in columns.values()]), return_inverse=True)

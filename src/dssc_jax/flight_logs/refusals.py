@@ -108,9 +108,9 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
     """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
     noise_size = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
-    size = float(np.sqrt(np.mean(residual**2)))
+    residual_rms = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
-    return Explained(size, min(noise_size, size), float(np.std(readings.values)), independent)
+    return Explained(residual_rms, min(noise_size, residual_rms), float(np.std(readings.values)), independent)
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:

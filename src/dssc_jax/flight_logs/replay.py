@@ -140,8 +140,8 @@ def replayed_channel(
 
 def is_close(logged: np.ndarray, reference: np.ndarray) -> bool:
     """Whether a logged reference is that of the study."""
-    size = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
-    return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * size
+    largest = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
+    return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * largest
 
 
 @dataclass(frozen=True)

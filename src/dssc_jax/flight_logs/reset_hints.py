@@ -19,8 +19,8 @@ def study_end(study: Study, log: FlightLog) -> float:
 def relevant_resets(study: Study, log: FlightLog) -> list[Reset]:
     """The resets within the study whose jump is not negligible, or not stated."""
     end = study_end(study, log)
-    within = [reset for reset in log.resets if log.start < reset.time <= end]
-    return [reset for reset in within if reset.size > TRIFLE or not reset.is_stated]
+    resets = [reset for reset in log.resets if log.start < reset.time <= end]
+    return [reset for reset in resets if reset.size > TRIFLE or not reset.is_stated]
 
 
 def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:

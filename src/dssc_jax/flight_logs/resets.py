@@ -192,7 +192,7 @@ def stated_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) ->
 def measured_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
     """The jump as the difference from the message before a row, which includes the motion in between."""
     following, preceding = (
-        np.array([float(fields[name][place]) for name in counter.fields]) for place in (row, row - 1)
+        np.array([float(fields[name][message]) for name in counter.fields]) for message in (row, row - 1)
     )
     jump = product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
     return tuple(map(float, jump))

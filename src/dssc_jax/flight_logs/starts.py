@@ -33,8 +33,8 @@ def begins_in_air(study: Study) -> bool:
     if software is None:
         return False
     names = software.integrals(study.template.plant)
-    fixed = fixed_integrals(study)
-    return software.settled(study.template.plant) or any(fixed.values()) or len(fixed) < len(names)
+    initial_values = fixed_integrals(study)
+    return software.settled(study.template.plant) or any(initial_values.values()) or len(initial_values) < len(names)
 
 
 def begins_level(study: Study) -> bool:
@@ -63,13 +63,13 @@ def start_remedy(name: str) -> str:
 def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
     """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
     software = study.loop.mimo_plant.software
-    fixed = fixed_integrals(study)
-    if software is None or not fixed or software.settled(study.template.plant) or any(fixed.values()):
+    initial_values = fixed_integrals(study)
+    if software is None or not initial_values or software.settled(study.template.plant) or any(initial_values.values()):
         return {}
     reason = airborne_reason(study, log)
     if not reason:
         return {}
-    vertical = list(fixed)[-1]
+    vertical = list(initial_values)[-1]
     return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
 
 
@@ -82,7 +82,7 @@ def airborne_reason(study: Study, log: FlightLog) -> str:
     for channel in study.loop.channels:
         column = log.columns.get(signal_name(channel, "y_dot"))
         if column is not None and channel not in study.loop.plant.angles:
-            place = int(np.searchsorted(column.time, log.start - 0.5 * study.loop.sample_time))
-            speeds.append(float(column.value[min(place, len(column.value) - 1)]))
+            row = int(np.searchsorted(column.time, log.start - 0.5 * study.loop.sample_time))
+            speeds.append(float(column.value[min(row, len(column.value) - 1)]))
     speed = math.hypot(*speeds)
     return f"the log begins at a speed of {speed:.3g} m/s" if speed > MOVING else ""

@@ -196,11 +196,11 @@ def list_topics(path: Path) -> LogTopics:
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
-    duration, late = span_of(topics)
+    duration, late_messages = span_of(topics)
     damaged = scan.damages[0].begin if scan.damages else None
     lost_bytes = sum(damage.end - damage.begin for damage in scan.damages)
     return LogTopics(
-        system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost_bytes, scan.cut, tuple(late)
+        system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost_bytes, scan.cut, tuple(late_messages)
     )
 
 

@@ -131,10 +131,10 @@ class TopicCount:
     def usual(self) -> float:
         """Messages a second, without intervals of more than eight times the middle one."""
         interval_count = sum(self.intervals)
-        counted = 0
+        cumulative_count = 0
         for digits, count in enumerate(self.intervals):
-            counted += count
-            if 2 * counted > interval_count:
+            cumulative_count += count
+            if 2 * cumulative_count > interval_count:
                 number, total = (sum(values[: digits + USUAL_DIGITS + 1]) for values in (self.intervals, self.sums))
                 return number / (MICROSECOND * total) if total else np.nan
         return np.nan
