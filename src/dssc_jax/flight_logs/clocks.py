@@ -38,7 +38,7 @@ class ClockStep(NamedTuple):
 
 def falls_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
     """The first fall of each topic whose stamps fall; topics that fall together are one step."""
-    return grouped([(topic, topic.fall) for topic in topics if topic.falls])
+    return grouped_steps([(topic, topic.fall) for topic in topics if topic.falls])
 
 
 def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
@@ -48,7 +48,7 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
         length = topic.gap.late - topic.gap.early
         if is_steady(topic) and length * topic.usual > LONG_GAP:
             unusual.append((topic, topic.gap))
-    return grouped(unusual)
+    return grouped_steps(unusual)
 
 
 def is_steady(topic: LogTopic) -> bool:
@@ -100,7 +100,7 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
     )
 
 
-def grouped(topic_stamps: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
+def grouped_steps(topic_stamps: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
     """Group topics with nearly the same stamps into one step each, in order of time."""
     steps: list[ClockStep] = []
     for topic, stamps in sorted(topic_stamps, key=lambda pair: pair[1]):

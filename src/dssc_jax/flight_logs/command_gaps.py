@@ -122,7 +122,7 @@ def better_commands(
 
 
 def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog:
-    """The log with the commands of an alternative, which then leaves the list of alternatives."""
+    """The log with the commands of an alternative; its earlier commands are dropped."""
     alternatives = tuple(other for other in log.alternatives if other is not reconstruction)
     return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
 

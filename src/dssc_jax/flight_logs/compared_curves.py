@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.flight_logs.conversions import likeness
+from dssc_jax.flight_logs.conversions import likeness_text
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
 from dssc_jax.statistics.exchangeable import largest_departures
@@ -85,5 +85,5 @@ def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
     likenesses = {}
     for index, name in enumerate(names):
         values = dataset["logged"].sel(signal=name).values
-        likenesses[name] = likeness(index, values, expected, names, signal_unit(study, name))
+        likenesses[name] = likeness_text(index, values, expected, names, signal_unit(study, name))
     return {name: text for name, text in likenesses.items() if text}

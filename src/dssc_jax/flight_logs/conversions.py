@@ -31,7 +31,7 @@ class Conversion(NamedTuple):
 
     def text(self, unit: str) -> str:
         """The words, with the meaning if it applies to a signal of this unit."""
-        return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
+        return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
 
 OPPOSITE = "with the opposite sign"
@@ -53,7 +53,7 @@ SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
-def is_of(unit: str, begin: str) -> bool:
+def is_unit_of(unit: str, begin: str) -> bool:
     """Whether a unit is a base unit, or a quotient or product that begins with it: m/s is of m, mol is not."""
     return unit == begin or unit.startswith((f"{begin}/", f"{begin} "))
 
@@ -82,7 +82,7 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     best_text = ""
     smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
-        if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
+        if conversion.unit in ONLY_WITH_UNIT and not is_unit_of(unit, conversion.unit):
             continue
         distance = rms(logged / conversion.factor - expected)
         if distance <= smallest_distance:
@@ -143,7 +143,9 @@ def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
     return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 
 
-def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:
+def likeness_text(
+    index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str
+) -> str:
     """What a logged output looks like if it differs from its channel's expected output, in words; else empty.
 
     Args:

@@ -209,7 +209,7 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
 
 
 def sampled_log(study: Study, log: FlightLog) -> SampledLog:
-    """Sample the measured outputs and the commands of every channel at the study's samples.
+    """Measured outputs, the offsets of their times, and commands of every channel, at the study's samples.
 
     A command that was not logged is that of the analysed controller for the logged outputs.
     """

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_of
+from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_unit_of
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
 
@@ -50,7 +50,7 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
 
     None if too few values, too rare ones, or noise leave it open.
     """
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return None
     is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
@@ -85,7 +85,7 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
 
 def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
     """Whether a derivative is the integral of its output, between two times of the log [s], and not the reverse."""
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return False
     return likeness_to_integral(slope, output) > INTEGRAL and likeness_to_integral(output, slope) < NO_INTEGRAL
@@ -106,7 +106,7 @@ def likeness_to_integral(output: Column, rate: Column) -> float:
     return float(parts[:, 0] @ parts[:, 1]) / size if size > 0.0 else 0.0
 
 
-def between(column: Column, begin: float, end: float) -> Column:
+def values_between(column: Column, begin: float, end: float) -> Column:
     """Select the values between two times; of several at one time, the first."""
     selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
     rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
@@ -126,7 +126,7 @@ def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jum
     A jump is far larger than what the output usually changes by beside the integral of its rate, and than what the
     largest rate gives within the same time; and it lasts, which an outlier does not.
     """
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return []
     rate = np.interp(output.time, slope.time, slope.value)
@@ -234,7 +234,7 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
 def unit_text(factor: float, unit: str) -> str:
     """The unit or sign that a factor means, in words; empty if it is none of these."""
     for conversion in RATE_CONVERSIONS:
-        is_usable = conversion.unit not in ONLY_WITH_UNIT or is_of(unit, conversion.unit)
+        is_usable = conversion.unit not in ONLY_WITH_UNIT or is_unit_of(unit, conversion.unit)
         if is_usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
             return conversion.text(unit)
     return ""

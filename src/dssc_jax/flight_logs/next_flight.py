@@ -264,8 +264,8 @@ def next_flight(
         flight_errors = (flights[:, row] - desired[:, signal.channel])[:, is_inside]
         draw_errors = (compared_curves[:, row] - references[signal.channel, 0, ::stride])[:, is_inside]
         for name, statistic, meaning in (
-            ("error_max", largest, "largest"),
-            ("error_rms", rms, "root mean square of the"),
+            ("error_max", largest_error, "largest"),
+            ("error_rms", rms_error, "root mean square of the"),
         ):
             column_name = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
             data |= number_columns(
@@ -358,7 +358,7 @@ def with_band(analysis: NextFlight, departure: float) -> NextFlight:
 
 
 def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draws: np.ndarray) -> dict[str, Column]:
-    """The columns of a number of each flight, and of each draw compared."""
+    """The dataset's columns of a number of each flight, and of each compared draw."""
     return {
         name: (("flight",), flights, {"long_name": f"{meaning} of each flight", "units": unit}),
         f"{name}_of_draw": (("draw",), draws, {"long_name": f"{meaning} of each draw", "units": unit}),
@@ -371,11 +371,11 @@ def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
     return is_inside if is_inside.any() else np.ones_like(is_inside)
 
 
-def largest(errors: np.ndarray) -> np.ndarray:
+def largest_error(errors: np.ndarray) -> np.ndarray:
     """The largest absolute error along the last axis; infinite if a draw has ended."""
     return np.nan_to_num(np.abs(errors), nan=np.inf).max(axis=-1)
 
 
-def rms(errors: np.ndarray) -> np.ndarray:
+def rms_error(errors: np.ndarray) -> np.ndarray:
     """The root mean square along the last axis; infinite if a draw has ended."""
     return np.sqrt(np.mean(np.nan_to_num(np.abs(errors), nan=np.inf) ** 2, axis=-1))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.conversions import likeness
+from dssc_jax.flight_logs.conversions import likeness_text
 from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
 from dssc_jax.flight_logs.prediction import study_noise
 from dssc_jax.flight_logs.reader import signal_name
@@ -80,7 +80,7 @@ class Explained(NamedTuple):
         return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
-    def doubtful(self) -> bool:
+    def is_doubtful(self) -> bool:
         """Whether the residual is many times what noise explains, and no trifle."""
         return self.residual > MANY_TIMES * self.noise and self.unexplained > LEAST_DOUBTED
 
@@ -107,10 +107,10 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
     """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
-    noise_size = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
+    noise_rms = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
     residual_rms = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
-    return Explained(residual_rms, min(noise_size, residual_rms), float(np.std(readings.values)), independent)
+    return Explained(residual_rms, min(noise_rms, residual_rms), float(np.std(readings.values)), independent)
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
@@ -122,7 +122,7 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     results = []
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         results.append(explain_channel(readings, noise, columns[:, 0]))
-    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.doubtful for result in results):
+    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.is_doubtful for result in results):
         return results
     simulated_noise = study_noise(
         problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES
@@ -134,7 +134,7 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     return results
 
 
-def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
+def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
     """The unit, sign or channel in which a channel's readings would match the prediction, in words; empty if none.
 
     Predicted are the outputs at coordinates x and at the medians of the laws.
@@ -151,7 +151,7 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
         predicted = []
         for output, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
             predicted.append(np.interp(readings.times, output.times, output.values - columns[:, 0]))
-        words = likeness(place, readings.values, predicted, names, unit)
+        words = likeness_text(place, readings.values, predicted, names, unit)
         if words:
             return f". {names[place]} {words}"
     return ""
@@ -161,14 +161,14 @@ def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> 
     """The doubts about residuals that are many times what noise explains, by channel, with the remedy."""
     reasons = []
     for place, result in enumerate(results):
-        if not result.doubtful:
+        if not result.is_doubtful:
             continue
-        name, unit = reading_name(problem, place)
+        name, unit = signal_and_unit(problem, place)
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
             f"the study lacks something of this flight, or the log is not what the study takes it for. {REMEDY}"
-            f"{converted_text(problem, x, place)}"
+            f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))
     return tuple(reasons)
@@ -179,19 +179,19 @@ def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
-        if sensor == 0.0 or result.doubtful or result.noise <= NOISIER * sensor:
+        if sensor == 0.0 or result.is_doubtful or result.noise <= NOISIER * sensor:
             continue
-        name, unit = reading_name(problem, place)
+        name, unit = signal_and_unit(problem, place)
         text = (
             f"the readings of {name} have a noise of {result.noise:.3g} {unit}, {result.noise / sensor:.3g} times that "
             f"of the study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
-            f"{converted_text(problem, x, place)}"
+            f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))
     return tuple(reasons)
 
 
-def reading_name(problem: FitProblem, place: int) -> tuple[str, str]:
+def signal_and_unit(problem: FitProblem, place: int) -> tuple[str, str]:
     """The signal of readings, by their position, and its unit."""
     channel = problem.readings[place].channel
     return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
@@ -219,11 +219,11 @@ def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
         if result.least_unexplained > MOST_UNEXPLAINED:
             channel = problem.study.loop.channels[readings.channel]
             unit = problem.study.units[readings.channel].output
-            require_explained(channel, unit, result, converted_text(problem, x, place))
+            require_explained(channel, unit, result, conversion_hint(problem, x, place))
     return results
 
 
-def combination(names: Sequence[str], direction: np.ndarray) -> str:
+def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
     """Describe a direction in the space of the numbers in words."""
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
@@ -242,7 +242,7 @@ def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
     direction = unidentified_direction(information)
     if direction is None:
         return
-    text = combination(names, direction.parts)
+    text = direction_text(names, direction.parts)
     number = names[int(np.argmax(np.abs(direction.parts)))]
     if math.isinf(direction.width):
         reason = "the information matrix is singular in this direction"
@@ -288,14 +288,14 @@ def require_unique_minimum(problem: FitProblem, search: MinimumSearch, informati
         move = rival.x - search.best.x
         is_near = float(move @ information @ move) <= allowed_difference
         if rival.cost - search.best.cost <= allowed_difference and not is_near:
-            best = assignments(problem.named_values(search.best.x))
-            second = assignments(problem.named_values(rival.x))
+            best = assignments_text(problem.named_values(search.best.x))
+            second = assignments_text(problem.named_values(rival.x))
             raise NotIdentifiable(
                 f"the flight does not identify the numbers: two minima describe it equally well, at {best} and at "
                 f"{second}; narrow a law to one of them, or fit fewer numbers"
             )
 
 
-def assignments(values: Mapping[str, float]) -> str:
+def assignments_text(values: Mapping[str, float]) -> str:
     """Values of numbers in words."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())

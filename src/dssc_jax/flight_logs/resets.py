@@ -194,11 +194,13 @@ def measured_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) 
     following, preceding = (
         np.array([float(fields[name][message]) for name in counter.fields]) for message in (row, row - 1)
     )
-    jump = product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
+    jump = (
+        quaternion_product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
+    )
     return tuple(map(float, jump))
 
 
-def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The product of quaternions w, x, y, z; shape (4, ...)."""
     w, x, y, z = left
     return np.array(
@@ -258,7 +260,9 @@ def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
         fields = changed[f"{reset.counter.topic}:0"]
         if reset.counter.fields == QUATERNION:
             quaternions = np.array([fields[name].astype(float) for name in QUATERNION])
-            quaternions[:, reset.row :] = product(conjugate(np.array(reset.jump)), quaternions[:, reset.row :])
+            quaternions[:, reset.row :] = quaternion_product(
+                conjugate(np.array(reset.jump)), quaternions[:, reset.row :]
+            )
             fields.update(zip(QUATERNION, quaternions, strict=True))
             w, x, y, z = reset.jump
             angle = float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
@@ -267,14 +271,14 @@ def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
             jumps = dict(zip(reset.counter.fields, reset.jump, strict=True))
             for name, jump in jumps.items():
                 fields[name] = without_jump(fields[name], reset.row, jump)
-        begin, end = event_span(reset, resets, topics)
+        begin, end = stamps_around_reset(reset, resets, topics)
         for topic, names in SETPOINTS.items():
             setpoint = changed.get(f"{topic}:0", {})
             setpoint_jumps = {
                 name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint
             }
             if setpoint_jumps:
-                row = following_row(setpoint, setpoint_jumps, begin, end)
+                row = first_row_after_reset(setpoint, setpoint_jumps, begin, end)
                 for name, jump in setpoint_jumps.items():
                     setpoint[name] = without_jump(setpoint[name], row, jump)
     return changed
@@ -287,7 +291,7 @@ def without_jump(values: np.ndarray, row: int, jump: float) -> np.ndarray:
     return changed
 
 
-def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
+def stamps_around_reset(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
     """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
 
     def stamps_of(jump: Reset) -> tuple[float, float]:
@@ -302,7 +306,9 @@ def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tupl
     return begin, end
 
 
-def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], begin: float, end: float) -> int:
+def first_row_after_reset(
+    setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], begin: float, end: float
+) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
     That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.

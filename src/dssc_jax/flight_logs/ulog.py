@@ -159,7 +159,7 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
     if not log.file_corruption:
         return log, False
     with opened_log(path) as opened:
-        scan = scanned(opened.file)
+        scan = scan_log(opened.file)
         if not scan.damages:
             return log, True
         skipped_parts = list(scan.damages)
@@ -191,7 +191,7 @@ def list_topics(path: Path) -> LogTopics:
         ConfigError: the file cannot be read.
     """
     with opened_log(path) as opened:
-        scan = scanned(opened.file)
+        scan = scan_log(opened.file)
         opened.file.seek(0)
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
@@ -207,10 +207,10 @@ def list_topics(path: Path) -> LogTopics:
 def is_cut(path: Path) -> bool:
     """Whether a log ends within a message, as where the power failed while it was written."""
     with opened_log(path) as opened:
-        return scanned(opened.file).cut
+        return scan_log(opened.file).cut
 
 
-def scanned(file: BinaryIO) -> Scan:
+def scan_log(file: BinaryIO) -> Scan:
     """Scan all messages of a log."""
     scan = Scan(log_begin(file))
     scan.run(file)

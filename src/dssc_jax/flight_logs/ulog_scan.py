@@ -260,13 +260,13 @@ class Scan:
             for start in range(searched_bytes):
                 if window[start + 2] not in KINDS or not self._is_sound_head(window[start : start + longest_head]):
                     continue
-                if self._goes_on(file, place + start):
+                if self._has_sound_chain(file, place + start):
                     return place + start
             if is_last_window:
                 return place + len(window)
             place += searched_bytes
 
-    def _goes_on(self, file: BinaryIO, place: int) -> bool:
+    def _has_sound_chain(self, file: BinaryIO, place: int) -> bool:
         """Whether several sound messages follow one another from a place, or the last ones of the log."""
         file.seek(place)
         sound_count = 0
