@@ -251,7 +251,7 @@ def without_invalid(topics: TopicData) -> TopicData:
 
 
 def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
-    """The topics, with stated jumps of position and attitude removed from the estimate and its setpoints."""
+    """The topics, with the stated jumps of position, heading and attitude removed, also from the setpoints."""
     changed = {name: dict(fields) for name, fields in topics.items()}
     has_heading = "heading_reset_counter" in topics.get(f"{POSITION}:0", {})
     for reset in reversed(resets):  # rotations do not commute: the last one goes first
