@@ -14,7 +14,7 @@ from dssc_jax.core.signals import Command
 from dssc_jax.flight_code.controller import channel_labels
 from dssc_jax.flight_code.folder import FlightFolder
 from dssc_jax.flight_code.recording import recorded_draws
-from dssc_jax.flight_logs.replay import commanded
+from dssc_jax.flight_logs.replay import analysed_command
 from dssc_jax.lanes.c.names import c_string, member_names, prefix_name
 from tests.angles import heading
 from tests.flight_code.compiling import FLAGS, CompiledController, made, require
@@ -75,7 +75,7 @@ def test_c_and_replay_agree_for_any_turns_of_the_same_flight(steering):
         steps = zip(measured, goal, strict=True)
         flown[name] = np.array([compiled.step((m, 0.0), (r, 1.2, 0.0)).command[2] for m, r in steps])
         reference = np.stack([goal, rate, 0.0 * rate])
-        replayed = commanded(study, 0, np.stack([measured, 0.0 * rate]), reference)
+        replayed = analysed_command(study, 0, np.stack([measured, 0.0 * rate]), reference)
         assert np.max(np.abs(replayed - flown[name])) < 1e-9
     assert np.max(np.abs(flown["wrapped"] - flown["continuous"])) < 1e-9
     assert np.max(np.abs(flown["turned"] - flown["continuous"])) < 1e-9

@@ -13,7 +13,7 @@ from dssc_jax.cli.main import guarded
 from dssc_jax.console.flight import show_log_comparison
 from dssc_jax.flight_logs.reader import Column, FlightLog, nearest_values, read_log, samples_within
 from dssc_jax.flight_logs.references import study_references
-from dssc_jax.flight_logs.replay import commanded, curves_of_draws, replayed_channel
+from dssc_jax.flight_logs.replay import analysed_command, curves_of_draws, replayed_channel
 from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
 from tests.cli.conftest import last_json
 from tests.flight_code.test_code import table
@@ -120,7 +120,7 @@ def test_a_reference_logged_more_rarely_is_held_and_told(study, curves, capsys):
     assert answer.summary()["held_samples"] == {"y_ref": held}
     assert answer.summary()["replayed_samples"] == study.loop.steps
     staircase = np.array([np.repeat(sine[::5], 5), np.zeros(len(y)), np.zeros(len(y))])
-    expected = commanded(study, 0, np.array([y, y_dot]), staircase)
+    expected = analysed_command(study, 0, np.array([y, y_dot]), staircase)
     np.testing.assert_allclose(answer.dataset["commanded"].sel(signal="u_total"), expected, rtol=0, atol=1e-12)
     show_log_comparison(answer, [])
     said = (
@@ -132,7 +132,7 @@ def test_a_reference_logged_more_rarely_is_held_and_told(study, curves, capsys):
 def test_another_controller_is_found_by_the_replay(study, curves):
     y, u, y_dot = curves[0]
     faster, reference = study.override({"controller.k_i": 0.6}), study_references(study, len(y))[0]
-    difference = commanded(faster, 0, np.array([y, y_dot]), reference) - u
+    difference = analysed_command(faster, 0, np.array([y, y_dot]), reference) - u
     assert 0.01 < np.abs(difference).max() < 1.0
     signals = {"y": y, "u_total": u}
     assert "needs y_dot" in replayed_channel(study, 0, signals, reference)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.fit import covariance_of_kept, fit_log, information_by_names
+from dssc_jax.flight_logs.fit import covariance_of_unidentified, fit_log, information_by_names
 from tests.flight_logs.test_fit import linear, log_of, output
 
 
@@ -14,7 +14,7 @@ def test_kept_numbers_widen_the_others_as_the_prior_does():
     matrix = root.T @ root
     names = ["a", "b", "c"]
     inner = np.linalg.inv(matrix[:2, :2])
-    added = covariance_of_kept(information_by_names(names, matrix), ["a", "b"], ["c"])
+    added = covariance_of_unidentified(information_by_names(names, matrix), ["a", "b"], ["c"])
     # without information on c beyond its law, c stays at its prior: drop the part of c that the others leave open
     schur = matrix[2, 2] - matrix[2, :2] @ inner @ matrix[:2, 2]
     prior = np.diag([0.0, 0.0, 1.0 - schur])
@@ -35,7 +35,7 @@ def test_where_one_factor_of_a_product_keeps_its_law_the_other_covers_the_truth(
         product = truth["parameters.g"] * truth["parameters.h"]
         y = output(product, 1.0, u) + 0.01 * random.normal(size=400)
         fitted = fit_log(study, log_of(y, u), predictions=predictions)
-        (kept,) = set(fitted.kept) & truth.keys()
+        (kept,) = set(fitted.unidentified) & truth.keys()
         (estimated,) = truth.keys() - {kept}
         low, high = fitted.law(estimated).quantile(np.array([0.05, 0.95]))
         hits.append(low <= truth[estimated] <= high)

@@ -113,7 +113,7 @@ def test_stated_jumps_are_taken_out(tmp_path, follow):
         ("z_y_ref", -wanted["z"]),
     ):
         np.testing.assert_allclose(log.columns[name].value, expected, atol=1e-6)
-    assert [(reset.time, reset.known) for reset in log.resets] == [(2.0, True), (3.0, True), (5.0, True)]
+    assert [(reset.time, reset.is_stated) for reset in log.resets] == [(2.0, True), (3.0, True), (5.0, True)]
     heading = dj.read_log(ulog(tmp_path / "b.ulg", THREE), table={"signals": {"y": "vehicle_local_position.psi"}})
     np.testing.assert_allclose(np.cos(heading.columns["y"].value), np.sin(estimate["heading"]), atol=1e-6)
 
@@ -207,7 +207,7 @@ def test_lost_messages_hide_the_size_of_a_jump(tmp_path):
     """Two resets between two messages: the last one's size is not that of both."""
     both = ((100, "xy_reset_counter", (1.0, 0.0)), (100, "xy_reset_counter", (2.0, 0.0)))
     (reset,) = dj.read_log(ulog(tmp_path / "a.ulg", both), CHANNELS, TABLE).resets
-    assert not reset.known
+    assert not reset.is_stated
     assert reset.jump[0] == pytest.approx(3.0, abs=0.02)
 
 

@@ -18,7 +18,7 @@ from dssc_jax.flight_logs.contents import log_contents
 from dssc_jax.flight_logs.frames import field_values
 from dssc_jax.flight_logs.parameters import logged_parameters
 from dssc_jax.flight_logs.reader import nearest_values
-from dssc_jax.flight_logs.ulog import LogWarning, Segment, chosen_segment, list_topics, read_topics, segments_of, stamps
+from dssc_jax.flight_logs.ulog import LogWarning, Segment, list_topics, named_segment, read_topics, segments_of, stamps
 from tests.cli.conftest import last_json
 
 pyulog = pytest.importorskip("pyulog")
@@ -173,13 +173,13 @@ def test_segments():
     found = segments_of(topics, 0.0)
     assert found[:2] == [Segment("armed", 1.0, 4.0), Segment("armed", 6.0, 9.0)]
     assert found[2:] == [Segment("airborne", 2.0, 4.0), Segment("airborne", 6.0, 8.0)]
-    assert chosen_segment("armed:2", found) == found[1]
-    assert chosen_segment("airborne", found) in found[2:]
+    assert named_segment("armed:2", found) == found[1]
+    assert named_segment("airborne", found) in found[2:]
     status = {"vehicle_status:0": {"timestamp": time, "arming_state": 2 * armed}}
     assert segments_of(status, 0.0) == found[:2]
     for text in ("flying", "armed:x", "armed:3", "armed:0"):
         with pytest.raises(dj.ConfigError, match="segment"):
-            chosen_segment(text, found)
+            named_segment(text, found)
     with pytest.raises(dj.ConfigError, match="ULog"):
         dj.read_log("a.csv", table={"segment": "armed"})
 

@@ -11,7 +11,7 @@ from dssc_jax.flight_logs.conversions import (
     conversion_text,
     factor_text,
     followed_conversion,
-    likeness,
+    likeness_text,
     multiple_of,
     reference_conversion,
     reference_shift,
@@ -176,7 +176,7 @@ def test_the_slope_of_a_record_with_jittered_stamps_is_told():
 )
 def test_what_an_output_looks_like(x, y, words):
     expected = [2.0 + SINE, SINE]
-    found = tuple(likeness(index, logged, expected, ("x_y", "y_y"), "m") for index, logged in enumerate((x, y)))
+    found = tuple(likeness_text(index, logged, expected, ("x_y", "y_y"), "m") for index, logged in enumerate((x, y)))
     assert found == words
 
 
@@ -275,7 +275,7 @@ def test_a_command_that_is_missing_at_its_step_is_told(flight):
         time[index] = time[index - 1]
         doubled = log._replace(columns=log.columns | {"u_total": Column(time, u)})
         fitted = fit_log(linear(), doubled)
-        assert fitted.held == {"u_total": 1}
+        assert fitted.held_samples == {"u_total": 1}
         assert [doubt.signal for doubt in fitted.doubts] == told
 
 

@@ -37,19 +37,19 @@ RATES = ("rate_x", "rate_y", "rate_z")
 
 
 class FirstMotion(NamedTuple):
-    """Roll and pitch [rad], and the body rate [rad/s], at the beginning; () where they are not known."""
+    """Roll and pitch [rad], and the body rate [rad/s], at the beginning; () where the log lacks them."""
 
     angles: tuple[float, ...]
     rate: tuple[float, ...]
 
 
 def attitude_columns(log: FlightLog) -> dict[str, Column]:
-    """Roll, pitch and body rate as far as a log has them; reads its file once more."""
+    """Get roll, pitch and body rate as far as a log has them; reads its file once more."""
     if log.file is None:
         return {name: log.columns[name] for name in ULOG_COLUMNS if name in log.columns}
     if is_ulog(log.file):
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LogWarning)  # told where the log was read first
+            warnings.simplefilter("ignore", LogWarning)  # the first reading of the log has warned
             topics, begin, _ = read_topics(log.file, {column.partition(".")[0] for column in ULOG_COLUMNS.values()})
         present = {name: column for name, column in ULOG_COLUMNS.items() if has_topic(topics, column)}
         return {name: ulog_column(topics, begin, name, column) for name, column in present.items()}
@@ -62,7 +62,7 @@ def attitude_columns(log: FlightLog) -> dict[str, Column]:
 
 
 def has_topic(topics: TopicData, column: str) -> bool:
-    """Whether a log has the topic of a column with the fields that it follows from."""
+    """Whether a log has a column's topic, with the fields from which the column is computed."""
     topic, _, field = column.partition(".")
     fields = topics.get(f"{topic}:0", {})
     return ("q[0]" if field in ANGLES else "xyz[0]") in fields
@@ -80,17 +80,17 @@ def value_near(column: Column | None, time: float) -> float:
 
 
 def logged_motion(log: FlightLog) -> FirstMotion:
-    """How a log begins."""
+    """The attitude and body rate with which a log begins."""
     columns = attitude_columns(log)
-    parts = []
+    angles_and_rates = []
     for names in (ANGLES, RATES):
         values = tuple(value_near(columns.get(name), log.start) for name in names)
-        parts.append(values if np.isfinite(values).all() else ())
-    return FirstMotion(*parts)
+        angles_and_rates.append(values if np.isfinite(values).all() else ())
+    return FirstMotion(*angles_and_rates)
 
 
 def study_motion(study: Study) -> FirstMotion | None:
-    """How a study begins, at the medians of its laws; None if its plant is no vehicle."""
+    """The attitude and body rate with which a study begins, at its laws' medians; None if its plant is no vehicle."""
     with arithmetic(study.config.loop.precision):
         state = begin_plant(study.loop, study.params(median_values(study)), jax.random.key(0))
         if not isinstance(state, UavState):
@@ -100,30 +100,30 @@ def study_motion(study: Study) -> FirstMotion | None:
 
 
 def attitude_hints(study: Study, log: FlightLog) -> dict[str, str]:
-    """That a log begins with another tilt or body rate than the study, by the fields that give it; empty if not so.
+    """Hints that a log begins with another tilt or body rate than the study, by the study's fields.
 
-    What has a law is left out: a fit estimates it.
+    Numbers with laws are left out, as a fit estimates them.
     """
     if not hasattr(study.template.plant, "body_rate"):
         return {}
     logged = logged_motion(log)
-    begins = study_motion(study) if logged.angles or logged.rate else None
+    initial = study_motion(study) if logged.angles or logged.rate else None
     hints: dict[str, str] = {}
-    if begins is None:
+    if initial is None:
         return hints
-    if logged.angles and not has_free_tilt(study) and math.dist(logged.angles, begins.angles) > TILTED:
+    if logged.angles and not has_free_tilt(study) and math.dist(logged.angles, initial.angles) > TILTED:
         roll, pitch = logged.angles
         hints["plant.roll"] = (
-            f"and plant.pitch: the study begins with a tilt of {tilt_degrees(begins.angles):.3g} degrees, the log with "
-            f"one of {tilt_degrees(logged.angles):.3g}. Set plant.roll = {roll:.4g} and plant.pitch = {pitch:.4g}, or "
-            "give them laws around these, which a fit estimates"
+            f"and plant.pitch: the study begins with a tilt of {tilt_degrees(initial.angles):.3g} degrees, the log "
+            f"with one of {tilt_degrees(logged.angles):.3g}. Set plant.roll = {roll:.4g} and "
+            f"plant.pitch = {pitch:.4g}, or give them laws around these, which a fit estimates"
         )
     has_free_rate = any(name.startswith("plant.body_rate.") for name in study.laws)
-    if logged.rate and not has_free_rate and math.dist(logged.rate, begins.rate) > TURNING:
+    if logged.rate and not has_free_rate and math.dist(logged.rate, initial.rate) > TURNING:
         p, q, r = logged.rate
         hints["plant.body_rate"] = (
-            f"has a length of {math.hypot(*begins.rate):.3g} rad/s, and the log begins with {math.hypot(p, q, r):.3g}. "
-            f"Set plant.body_rate = [{p:.4g}, {q:.4g}, {r:.4g}]"
+            f"has a length of {math.hypot(*initial.rate):.3g} rad/s, and the log begins with "
+            f"{math.hypot(p, q, r):.3g}. Set plant.body_rate = [{p:.4g}, {q:.4g}, {r:.4g}]"
         )
     return hints
 
@@ -133,9 +133,9 @@ def has_free_tilt(study: Study) -> bool:
     if {"plant.roll", "plant.pitch"} & set(study.laws):
         return True
     software = study.loop.mimo_plant.software
-    settled = software is not None and software.settled(study.template.plant)
+    is_settled = software is not None and software.settled(study.template.plant)
     has_tilt = study.template.plant.roll is not None and study.template.plant.pitch is not None
-    return settled and not has_tilt and any(name.startswith("wind.") for name in study.laws)
+    return is_settled and not has_tilt and any(name.startswith("wind.") for name in study.laws)
 
 
 def tilt_degrees(angles: tuple[float, ...]) -> float:

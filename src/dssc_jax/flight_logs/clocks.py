@@ -39,7 +39,7 @@ class ClockStep(NamedTuple):
 
 def falls_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
     """The first fall of each topic whose stamps fall; topics that fall together are one step."""
-    return grouped([(topic, topic.fall) for topic in topics if topic.falls])
+    return grouped_steps([(topic, topic.fall) for topic in topics if topic.falls])
 
 
 def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
@@ -49,13 +49,13 @@ def gaps_of(topics: Iterable[LogTopic]) -> list[ClockStep]:
         length = topic.gap.late - topic.gap.early
         if is_steady(topic) and length * topic.usual > LONG_GAP:
             unusual.append((topic, topic.gap))
-    return grouped(unusual)
+    return grouped_steps(unusual)
 
 
 def is_steady(topic: LogTopic) -> bool:
-    """Whether a topic has a rate: one that is sent at changes or in bursts has none, and no gap is unusual."""
-    outside = topic.last - topic.first - (topic.gap.late - topic.gap.early)
-    return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * outside * topic.usual
+    """Whether a topic is sent at a rate. One sent at changes or in bursts is not, and none of its gaps is unusual."""
+    time_outside_gap = topic.last - topic.first - (topic.gap.late - topic.gap.early)
+    return topic.messages >= LEAST_MESSAGES and topic.messages >= STEADY * time_outside_gap * topic.usual
 
 
 class LateMessage(NamedTuple):
@@ -66,37 +66,39 @@ class LateMessage(NamedTuple):
 
 
 def span_of(topics: Sequence[LogTopic]) -> tuple[float, list[LateMessage]]:
-    """The end of a log's messages from its beginning [s], and the last messages that are long after it.
+    """The time at which a log's messages end [s], and stray messages long after it.
 
     Topics with many messages tell the end; of these, a single message after a long gap counts as stray.
     """
-    known = [topic for topic in topics if np.isfinite(topic.last)]
+    stamped_topics = [topic for topic in topics if np.isfinite(topic.last)]
     ends = []
-    for topic in known:
+    for topic in stamped_topics:
         if topic.messages >= LEAST_MESSAGES:
             length = topic.gap.late - topic.gap.early
-            stray = topic.gap.late == topic.last and length * topic.usual > LONG_GAP
-            ends.append(topic.gap.early if stray else topic.last)
-    end = max(ends or [topic.last for topic in known], default=0.0)
+            is_stray = topic.gap.late == topic.last and length * topic.usual > LONG_GAP
+            ends.append(topic.gap.early if is_stray else topic.last)
+    end = max(ends or [topic.last for topic in stamped_topics], default=0.0)
     limit = end + max(LATE, end / LATE)
-    late = [LateMessage(topic.name, topic.last) for topic in known if topic.last > limit]
-    return max((topic.last for topic in known if topic.last <= limit), default=end), late
+    late_messages = [LateMessage(topic.name, topic.last) for topic in stamped_topics if topic.last > limit]
+    return max((topic.last for topic in stamped_topics if topic.last <= limit), default=end), late_messages
 
 
 def column_clock(name: str, time: np.ndarray) -> LogTopic:
-    """The times of a table's column as those of a topic, one message a row; rows without a time are left out."""
-    known = time[np.isfinite(time)]
-    steps = np.diff(known)
+    """Describe the times of a table's column as a topic with one message a row; rows without a time are left out."""
+    finite_times = time[np.isfinite(time)]
+    steps = np.diff(finite_times)
     if not steps.size:
-        single_time = float(known[0]) if known.size else np.nan
-        return LogTopic(name, len(known), single_time, single_time)
+        single_time = float(finite_times[0]) if finite_times.size else np.nan
+        return LogTopic(name, len(finite_times), single_time, single_time)
     falls = np.flatnonzero(steps < 0.0)
-    fall = Stamps(float(known[falls[0]]), float(known[falls[0] + 1])) if falls.size else Stamps()
-    longest = int(np.argmax(steps))
-    gap = Stamps(float(known[longest]), float(known[longest + 1]))
+    fall = Stamps(float(finite_times[falls[0]]), float(finite_times[falls[0] + 1])) if falls.size else Stamps()
+    row_before_gap = int(np.argmax(steps))
+    gap = Stamps(float(finite_times[row_before_gap]), float(finite_times[row_before_gap + 1]))
     rising = steps[steps > 0.0]
-    usual = float(1.0 / np.median(rising)) if rising.size else np.nan
-    return LogTopic(name, len(known), float(known[0]), float(known[-1]), len(falls), fall, usual, gap)
+    usual_rate = float(1.0 / np.median(rising)) if rising.size else np.nan
+    return LogTopic(
+        name, len(finite_times), float(finite_times[0]), float(finite_times[-1]), len(falls), fall, usual_rate, gap
+    )
 
 
 def repeated_times_text(time: np.ndarray) -> str:
@@ -116,10 +118,10 @@ def repeated_times_text(time: np.ndarray) -> str:
     )
 
 
-def grouped(found: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
-    """Steps of topics, one for all that have nearly the same stamps, in order of time."""
+def grouped_steps(topic_stamps: Sequence[tuple[LogTopic, Stamps]]) -> list[ClockStep]:
+    """Group topics with nearly the same stamps into one step each, in order of time."""
     steps: list[ClockStep] = []
-    for topic, stamps in sorted(found, key=lambda pair: pair[1]):
+    for topic, stamps in sorted(topic_stamps, key=lambda pair: pair[1]):
         slack = SAME_STEP * abs(stamps.late - stamps.early)
         latest = steps[-1] if steps else None
         if latest and max(abs(a - b) for a, b in zip(latest.stamps, stamps, strict=True)) <= slack:
@@ -144,35 +146,35 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
         >>> rising_rows(np.array([0.0, 1.0, 9.0, 2.0, 3.0])).tolist()
         [0, 1, 3, 4]
     """
-    lowest: list[float] = []  # last time of a subsequence of each length
-    rows: list[int] = []  # its row
+    last_times: list[float] = []  # last time of a subsequence of each length
+    last_rows: list[int] = []  # its row
     predecessor = np.full(len(time), -1)
     for row, value in enumerate(time.tolist()):
-        place = bisect.bisect_right(lowest, value)
-        if place:
-            predecessor[row] = rows[place - 1]
-        if place == len(lowest):
-            lowest.append(value)
-            rows.append(row)
+        length = bisect.bisect_right(last_times, value)
+        if length:
+            predecessor[row] = last_rows[length - 1]
+        if length == len(last_times):
+            last_times.append(value)
+            last_rows.append(row)
         else:
-            lowest[place] = value
-            rows[place] = row
-    kept = []
-    row = rows[-1] if rows else -1
+            last_times[length] = value
+            last_rows[length] = row
+    selected_rows = []
+    row = last_rows[-1] if last_rows else -1
     while row >= 0:
-        kept.append(row)
+        selected_rows.append(row)
         row = int(predecessor[row])
-    return np.array(kept[::-1], int)
+    return np.array(selected_rows[::-1], int)
 
 
-def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, allowed: bool) -> np.ndarray:
+def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) -> np.ndarray:
     """The positions whose times do not fall; all of them if no time falls.
 
     Args:
         name: The signal, for messages.
         time: Its finite times [s], shape (n,).
         rows: The row of the log that each of them stands in, counted from 0.
-        allowed: Whether rows may be left out.
+        may_drop: Whether rows may be left out.
 
     Raises:
         ConfigError: Times fall, and rows may not be left out, or so many would be that the clock is another one.
@@ -180,20 +182,20 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, allowed: bool) -> 
     falls = np.flatnonzero(np.diff(time) < 0.0)
     if not falls.size:
         return np.arange(len(time))
-    first = int(falls[0])
-    kept = rising_rows(time)
-    dropped = len(time) - len(kept)
-    place = (
-        f"the log's times must not fall from row to row: {time[first + 1]:.6g} s comes after {time[first]:.6g} s "
-        f"in row {rows[first + 1] + 1}"
+    first_fall = int(falls[0])
+    selected_rows = rising_rows(time)
+    dropped = len(time) - len(selected_rows)
+    fall_text = (
+        f"the log's times must not fall from row to row: {time[first_fall + 1]:.6g} s comes after "
+        f"{time[first_fall]:.6g} s in row {rows[first_fall + 1] + 1}"
     )
-    share = f"{dropped:,} of {len(time):,} rows would have to go"
+    share_text = f"{dropped:,} of {len(time):,} rows would have to go"
     if dropped > MOST_DROPPED * len(time):
         raise ConfigError(
             name,
-            f"{place}, and {share}: the clock of the log was set back. `dssc-jax log` tells where; take another log, "
-            "or a table with the rows before or after that time",
+            f"{fall_text}, and {share_text}: the clock of the log was set back. `dssc-jax log` tells where; take "
+            "another log, or a table with the rows before or after that time",
         )
-    if not allowed:
-        raise ConfigError(name, f"{place}; {share}, which `allow_damaged` leaves out")
-    return kept
+    if not may_drop:
+        raise ConfigError(name, f"{fall_text}; {share_text}, which `allow_damaged` leaves out")
+    return selected_rows

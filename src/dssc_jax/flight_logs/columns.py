@@ -35,12 +35,12 @@ class ColumnMap(NamedTuple):
     segment: str | None = None  # part of a ULog to read: armed or airborne
 
 
-def column_map(table: Mapping[str, object], known: Sequence[str]) -> ColumnMap:
+def column_map(table: Mapping[str, object], signal_names: Sequence[str]) -> ColumnMap:
     """Check a table of columns, see :func:`dssc_jax.read_log`.
 
     Args:
         table: The table.
-        known: The names of signals that it may have.
+        signal_names: The signals that it may map.
 
     Raises:
         ConfigError: an entry is unknown or of another type.
@@ -61,8 +61,8 @@ def column_map(table: Mapping[str, object], known: Sequence[str]) -> ColumnMap:
     signals = {}
     with errors_under("signals"):
         for name, entry in entries.items():
-            if name not in known:
-                raise ConfigError(name, f"is no signal of the study; {nearest(name, known)}")
+            if name not in signal_names:
+                raise ConfigError(name, f"is no signal of the study; {nearest(name, signal_names)}")
             signals[name] = signal_source(name, entry)
     return ColumnMap(signals, time, None if start is None else float(start), segment)
 

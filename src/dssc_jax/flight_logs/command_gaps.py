@@ -34,51 +34,51 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
     Args:
         commands: Of each channel, NaN where the log lacks it, shape (samples,).
     """
-    held = np.array([forward_filled(command) for command in commands])
+    held_commands = np.array([forward_filled(command) for command in commands])
     if not any(is_rare(command) for command in commands):
-        return (Reconstruction(HELD, held),)
-    found: list[Reconstruction] = []
+        return (Reconstruction(HELD, held_commands),)
+    candidates: list[Reconstruction] = []
     for text, early in ((LATE, False), (EARLY, True)):
         rows = []
-        for command, row in zip(commands, held, strict=True):
+        for command, row in zip(commands, held_commands, strict=True):
             rows.append(along_lines(command, early) if is_rare(command) else row)
-        found.append(Reconstruction(text, np.array(rows)))
-    found.append(Reconstruction(HELD, held))
-    different = [found[0]]
-    for candidate in found[1:]:
-        if not any(np.array_equal(candidate.commands, known.commands) for known in different):
-            different.append(candidate)
-    return tuple(different)
+        candidates.append(Reconstruction(text, np.array(rows)))
+    candidates.append(Reconstruction(HELD, held_commands))
+    distinct = [candidates[0]]
+    for candidate in candidates[1:]:
+        if not any(np.array_equal(candidate.commands, other.commands) for other in distinct):
+            distinct.append(candidate)
+    return tuple(distinct)
 
 
 def is_rare(command: np.ndarray) -> bool:
-    """Whether a command is logged more rarely than it is given: it lacks many samples, and hardly repeats a value."""
+    """Whether a command is logged more rarely than it is given, as it lacks many samples and hardly repeats a value."""
     values = command[np.isfinite(command)]
     if len(values) < 3 or np.mean(np.isnan(command)) < LACKING or np.ptp(values) == 0.0:
         return False
     return float(np.mean(np.diff(values) == 0.0)) < STAIRCASE
 
 
-def along_lines(command: np.ndarray, early: bool) -> np.ndarray:
-    """A command that follows straight lines between its values; it is held over long gaps.
+def along_lines(command: np.ndarray, jumps_early: bool) -> np.ndarray:
+    """Interpolate a command linearly between its values; it is held over long gaps.
 
-    Where it jumps, it keeps the last value until the next one is logged, or has the next one at once, if ``early``.
+    Where it jumps, it keeps the last value until the next one is logged; ``jumps_early`` has the next one at once.
     """
-    known = np.flatnonzero(np.isfinite(command))
-    values = command[known]
-    gaps = np.diff(known)
+    finite_rows = np.flatnonzero(np.isfinite(command))
+    values = command[finite_rows]
+    gaps = np.diff(finite_rows)
     changes = np.abs(np.diff(values))
     preceding = np.concatenate([[0.0], changes[:-1]])
     following = np.concatenate([changes[1:], [0.0]])
     jumps = changes > JUMP * np.maximum(preceding, following)
     filled = forward_filled(command)
-    lines = np.interp(np.arange(len(command)), known, values)
-    for begin, end, value, is_jump, gap in zip(known[:-1], known[1:], values[1:], jumps, gaps, strict=True):
+    lines = np.interp(np.arange(len(command)), finite_rows, values)
+    for begin, end, value, is_jump, gap in zip(finite_rows[:-1], finite_rows[1:], values[1:], jumps, gaps, strict=True):
         if gap > REGULAR * np.median(gaps):
             continue
         if not is_jump:
             filled[begin:end] = lines[begin:end]
-        elif early:
+        elif jumps_early:
             filled[begin + 1 : end] = value
     return filled
 
@@ -92,9 +92,9 @@ class ComparedCommands(NamedTuple):
 
 
 def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCommands]:
-    """The other reconstructions of a log's commands, each after one step of Gauss and Newton from a minimum."""
-    found = []
-    for reconstruction in problem.log.others:
+    """Take one Gauss-Newton step from a minimum with each alternative reconstruction of a log's commands."""
+    comparisons = []
+    for reconstruction in problem.log.alternatives:
         equations = problem.normal_equations(minimum.x, reconstruction.commands)
         diagonal = np.diag(np.maximum(np.diag(equations.information), TINY))
         move = np.linalg.lstsq(equations.information + 1e-9 * diagonal, equations.gradient, rcond=None)[0]
@@ -102,8 +102,8 @@ def compared_commands(problem: FitProblem, minimum: Minimum) -> list[ComparedCom
         cost = equations.cost
         if problem.is_admissible(problem.values(x)):
             cost = min(cost, problem.normal_equations(x, reconstruction.commands).cost)
-        found.append(ComparedCommands(reconstruction, cost, move))
-    return found
+        comparisons.append(ComparedCommands(reconstruction, cost, move))
+    return comparisons
 
 
 def allowed_difference(problem: FitProblem) -> float:
@@ -112,30 +112,30 @@ def allowed_difference(problem: FitProblem) -> float:
 
 
 def better_commands(
-    problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]
+    problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]
 ) -> Reconstruction | None:
     """The reconstruction that describes the flight best; None if it is that of the fit."""
-    best = min(compared, key=lambda item: item.cost, default=None)
+    best = min(comparisons, key=lambda item: item.cost, default=None)
     if best is None or not best.cost < minimum.cost - allowed_difference(problem):
         return None
     return best.reconstruction
 
 
-def with_commands(log: SampledLog, taken: Reconstruction) -> SampledLog:
-    """The log with other commands; those before count no more."""
-    others = tuple(reconstruction for reconstruction in log.others if reconstruction is not taken)
-    return log._replace(commands=taken.commands, between=taken.text, others=others)
+def with_commands(log: SampledLog, reconstruction: Reconstruction) -> SampledLog:
+    """The log with the commands of an alternative; its earlier commands are dropped."""
+    alternatives = tuple(other for other in log.alternatives if other is not reconstruction)
+    return log._replace(commands=reconstruction.commands, between=reconstruction.text, alternatives=alternatives)
 
 
-def command_moves(problem: FitProblem, minimum: Minimum, compared: Sequence[ComparedCommands]) -> np.ndarray:
-    """How far reconstructions that describe the flight as well move the coordinates, shape (k, p)."""
+def command_moves(problem: FitProblem, minimum: Minimum, comparisons: Sequence[ComparedCommands]) -> np.ndarray:
+    """How far equally good reconstructions move the coordinates, shape (k, p)."""
     highest_cost = minimum.cost + allowed_difference(problem)
-    moves = [item.move for item in compared if item.cost <= highest_cost]
+    moves = [item.move for item in comparisons if item.cost <= highest_cost]
     return np.array(moves).reshape(len(moves), len(problem.names))
 
 
 def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarray) -> tuple[Doubt, ...]:
-    """What is told of commands that are logged more rarely than they are given.
+    """The doubt about commands that are logged more rarely than they are given.
 
     Args:
         problem: The problem.
@@ -145,47 +145,47 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
     log = problem.log
     if not log.rare:
         return ()
-    moved = []
+    move_texts = []
     if len(moves):
-        sizes = np.sqrt(np.sum(moves**2, axis=0))
-        for name, size, deviation in zip(problem.names, sizes, deviations, strict=True):
-            if size > TOLD * deviation:
-                moved.append(f"{name} by {size / deviation:.2g} standard deviations")
+        distances = np.sqrt(np.sum(moves**2, axis=0))
+        for name, distance, deviation in zip(problem.names, distances, deviations, strict=True):
+            if distance > TOLD * deviation:
+                move_texts.append(f"{name} by {distance / deviation:.2g} standard deviations")
     text = (
         f"the study's controller gives commands more often than the log has them ({', '.join(log.rare)}). Between two "
         f"values of a command {log.between}, which describes the flight best"
     )
-    if moved:
-        text += f". Another course describes it as well, and moves {', '.join(moved)}: intervals are wider by that"
+    if move_texts:
+        text += f". Another course describes it as well, and moves {', '.join(move_texts)}: intervals are wider by that"
     return (Doubt("", f"{text}. Log every command, or set loop.sample_time to that of the flight's controller"),)
 
 
 def largest_jump(command: np.ndarray) -> float:
     """The largest change of a command, NaN where the log lacks it, over a gap; 0 without a gap."""
-    known = np.flatnonzero(np.isfinite(command))
-    changes = np.abs(np.diff(command[known]))[np.diff(known) > 1]
+    finite_rows = np.flatnonzero(np.isfinite(command))
+    changes = np.abs(np.diff(command[finite_rows]))[np.diff(finite_rows) > 1]
     return float(changes.max(initial=0.0))
 
 
 def held_doubts(log: SampledLog) -> tuple[Doubt, ...]:
-    """The commands that are held over large changes, and the outputs that are held."""
-    found = []
+    """The doubts about outputs that are held, about commands with large changes, and about gaps in the log."""
+    doubts = []
     for name, interval in log.slow.items():
         text = (
             f"{name} is held for {interval:.3g} s at a time, and is taken where it changes. Leave repeated cells "
             "empty, or log the time of each measurement"
         )
-        found.append(Doubt(name, text))
+        doubts.append(Doubt(name, text))
     for name, jump in log.jumps.items():
         text = (
             f"{name} changes by {jump:.3g} where the log lacks it, and the moment of the change is not known: "
             "estimates of lags, delays, masses and gains may be wrong by more than their intervals. Log every command, "
             "with a time stamp of its own"
         )
-        found.append(Doubt(name, text))
+        doubts.append(Doubt(name, text))
     if log.gaps:
         names = dict.fromkeys(name for gap in log.gaps for name in gap.signals)
         longest = max(gap.end - gap.begin for gap in log.gaps)
         text = f"{', '.join(names)} lack messages for up to {longest:.3g} s, and no interval counts what this falsifies"
-        found.append(Doubt("", text))
-    return tuple(found)
+        doubts.append(Doubt("", text))
+    return tuple(doubts)

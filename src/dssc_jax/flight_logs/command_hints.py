@@ -1,4 +1,4 @@
-"""What a logged command is of the one that the analysed controller gives for the logged measurements.
+"""How a logged command follows from the one that the analysed controller gives for the logged measurements.
 
 The same measurements with their noise lead to the same command, but for the controller's first state. So a multiple, a
 delay, an offset or a slower clock shows, which a fit would put into gains, lags and disturbances; so does another
@@ -20,7 +20,7 @@ ROUNDING = 1e-3  # of a command's root mean square: no smaller difference says a
 
 
 def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
-    """What the logged command is of the replayed one, in words; empty if it is the same or another one.
+    """How the logged command follows from the replayed one, in words; empty if both are the same or nothing is certain.
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
@@ -34,62 +34,62 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
             f"is {factor:.4g} times what the analysed controller gives for the logged measurements: it is in another "
             "unit, or other gains flew. Estimates of gains and disturbances are off by that factor unless they did"
         )
-    known = np.isfinite(logged) & np.isfinite(replayed)
-    if np.count_nonzero(known) < LEAST_VALUES:
+    has_both = np.isfinite(logged) & np.isfinite(replayed)
+    if np.count_nonzero(has_both) < LEAST_VALUES:
         return ""
-    size = rms(logged - np.median(logged[known]))
-    least = EXPLAINED * size
+    deviation = rms(logged - np.median(logged[has_both]))
+    largest_residual = EXPLAINED * deviation
     difference = rms(logged - replayed)
     if difference <= ROUNDING * rms(logged):
         return ""
     hold = usual_hold(logged)
-    if hold > 1 and rms(logged - held_as(logged, replayed)) <= min(least, FEWER * difference):
+    if hold > 1 and rms(logged - held_like(logged, replayed)) <= min(largest_residual, FEWER * difference):
         return (
             f"is what the analysed controller gives every {hold * sample_time:.3g} s, held between. If only the log is "
             "so slow, the vehicle flew other commands, and a fit takes that for a lag; if the flight was, give "
             "loop.sample_time that value"
         )
-    shift, left = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
-    if shift != 0 and left <= min(least, FEWER * difference):
+    shift, residual = best_shift(logged, replayed, round(LONGEST_SHIFT / sample_time))
+    if shift != 0 and residual <= min(largest_residual, FEWER * difference):
         side = "later" if shift > 0 else "earlier"
         return (
             f"is {abs(shift) * sample_time:.3g} s {side} than the analysed controller gives it for the logged "
             "measurements: compare the times of its column. A fit takes that for a lag"
         )
-    offset = float(np.median((logged - replayed)[known]))
-    left = rms(logged - replayed - offset)
-    if abs(offset) > LARGE_OFFSET * size and left <= min(least, FEWER * difference):
+    offset = float(np.median((logged - replayed)[has_both]))
+    residual = rms(logged - replayed - offset)
+    if abs(offset) > LARGE_OFFSET * deviation and residual <= min(largest_residual, FEWER * difference):
         return (
             f"lies {offset:.4g} {unit} beside what the analysed controller gives all the time: its column has an "
             "offset, or an integral began at another value. A fit takes an offset for a disturbance"
         )
     latter_half = slice(len(logged) // 2, None)  # what the first state does has decayed there
-    if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * size:
+    if min(difference, rms((logged - replayed)[latter_half])) > ANOTHER * deviation:
         return (
             f"is not what the analysed controller gives for the logged measurements: they differ by {difference:.4g} "
-            f"{unit} rms, and the logged one varies by {size:.4g}. Other gains or limits flew, or a measurement "
+            f"{unit} rms, and the logged one varies by {deviation:.4g}. Other gains or limits flew, or a measurement "
             "is not what the controller got: compare units, offsets, times and gaps of y and y'"
         )
     return ""
 
 
-def held_as(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
-    """The replayed command with its value of the last change of the logged one, shape (samples,)."""
-    known = np.flatnonzero(np.isfinite(logged))
-    changes = known[np.flatnonzero(np.diff(logged[known], prepend=np.nan) != 0.0)]
-    last = np.searchsorted(changes, np.arange(len(logged)), side="right") - 1
-    return replayed[changes[np.maximum(last, 0)]]
+def held_like(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """The replayed command, held from each change of the logged one to the next, shape (samples,)."""
+    finite_rows = np.flatnonzero(np.isfinite(logged))
+    changes = finite_rows[np.flatnonzero(np.diff(logged[finite_rows], prepend=np.nan) != 0.0)]
+    latest_change = np.searchsorted(changes, np.arange(len(logged)), side="right") - 1
+    return replayed[changes[np.maximum(latest_change, 0)]]
 
 
 def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:
-    """The samples by which the logged command is later than the replayed one, and what is left of their difference."""
+    """The delay of the logged command that leaves the least difference [samples], and the rms of that difference."""
     samples = len(logged)
     best = 0
-    least = rms(logged - replayed)
+    smallest = rms(logged - replayed)
     for shift in range(1, min(longest, int(LONGEST_SHARE * samples)) + 1):
         later = rms(logged[shift:] - replayed[:-shift])
         earlier = rms(logged[:-shift] - replayed[shift:])
-        if min(later, earlier) < least:
+        if min(later, earlier) < smallest:
             best = shift if later < earlier else -shift
-            least = min(later, earlier)
-    return best, least
+            smallest = min(later, earlier)
+    return best, smallest

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from dssc_jax.core.signals import ProgressCallback
-from dssc_jax.flight_logs.conversions import likeness
+from dssc_jax.flight_logs.conversions import likeness_text
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
 from dssc_jax.statistics.exchangeable import largest_departures
@@ -82,8 +82,8 @@ def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
     names = [signal_name(channel, "y") for channel in study.loop.channels]
     names = [name for name in names if name in logged]
     expected = [dataset["median"].sel(signal=name).values for name in names]
-    found = {}
+    likenesses = {}
     for index, name in enumerate(names):
         values = dataset["logged"].sel(signal=name).values
-        found[name] = likeness(index, values, expected, names, signal_unit(study, name))
-    return {name: text for name, text in found.items() if text}
+        likenesses[name] = likeness_text(index, values, expected, names, signal_unit(study, name))
+    return {name: text for name, text in likenesses.items() if text}

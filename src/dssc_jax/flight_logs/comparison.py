@@ -161,15 +161,15 @@ class LogComparison(Analysis):
 
     def without_spread(self) -> dict[str, float]:
         """Logged signals that are the same in all draws, with the log's largest distance from them."""
-        largest = {}
+        largest_distances = {}
         for name in self.dataset["signal"].values:
             signal = self.dataset.sel(signal=name)
             logged = signal["logged"].values
-            known = np.isfinite(logged)
-            if known.any() and np.isnan(signal["departure"].values[known]).all():
-                distance = np.abs(logged - signal["median"].values)[known]
-                largest[str(name)] = float(np.max(distance[np.isfinite(distance)], initial=0.0))
-        return largest
+            is_finite = np.isfinite(logged)
+            if is_finite.any() and np.isnan(signal["departure"].values[is_finite]).all():
+                distance = np.abs(logged - signal["median"].values)[is_finite]
+                largest_distances[str(name)] = float(np.max(distance[np.isfinite(distance)], initial=0.0))
+        return largest_distances
 
     def decisive(self) -> tuple[str, float] | None:
         """Signal and time [s] of the log's largest departure; None without a p-value."""
@@ -200,13 +200,13 @@ class LogComparison(Analysis):
     def answer(self) -> LogAnswer:
         """The numbers that summary.json holds."""
         statistics = self.dataset["statistic"].values
-        of_draws = statistics[:-1]
-        draws = len(of_draws)
-        ranked = self.p_value is not None
+        draw_statistics = statistics[:-1]
+        draws = len(draw_statistics)
+        has_rank = self.p_value is not None
         signal, time = self.decisive() or (None, None)
         quantiles = None
-        if np.isfinite(of_draws).all():
-            quantiles = {name: float(np.quantile(of_draws, level)) for name, level in DRAWN_LEVELS.items()}
+        if np.isfinite(draw_statistics).all():
+            quantiles = {name: float(np.quantile(draw_statistics, level)) for name, level in DRAWN_LEVELS.items()}
         return LogAnswer(
             log=self.log,
             cut=self.cut,
@@ -218,8 +218,8 @@ class LogComparison(Analysis):
             every=self.every,
             p_value=self.p_value,
             least_p_value=1.0 / (draws + 1),
-            draws_at_least_as_extreme=int(np.count_nonzero(of_draws >= statistics[-1])) if ranked else None,
-            statistic=float(statistics[-1]) if ranked else None,
+            draws_at_least_as_extreme=int(np.count_nonzero(draw_statistics >= statistics[-1])) if has_rank else None,
+            statistic=float(statistics[-1]) if has_rank else None,
             statistic_of_draws=quantiles,
             without_spread=self.without_spread(),
             decisive_signal=signal,
@@ -235,24 +235,24 @@ class LogComparison(Analysis):
         )
 
     def signal_answer(self, name: str) -> SignalAnswer:
-        """The position of a signal in the draws, and the difference of the analysed controller's command from it."""
+        """Where a signal lies among the draws, and how far the analysed controller's command is from it."""
         signal = self.dataset.sel(signal=name)
         time = self.dataset["t"].values
         logged = signal["logged"].values
-        known = np.isfinite(logged)
-        departure = signal["departure"].values[known]
-        spread = not np.isnan(departure).all()
-        slack = RANGE_ROUNDING * max(np.max(np.abs(logged[known]), initial=0.0), 1e-300)
+        is_finite = np.isfinite(logged)
+        departure = signal["departure"].values[is_finite]
+        has_spread = not np.isnan(departure).all()
+        slack = RANGE_ROUNDING * max(np.max(np.abs(logged[is_finite]), initial=0.0), 1e-300)
         below_range = logged < signal["lowest"].values - slack
         above_range = logged > signal["highest"].values + slack
-        outside = known & (below_range | above_range) & spread
+        is_outside = is_finite & (below_range | above_range) & has_spread
         return SignalAnswer(
             unit=self.unit(name),
-            samples=int(known.sum()),
-            largest_departure=float(np.nanmax(departure)) if spread else None,
-            outside_share=float(outside.sum() / known.sum()) if spread else None,
-            first_outside=float(time[outside][0]) if outside.any() else None,
-            outside_to_the_end_since=start_of_last_excursion(time[known], outside[known]),
+            samples=int(is_finite.sum()),
+            largest_departure=float(np.nanmax(departure)) if has_spread else None,
+            outside_share=float(is_outside.sum() / is_finite.sum()) if has_spread else None,
+            first_outside=float(time[is_outside][0]) if is_outside.any() else None,
+            outside_to_the_end_since=start_of_last_excursion(time[is_finite], is_outside[is_finite]),
             replay=replayed_command(time, logged, signal["commanded"].values),
         )
 
@@ -261,12 +261,12 @@ class LogComparison(Analysis):
         return signal_unit(self.study, name)
 
 
-def start_of_last_excursion(time: np.ndarray, outside: np.ndarray) -> float | None:
+def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float | None:
     """Time from which a signal is outside without interruption to its end; None if it ends inside."""
-    if not outside.size or not outside[-1]:
+    if not is_outside.size or not is_outside[-1]:
         return None
-    inside = np.flatnonzero(~outside)
-    return float(time[inside[-1] + 1 if inside.size else 0])
+    inside_rows = np.flatnonzero(~is_outside)
+    return float(time[inside_rows[-1] + 1 if inside_rows.size else 0])
 
 
 def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | None = None) -> LogComparison:
@@ -321,7 +321,7 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
         log.start,
         stride,
         samples,
-        replay.held,
+        replay.held_samples,
         replay.not_replayed,
         replay.references,
         replay.rates,
@@ -333,11 +333,11 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
 
 
 def compared_samples(study: Study, replay: LogReplay) -> np.ndarray:
-    """Whether a log has a value that is compared with the draws, at each sample, shape (samples,)."""
-    known = np.zeros(replay.samples, bool)
+    """Whether a log has any value to compare with the draws, at each sample, shape (samples,)."""
+    has_value = np.zeros(replay.samples, bool)
     for channel in study.loop.channels:
         for quantity in ChannelCurves._fields:
             values = replay.logged.get(signal_name(channel, quantity))
             if values is not None:
-                known |= np.isfinite(values[: replay.samples])
-    return known
+                has_value |= np.isfinite(values[: replay.samples])
+    return has_value

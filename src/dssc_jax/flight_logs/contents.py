@@ -28,9 +28,9 @@ from dssc_jax.flight_logs.ulog import (
     LogWarning,
     Segment,
     TopicData,
-    chosen_segment,
     is_ulog,
     list_topics,
+    named_segment,
     read_topics,
     segments_of,
     stamps,
@@ -116,7 +116,7 @@ class LogContents:
         return gaps_of(self.clocks)
 
     def summary(self) -> dict[str, object]:
-        """The same as plain data."""
+        """The contents as plain data."""
         topics = [topic._asdict() | {"rate": topic.rate} for topic in self.topics]
         segments = [segment._asdict() for segment in self.segments]
         fields = [field._asdict() for field in self.fields]
@@ -126,17 +126,17 @@ class LogContents:
         for reset in self.resets:
             names = reset.counter.fields
             resets.append({"counter": reset.label, "time": reset.time, "fields": names, "jump": reset.jump})
-            resets[-1] |= {"size": reset.size, "unit": reset.counter.unit, "stated": reset.known}
+            resets[-1] |= {"size": reset.size, "unit": reset.counter.unit, "stated": reset.is_stated}
         invalid = [span._asdict() for span in self.invalid]
         lists = {"topics": topics, "segments": segments, "fields": fields, "falls": falls, "gaps": gaps}
-        late = [message._asdict() for message in self.late]
-        facts = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late}
+        late_messages = [message._asdict() for message in self.late]
+        facts = {**vars(self), **lists, "resets": resets, "invalid": invalid, "late": late_messages}
         del facts["clock"]
         return facts
 
 
 def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
-    """What a log holds, with the values of the fields of some topics.
+    """Read what a log holds, with the values of the fields of some topics.
 
     Args:
         path: A ULog of PX4, a CSV or a Parquet file.
@@ -150,29 +150,29 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
             if topics:
                 raise ConfigError("topic", "is for a ULog of PX4; a table has columns, which are shown")
             return table_contents(path)
-        listed = list_topics(path)
-        known = [topic.name for topic in listed.topics]
+        listing = list_topics(path)
+        topic_names = [topic.name for topic in listing.topics]
         for name in topics:
-            if name.removesuffix(":0") not in known:
-                raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, known)}")
+            if name.removesuffix(":0") not in topic_names:
+                raise ConfigError("topic", f"the log has no topic '{name}'; {nearest(name, topic_names)}")
         names = [topic_place(name)[0] for name in topics]
         data, begin, _ = read_topics(path, [*names, *SEGMENT_TOPICS, *ESTIMATES])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
             path.name,
-            listed.system,
-            listed.duration,
-            listed.topics,
-            tuple(segments_of(data, begin, listed.duration)),
-            listed.dropouts,
-            listed.damaged,
-            listed.damages,
-            listed.lost,
-            listed.cut,
+            listing.system,
+            listing.duration,
+            listing.topics,
+            tuple(segments_of(data, begin, listing.duration)),
+            listing.dropouts,
+            listing.damaged,
+            listing.damages,
+            listing.lost,
+            listing.cut,
             tuple(fields),
             tuple(resets_of(data, begin)),
-            tuple(invalid_spans(data, begin, listed.duration)),
-            listed.late,
+            tuple(invalid_spans(data, begin, listing.duration)),
+            listing.late,
         )
 
 
@@ -193,7 +193,7 @@ def topic_fields(name: str, data: TopicData, begin: float) -> Iterable[FieldValu
 
 
 def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldValues:
-    """Number and extent of a field's finite values."""
+    """The number, range and median of a field's finite values."""
     finite = np.empty(0) if values is None else values[np.isfinite(values)]
     if not finite.size:
         return FieldValues(name, derived, 0, np.nan, np.nan, np.nan)
@@ -214,8 +214,8 @@ def table_contents(path: Path) -> LogContents:
     if name is None:
         return LogContents(path.name, {}, 0.0, (), (), (0, 0.0), None, 0, 0, False, fields)
     clock = column_clock(name, columns[name])
-    known = columns[name][np.isfinite(columns[name])]
-    span = float(np.ptp(known)) if known.size else 0.0
+    finite_times = columns[name][np.isfinite(columns[name])]
+    span = float(np.ptp(finite_times)) if finite_times.size else 0.0
     return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock)
 
 
@@ -245,45 +245,45 @@ def topic_table(
         data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS, *estimate_topics([name])])
         signals = data.get(key)
         if signals is None:
-            known = [topic.name for topic in list_topics(path).topics]
-            raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, known)}")
+            topic_names = [topic.name for topic in list_topics(path).topics]
+            raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, topic_names)}")
         time = stamps(signals, begin)
-        known = time[np.isfinite(time)]
+        finite_times = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
-        part = log_span if segment is None else chosen_segment(segment, segments_of(data, begin))
-        origin = part.begin if start is None else start
-        signals = flown_signals(path, topic, data, begin, Segment("part", origin, part.end))
-        inside = (time >= max(part.begin, origin)) & (time <= part.end)
-        if not inside.any():
-            has = (
-                f"its messages are from {known.min():.4g} s to {known.max():.4g} s"
-                if known.size
-                else "none has a stamp"
-            )
-            raise ConfigError(
-                topic, f"has no message from {max(part.begin, origin):.4g} s on in the part asked for; {has}"
-            )
-        earlier = np.flatnonzero(time < max(part.begin, origin))
-        inside[earlier[-1:]] = True
-        table = {TIME: time[inside] - origin}
+        span = log_span if segment is None else named_segment(segment, segments_of(data, begin))
+        origin = span.begin if start is None else start
+        signals = valid_signals(path, topic, data, begin, Segment("part", origin, span.end))
+        first = max(span.begin, origin)
+        is_inside = (time >= first) & (time <= span.end)
+        if not is_inside.any():
+            span_text = "none has a stamp"
+            if finite_times.size:
+                span_text = f"its messages are from {finite_times.min():.4g} s to {finite_times.max():.4g} s"
+            raise ConfigError(topic, f"has no message from {first:.4g} s on in the part asked for; {span_text}")
+        earlier = np.flatnonzero(time < first)
+        is_inside[earlier[-1:]] = True
+        table = {TIME: time[is_inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)
             if values is not None and not field.startswith("timestamp"):
-                table[field] = values[inside]
+                table[field] = values[is_inside]
         return table
 
 
-def flown_signals(path: Path, topic: str, data: TopicData, begin: float, part: Segment) -> dict[str, np.ndarray]:
-    """The fields of a topic without jumps of the estimator in a part of the log, and without invalid values."""
+def valid_signals(path: Path, topic: str, data: TopicData, begin: float, part: Segment) -> dict[str, np.ndarray]:
+    """The fields of a topic in a part of the log, without the estimator's jumps and invalid values; warns of them."""
     _, key = topic_place(topic)
     resets = [reset for reset in resets_of(data, begin) if part.begin < reset.time <= part.end]
     signals = without_jumps(without_invalid(data), resets)[key]
-    changed = [name for name, values in signals.items() if not np.array_equal(values, data[key][name], equal_nan=True)]
-    if changed:
-        removed = [reset for reset in resets if reset.is_taken_out]
-        reasons = [f"jumps {reset_list(removed)} are taken out"] if removed else []
-        if any(np.isnan(signals[name]).sum() > np.isnan(data[key][name]).sum() for name in changed):
+    changed_names = []
+    for name, values in signals.items():
+        if not np.array_equal(values, data[key][name], equal_nan=True):
+            changed_names.append(name)
+    if changed_names:
+        removed_resets = [reset for reset in resets if reset.is_removed]
+        reasons = [f"jumps {reset_list(removed_resets)} are taken out"] if removed_resets else []
+        if any(np.isnan(signals[name]).sum() > np.isnan(data[key][name]).sum() for name in changed_names):
             reasons.append("invalid values are left out")
-        text = f"{path.name}: {topic} is not as logged in {', '.join(changed)}: {' and '.join(reasons)}"
+        text = f"{path.name}: {topic} is not as logged in {', '.join(changed_names)}: {' and '.join(reasons)}"
         warnings.warn(text, LogWarning, stacklevel=3)
     return signals

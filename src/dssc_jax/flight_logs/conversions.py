@@ -1,4 +1,4 @@
-"""What a logged signal would be with another sign, unit or start: hints for a log that contradicts its study."""
+"""Hints that a logged signal is the study's with another sign, unit or start."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-MOST_PRODUCTS = 20_000_000  # of samples and shifts that are tried
+MOST_PRODUCTS = 20_000_000  # of samples and shifts
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
 FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
@@ -31,7 +31,7 @@ class Conversion(NamedTuple):
 
     def text(self, unit: str) -> str:
         """The words, with the meaning if it applies to a signal of this unit."""
-        return f"{self.words} ({self.meaning})" if self.meaning and is_of(unit, self.unit) else self.words
+        return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
 
 OPPOSITE = "with the opposite sign"
@@ -54,8 +54,8 @@ SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
-def is_of(unit: str, begin: str) -> bool:
-    """Whether a unit is a base unit or a quotient or product that begins with it: m/s is of m, mol is not."""
+def is_unit_of(unit: str, begin: str) -> bool:
+    """Whether a unit is a base unit, or a quotient or product that begins with it: m/s is of m, mol is not."""
     return unit == begin or unit.startswith((f"{begin}/", f"{begin} "))
 
 
@@ -69,7 +69,7 @@ def rms(values: np.ndarray) -> float:
 
 
 def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> str:
-    """The multiple of the expected signal that the logged one is, in words; empty if there is none, or none is needed.
+    """The multiple by which the logged signal differs from the expected one, in words; empty if none fits better.
 
     Args:
         logged: Values, NaN where missing, shape (samples,).
@@ -77,19 +77,19 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
         tolerance: Largest root mean square of the difference, as a share of the expected signal's.
         unit: Of the expected signal.
     """
-    size = rms(expected[np.isfinite(logged)])
-    if size == 0.0 or not np.isfinite(size):
+    expected_rms = rms(expected[np.isfinite(logged)])
+    if expected_rms == 0.0 or not np.isfinite(expected_rms):
         return ""
-    best = ""
-    smallest = min(tolerance * size, FEWER * rms(logged - expected))
+    best_text = ""
+    smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
-        if conversion.unit in ONLY_WITH_UNIT and not is_of(unit, conversion.unit):
+        if conversion.unit in ONLY_WITH_UNIT and not is_unit_of(unit, conversion.unit):
             continue
         distance = rms(logged / conversion.factor - expected)
-        if distance <= smallest:
-            smallest = distance
-            best = conversion.text(unit)
-    return best
+        if distance <= smallest_distance:
+            smallest_distance = distance
+            best_text = conversion.text(unit)
+    return best_text
 
 
 def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
@@ -99,12 +99,12 @@ def multiple_of(logged: np.ndarray, expected: np.ndarray) -> float:
         logged: Values, NaN where missing, shape (samples,).
         expected: Values at the same times.
     """
-    known = np.isfinite(logged) & np.isfinite(expected)
-    sizes = rms(logged[known]), rms(expected[known])
+    has_both = np.isfinite(logged) & np.isfinite(expected)
+    sizes = rms(logged[has_both]), rms(expected[has_both])
     if not 0.0 < min(sizes) <= max(sizes) < np.inf:
         return 1.0
-    unit_logged = logged[known] / sizes[0]
-    unit_expected = expected[known] / sizes[1]
+    unit_logged = logged[has_both] / sizes[0]
+    unit_expected = expected[has_both] / sizes[1]
     correlation = float(unit_logged @ unit_expected) / len(unit_logged)
     factor = correlation * (sizes[0] / sizes[1])
     is_another = rms(unit_logged - correlation * unit_expected) > SAME_REFERENCE
@@ -123,17 +123,17 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
         reference: The reference of its channel in the study at the same times.
         unit: Of the output.
     """
-    known = np.isfinite(logged)
-    if not known.any():
+    is_finite = np.isfinite(logged)
+    if not is_finite.any():
         return ""
-    square = float(reference[known] @ reference[known])
-    factor = float(logged[known] @ reference[known]) / square if square > 0.0 else 0.0
+    square = float(reference[is_finite] @ reference[is_finite])
+    factor = float(logged[is_finite] @ reference[is_finite]) / square if square > 0.0 else 0.0
     for conversion in CONVERSIONS:
         text = conversion.text(unit)
-        near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
-        if text == OPPOSITE and not has_opposite_mean(logged[known], reference[known]):
+        is_near = abs(factor / conversion.factor - 1.0) <= IN_PHASE
+        if text == OPPOSITE and not has_opposite_mean(logged[is_finite], reference[is_finite]):
             continue
-        if near and conversion_text(logged, reference, FOLLOWED, unit) == text:
+        if is_near and conversion_text(logged, reference, FOLLOWED, unit) == text:
             return f"follows its reference {text}"
     return ""
 
@@ -144,8 +144,10 @@ def has_opposite_mean(logged: np.ndarray, reference: np.ndarray) -> bool:
     return abs(mean) > MEAN * rms(reference) and abs(float(logged.mean()) / mean + 1.0) <= IN_PHASE
 
 
-def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str) -> str:
-    """What a logged output looks like, if not like the one that is expected of its channel: in words, or empty.
+def likeness_text(
+    index: int, logged: np.ndarray, expected: Sequence[np.ndarray], names: Sequence[str], unit: str
+) -> str:
+    """What a logged output looks like if it differs from its channel's expected output, in words; else empty.
 
     Args:
         index: Position of its channel.
@@ -157,18 +159,18 @@ def likeness(index: int, logged: np.ndarray, expected: Sequence[np.ndarray], nam
     multiple = conversion_text(logged, expected[index], PREDICTED, unit)
     if multiple:
         return f"looks like the study's {multiple}"
-    smallest = FEWER * rms(logged - expected[index])
+    smallest_distance = FEWER * rms(logged - expected[index])
     text = ""
-    for place, output in enumerate(expected):
+    for channel, output in enumerate(expected):
         distance = rms(logged - output)
-        if place != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest):
-            smallest = distance
-            text = f"looks like the study's {names[place]}"
+        if channel != index and distance <= min(PREDICTED * rms(output[np.isfinite(logged)]), smallest_distance):
+            smallest_distance = distance
+            text = f"looks like the study's {names[channel]}"
     return text or shift_text(logged, expected[index], unit)
 
 
 def shift_text(logged: np.ndarray, expected: np.ndarray, unit: str) -> str:
-    """That a logged output lies beside the expected one all the time, in words; empty if it does not."""
+    """The constant offset of a logged output from the expected one, in words; empty if there is none."""
     difference = logged - expected
     difference = difference[np.isfinite(difference)]
     if not difference.size:
@@ -190,7 +192,7 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     low, high = np.sort(ratio)
     candidates = []
     for conversion in CONVERSIONS:
-        usable = conversion.unit not in ONLY_WITH_UNIT or any(is_of(unit, conversion.unit) for unit in units)
+        usable = conversion.unit not in ONLY_WITH_UNIT or any(is_unit_of(unit, conversion.unit) for unit in units)
         if usable and conversion.factor > 0.0 and low <= conversion.factor <= high:
             candidates.append(conversion.words)
     return candidates[0] if len(candidates) == 1 else ""
@@ -199,7 +201,7 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
 def reference_conversion(
     index: int, logged: np.ndarray, references: np.ndarray, channels: Sequence[str], unit: str
 ) -> str:
-    """What a channel's logged reference is of the study's, in words; empty: nothing simple.
+    """How a channel's logged reference follows from the study's, in words; empty if in no simple way.
 
     Args:
         index: Position of the channel.
@@ -215,9 +217,9 @@ def reference_conversion(
     multiple = conversion_text(logged, reference, SAME_REFERENCE, unit)
     if multiple:
         return f"is the study's {multiple}"
-    for place, channel in enumerate(channels):
-        size = rms(references[place])
-        if place != index and size > 0.0 and rms(logged - references[place]) <= SAME_REFERENCE * size:
+    for row, channel in enumerate(channels):
+        channel_rms = rms(references[row])
+        if row != index and channel_rms > 0.0 and rms(logged - references[row]) <= SAME_REFERENCE * channel_rms:
             return f"is the study's of {channel}"
     return ""
 
@@ -228,10 +230,11 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     It is the same, too, if it differs at single samples alone, where an edge falls to the sample before or after. Of
     several shifts the smallest counts.
     """
-    size = rms(reference - np.mean(reference))
+    variation = rms(reference - np.mean(reference))
     difference = (logged - reference)[np.isfinite(logged)]
-    differing = np.count_nonzero(np.abs(difference) > SAME_REFERENCE * size)
-    if size == 0.0 or rms(difference) <= SAME_REFERENCE * size or differing <= FEW_SAMPLES * len(difference):
+    differing_count = np.count_nonzero(np.abs(difference) > SAME_REFERENCE * variation)
+    is_same = rms(difference) <= SAME_REFERENCE * variation or differing_count <= FEW_SAMPLES * len(difference)
+    if variation == 0.0 or is_same:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
@@ -239,26 +242,27 @@ def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
             (logged[shift:], reference[:-shift], shift),
             (logged[:-shift], reference[shift:], -shift),
         ):
-            if rms(original - np.mean(original)) > 0.5 * size and rms(shifted - original) <= SAME_REFERENCE * size:
+            has_variation = rms(original - np.mean(original)) > 0.5 * variation
+            if has_variation and rms(shifted - original) <= SAME_REFERENCE * variation:
                 return result
     return 0
 
 
 def is_shifted(logged: np.ndarray, reference: np.ndarray, shift: int) -> bool:
-    """Whether nothing in a logged reference contradicts that it is the study's so many samples later.
+    """Whether a logged reference agrees with the study's, shifted by a number of samples.
 
     One that never moves, or is not logged, contradicts no shift.
     """
-    size = rms(reference - np.mean(reference))
-    if size == 0.0 or not np.isfinite(logged).any():
+    variation = rms(reference - np.mean(reference))
+    if variation == 0.0 or not np.isfinite(logged).any():
         return True
-    late, early = max(shift, 0), max(-shift, 0)
+    delay, lead = max(shift, 0), max(-shift, 0)
     samples = len(reference) - abs(shift)
-    return rms(logged[late : late + samples] - reference[early : early + samples]) <= SAME_REFERENCE * size
+    return rms(logged[delay : delay + samples] - reference[lead : lead + samples]) <= SAME_REFERENCE * variation
 
 
 class LogHints(NamedTuple):
-    """Why a log may contradict its study: signals, each with the words for it.
+    """Why a log may contradict its study, in words for each signal or number.
 
     Args:
         conversions: Signals that are the study's in another unit, sign or column.

@@ -32,7 +32,7 @@ TIME_UNITS = (
 
 
 def time_unit_text(log: FlightLog, sample_time: float) -> str:
-    """What the times of a log seem to be, if their gaps are not those of a log in seconds; empty else."""
+    """A question about the unit of a log's times, if their gaps do not look like seconds; empty if they do."""
     gaps = [np.median(np.diff(column.time)) for column in log.columns.values() if len(column.time) > 1]
     gap = min((float(gap) for gap in gaps if gap > 0.0), default=0.0)
     if gap == 0.0 or UNUSUAL_GAP[0] <= gap / sample_time <= UNUSUAL_GAP[1]:
@@ -44,35 +44,35 @@ def time_unit_text(log: FlightLog, sample_time: float) -> str:
     return f"{text}: its times must be in seconds"
 
 
-def few_samples_remedy(known: np.ndarray, sample_time: float) -> str:
+def few_samples_remedy(has_signal: np.ndarray, sample_time: float) -> str:
     """Why a log lacks a signal at many samples, and what helps: it is too rare, or it has gaps.
 
     Args:
-        known: Whether it has the signal, at each sample, shape (samples,).
+        has_signal: Whether the log has the signal, at each sample, shape (samples,).
         sample_time: Of the study [s].
     """
-    places = np.flatnonzero(known)
-    steps = np.diff(places)
+    logged_samples = np.flatnonzero(has_signal)
+    steps = np.diff(logged_samples)
     if not steps.size or np.median(steps) > 1:
         return "log it as often as the controller runs, or set loop.sample_time to the log's"
     if steps.max() == 1:
-        begin, end = sample_time * places[0], sample_time * places[-1]
+        begin, end = sample_time * logged_samples[0], sample_time * logged_samples[-1]
         return f"it has values from {begin:.4g} s to {end:.4g} s of the study only. Compare `start` and loop.duration"
     longest = int(np.argmax(steps))
-    begin, end = sample_time * places[longest], sample_time * places[longest + 1]
+    begin, end = sample_time * logged_samples[longest], sample_time * logged_samples[longest + 1]
     return (
         f"it is logged as often, but values are missing, at most {steps[longest] - 1} in a row (between {begin:.4g} s "
         f"and {end:.4g} s of the study). Take a part without gaps (`start`, loop.duration), or another log"
     )
 
 
-def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
+def require_samples(study: Study, log: FlightLog, has_value: np.ndarray) -> None:
     """Require that a log has values at some samples of the study.
 
     Args:
         study: The study, without a sweep.
         log: The flight.
-        known: Whether it has any compared value, at each sample up to its end, shape (samples,).
+        has_value: Whether the log has any compared value, at each sample up to its end, shape (samples,).
 
     Raises:
         ConfigError: it has hardly any, or its times are too large to be in seconds.
@@ -85,7 +85,7 @@ def require_samples(study: Study, log: FlightLog, known: np.ndarray) -> None:
             f"and the study's samples are {loop.sample_time:g} s apart"
         )
         raise ConfigError(log.name, f"{text}{time_unit_text(log, loop.sample_time) or '; they must be in seconds'}")
-    count = int(np.count_nonzero(known))
+    count = int(np.count_nonzero(has_value))
     span = f"{loop.steps * loop.sample_time:g} s from {log.start:g} s on"
     hint = time_unit_text(log, loop.sample_time)
     if not count:

@@ -35,7 +35,7 @@ class ResidualNoise(NamedTuple):
 
     @classmethod
     def of(cls, posterior: NoisePosterior, explained: Explained) -> "ResidualNoise":
-        """The noise of a posterior law."""
+        """The noise by its posterior law."""
         likeliest = posterior.likeliest
         return cls(posterior.white, likeliest.share, correlation_time(likeliest), explained)
 
@@ -71,14 +71,14 @@ class Fitted:
     scaled: np.ndarray  # estimates on the scale of the fit: the logarithm where the law is logarithmic, shape (n,)
     covariance: np.ndarray  # on that scale, shape (n, n)
     noise: dict[str, ResidualNoise]  # of the residual by channel, of those with enough readings
-    kept: dict[str, float]  # unidentified numbers, with the standard deviation from the flight divided by the law's
-    samples: int  # of the log that were used
+    unidentified: dict[str, float]  # numbers that keep their laws, with their deviation from the flight over the law's
+    samples: int  # of the log that count
     simulated: int  # samples of the simulation
-    held: dict[str, int]  # of these, samples at which the log lacks a command, by signal
+    held_samples: dict[str, int]  # of these, samples at which the log lacks a command, by signal
     between: str  # what commands do between two logged values
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     starts: int  # of the search
-    starts_here: int  # that end in the minimum that was taken
+    starts_here: int  # that end in the best minimum
     rivals: tuple[RivalMinimum, ...]
     simulations: int
     cut: str  # why the search ended before it was complete; empty: it is complete
@@ -176,7 +176,7 @@ class Fitted:
             "study": self.study.name,
             "samples": self.samples,
             "simulated_samples": self.simulated,
-            "held_commands": self.held,
+            "held_commands": self.held_samples,
             "between_commands": self.between,
             "replayed": list(self.replayed),
             "numbers": numbers,
@@ -190,7 +190,7 @@ class Fitted:
             "other_minima": [rival._asdict() for rival in self.rivals],
             "warnings": [doubt._asdict() for doubt in self.doubts],
             "outside_laws": self.outside_laws(),
-            "kept": {name: width if math.isfinite(width) else None for name, width in self.kept.items()},
+            "kept": {name: width if math.isfinite(width) else None for name, width in self.unidentified.items()},
             "toml": self.toml(),
         }
 

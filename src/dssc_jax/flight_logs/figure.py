@@ -30,23 +30,23 @@ def log_comparison(comparison: "LogComparison") -> Figure:
     data = comparison.dataset
     facts = {str(name): comparison.signal_answer(str(name)) for name in data["signal"].values}
     names = sorted(facts, key=lambda name: -(facts[name].largest_departure or np.inf))
-    shown = names[:MOST_SIGNALS]
-    figure = Figure(figsize=(11.5, 2.5 * len(shown) + 2.6), layout="constrained")
-    axes = figure.subplots(len(shown) + 1, 1)
+    plotted_names = names[:MOST_SIGNALS]
+    figure = Figure(figsize=(11.5, 2.5 * len(plotted_names) + 2.6), layout="constrained")
+    axes = figure.subplots(len(plotted_names) + 1, 1)
     handles = {}
-    for ax, name in zip(axes, shown, strict=False):
-        signal_over_draws(ax, data.sel(signal=name), facts[name])
+    for ax, name in zip(axes, plotted_names, strict=False):
+        draw_signal(ax, data.sel(signal=name), facts[name])
         ax.set_ylabel(f"{name} [{facts[name].unit}]")
         lines, texts = ax.get_legend_handles_labels()
         handles |= dict(zip(texts, lines, strict=True))
-    for ax in axes[1 : len(shown)]:
+    for ax in axes[1 : len(plotted_names)]:
         ax.sharex(axes[0])
-    axes[len(shown) - 1].set_xlabel("time [s]")
+    axes[len(plotted_names) - 1].set_xlabel("time [s]")
     position = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5, "fontsize": 10}
     axes[0].legend(list(handles.values()), list(handles), frameon=False, **position)
     statistics = data["statistic"].values
-    statistics_of_curves(axes[-1], statistics, comparison.p_value)
-    hidden = len(facts) - len(shown)
+    draw_statistics(axes[-1], statistics, comparison.p_value)
+    hidden = len(facts) - len(plotted_names)
     note = f"; {hidden} signals with smaller departures are not shown" if hidden else ""
     config = comparison.study.config
     name = config.description or config.name
@@ -63,31 +63,33 @@ def next_flight_figure(analysis: "NextFlight") -> Figure:
     """
     data = analysis.dataset
     names = [str(name) for name in data["signal"].values if data["spread"].sel(signal=name).notnull().any()]
-    shown = names[:MOST_SIGNALS]
-    figure = Figure(figsize=(11.5, 2.5 * len(shown) + 2.6), layout="constrained")
-    axes = figure.subplots(len(shown) + 1, 1)
+    plotted_names = names[:MOST_SIGNALS]
+    figure = Figure(figsize=(11.5, 2.5 * len(plotted_names) + 2.6), layout="constrained")
+    axes = figure.subplots(len(plotted_names) + 1, 1)
     time = data["t"].values
-    for ax, name in zip(axes, shown, strict=False):
+    for ax, name in zip(axes, plotted_names, strict=False):
         signal = data.sel(signal=name)
         for low, high, colour, alpha, text in (
             ("lower", "upper", BLUE, 0.2, f"the next flight, {100 * analysis.probability:g} %"),
             ("lowest", "highest", DARK, 0.5, "all flights"),
         ):
-            known = np.isfinite(signal[low].values)
-            if known.any():
-                x, lower, upper = envelope(time[known], signal[low].values[known], signal[high].values[known])
+            is_finite = np.isfinite(signal[low].values)
+            if is_finite.any():
+                x, lower, upper = envelope(
+                    time[is_finite], signal[low].values[is_finite], signal[high].values[is_finite]
+                )
                 ax.fill_between(x, lower, upper, color=colour, alpha=alpha, linewidth=0.0, label=text)
         ax.plot(*thinned(time, signal["middle"].values), color=ORANGE, linewidth=1.2, label="median of the draws")
         ax.set_ylabel(name)
-    axes[len(shown) - 1].set_xlabel("time [s]")
+    axes[len(plotted_names) - 1].set_xlabel("time [s]")
     axes[0].legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=10)
-    departures_of_flights(axes[-1], data["departure_of_draw"].values, data["departure"].values)
+    draw_departures(axes[-1], data["departure_of_draw"].values, data["departure"].values)
     config = analysis.study.config
     title(figure, f"{config.description or config.name}: {len(analysis.logs)} flights")
     return figure
 
 
-def departures_of_flights(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> None:
+def draw_departures(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> None:
     """Draw the share of draws above each departure, and the flights' departures."""
     ordered = np.sort(draws[np.isfinite(draws)])
     share = 1.0 - np.arange(len(ordered)) / len(draws)
@@ -99,7 +101,7 @@ def departures_of_flights(ax: Axes, draws: np.ndarray, flights: np.ndarray) -> N
     ax.legend(frameon=False, loc="best")
 
 
-def signal_over_draws(ax: Axes, signal: xr.Dataset, place: "SignalAnswer") -> None:
+def draw_signal(ax: Axes, signal: xr.Dataset, answer: "SignalAnswer") -> None:
     """Draw one signal over the bands of the draws."""
     time = signal["t"].values
     for low, high, alpha, text in BANDS:
@@ -109,14 +111,14 @@ def signal_over_draws(ax: Axes, signal: xr.Dataset, place: "SignalAnswer") -> No
     if np.isfinite(commanded).any():
         ax.plot(*thinned(time, commanded), color=ORANGE, linewidth=1.2, label="analysed controller")
     logged = signal["logged"].values
-    known = np.isfinite(logged)
-    ax.plot(*thinned(time[known], logged[known]), color=DARK, linewidth=1.2, label="logged")
-    first_outside = place.first_outside
+    is_finite = np.isfinite(logged)
+    ax.plot(*thinned(time[is_finite], logged[is_finite]), color=DARK, linewidth=1.2, label="logged")
+    first_outside = answer.first_outside
     if first_outside is not None:
         ax.axvline(first_outside, color=RED, linestyle="--", linewidth=1.2, label="first outside")
 
 
-def statistics_of_curves(ax: Axes, statistics: np.ndarray, p_value: float | None) -> None:
+def draw_statistics(ax: Axes, statistics: np.ndarray, p_value: float | None) -> None:
     """Draw the share of draws above each value of the statistic, and the log's own."""
     if p_value is None:
         ax.set_axis_off()

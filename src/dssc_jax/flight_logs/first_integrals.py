@@ -26,7 +26,7 @@ class StartsElsewhere(FitRefused):
 
 
 class FreeIntegrals(NamedTuple):
-    """What a fit gains by other integrals at the first sample.
+    """The integrals at the first sample, estimated together with the numbers of a fit.
 
     Args:
         names: Of the integrals.
@@ -43,13 +43,13 @@ class FreeIntegrals(NamedTuple):
     moves: dict[str, float]
 
     @property
-    def matter(self) -> bool:
-        """Whether the flight's integrals are others, and the estimates depend on it."""
+    def differ_and_matter(self) -> bool:
+        """Whether the flight's integrals differ from the study's, and the estimates depend on it."""
         return self.p_value < SIGNIFICANCE and max(map(abs, self.moves.values())) > LARGE_MOVE
 
 
 def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | None:
-    """The first integrals that the residual at a minimum shows, by one step of Gauss and Newton.
+    """Estimate the first integrals from the residual at a minimum, by one Gauss-Newton step.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -58,27 +58,29 @@ def free_integrals(problem: FitProblem, minimum: Minimum) -> FreeIntegrals | Non
     Returns:
         None if the study has no plain numbers for them.
     """
-    fixed = fixed_integrals(problem.study)
-    if not fixed:
+    fixed_values = fixed_integrals(problem.study)
+    if not fixed_values:
         return None
-    known = np.array(list(fixed.values()))
+    study_integrals = np.array(list(fixed_values.values()))
     p = len(problem.names)
-    _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), known]), problem.log.commands)
-    products = np.zeros((1 + p + len(fixed),) * 2)
+    _, slopes = problem.predict(np.concatenate([problem.values(minimum.x), study_integrals]), problem.log.commands)
+    products = np.zeros((1 + p + len(fixed_values),) * 2)
     rows = zip(problem.readings, problem.noises, problem.variances, problem.columns(minimum.x), strict=True)
     for readings, noise, variance, columns in rows:
         extended = np.column_stack([columns, readings.interpolate(slopes[p:, readings.channel]).T])
         products += weighted_products(noise, readings.times, extended)[0] / variance
-    return stepped(tuple(fixed), problem.names, known, products)
+    return gauss_newton_step(tuple(fixed_values), problem.names, study_integrals, products)
 
 
-def stepped(names: tuple[str, ...], numbers: Sequence[str], known: np.ndarray, products: np.ndarray) -> FreeIntegrals:
+def gauss_newton_step(
+    names: tuple[str, ...], numbers: Sequence[str], study_integrals: np.ndarray, products: np.ndarray
+) -> FreeIntegrals:
     """The step to the minimum over numbers and integrals, from the products of residual and slopes.
 
     Args:
         names: Of q integrals.
         numbers: Names of the p numbers.
-        known: The integrals of the study, shape (q,).
+        study_integrals: The integrals of the study, shape (q,).
         products: Of residual, slopes by the numbers and slopes by the integrals, shape (1 + p + q, 1 + p + q).
     """
     p = len(numbers)
@@ -90,25 +92,26 @@ def stepped(names: tuple[str, ...], numbers: Sequence[str], known: np.ndarray, p
     step = inverse @ gradient
     gain = float(gradient @ step - gradient[:p] @ np.linalg.solve(fitted, gradient[:p]))
     moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(fitted)))).tolist()
-    values = known + (step / scale)[p:]
+    values = study_integrals + (step / scale)[p:]
     deviations = (np.sqrt(np.diag(inverse)) / scale)[p:]
     return FreeIntegrals(
         names, values, deviations, float(stats.chi2.sf(gain, len(names))), dict(zip(numbers, moves, strict=True))
     )
 
 
-def require_first_integrals(found: FreeIntegrals | None) -> None:
+def require_first_integrals(integrals: FreeIntegrals | None) -> None:
     """Require that a flight's first integrals are those of the study, or that the estimates do not depend on them.
 
     Raises:
         StartsElsewhere: They are others.
     """
-    if found is None or not found.matter:
+    if integrals is None or not integrals.differ_and_matter:
         return
-    rows = zip(found.names, found.values, found.deviations, strict=True)
-    shown = ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
-    number, move = max(found.moves.items(), key=lambda pair: abs(pair[1]))
+    rows = zip(integrals.names, integrals.values, integrals.deviations, strict=True)
+    values_text = ", ".join(f"{name} = {value:.3g} ± {deviation:.2g}" for name, value, deviation in rows)
+    number, move = max(integrals.moves.items(), key=lambda pair: abs(pair[1]))
     raise StartsElsewhere(
-        f"the flight did not begin with the study's integrals: its outputs show {shown} (p = {found.p_value:.1g}), and "
-        f"{number} would be {abs(move):.3g} of its standard deviations off. {start_remedy(found.names[-1])}"
+        f"the flight did not begin with the study's integrals: its outputs show {values_text} "
+        f"(p = {integrals.p_value:.1g}), and {number} would be {abs(move):.3g} of its standard deviations off. "
+        f"{start_remedy(integrals.names[-1])}"
     )

@@ -134,9 +134,9 @@ def fit_log(
     if not allow_damaged:
         require_no_jumps(study, log)
     count = SearchCount(limits, progress)
-    known: list[Minimum] = []
+    starting_minima: list[Minimum] = []
     study = study.without_sweep()
-    chosen = tuple(numbers_to_fit(study, names))
+    fitted_names = tuple(numbers_to_fit(study, names))
     require_same_signals(log, replay_log(study, log, commands=False) if replay is None else replay)
     predictions = {} if predictions is None else predictions
     sampled = sampled_log(study, log)
@@ -144,44 +144,48 @@ def fit_log(
         raise ConfigError(
             log.name, f"{gap_text(log, sampled.gaps, study.loop.sample_time)}; `allow_damaged` fits it all the same"
         )
-    kept: dict[str, float] = {}
+    unidentified_widths: dict[str, float] = {}
     reasons = ""
     all_information: Mapping[str, Mapping[str, float]] | None = None
     while True:
-        if chosen not in predictions:
-            predictions[chosen] = prediction(study, chosen, sampled.outputs.shape[1], fixed_integrals(study))
-        problem = FitProblem(study, chosen, predictions[chosen], sampled, count)
-        search = find_minima(problem, known)
+        if fitted_names not in predictions:
+            predictions[fitted_names] = prediction(
+                study, fitted_names, sampled.outputs.shape[1], fixed_integrals(study)
+            )
+        problem = FitProblem(study, fitted_names, predictions[fitted_names], sampled, count)
+        search = find_minima(problem, starting_minima)
         if search is None:
             raise NotIdentifiable("the simulated output is not finite for these commands, whatever the numbers")
-        compared = compared_commands(problem, search.best)
-        better = better_commands(problem, search.best, compared)
+        comparisons = compared_commands(problem, search.best)
+        better = better_commands(problem, search.best, comparisons)
         if better is not None:
             sampled = with_commands(sampled, better)
-            known = [search.best, *search.rivals]
+            starting_minima = [search.best, *search.rivals]
             continue
         information = search.best.equations.information
-        all_information = information_by_names(chosen, information) if all_information is None else all_information
+        if all_information is None:
+            all_information = information_by_names(fitted_names, information)
         unidentified = {} if names else unidentified_numbers(problem, search)
         if not unidentified:
             try:
-                by_kept = covariance_of_kept(all_information, chosen, tuple(kept))
-                return fitted_minimum(problem, search, kept, by_kept, command_moves(problem, search.best, compared))
+                added_covariance = covariance_of_unidentified(all_information, fitted_names, tuple(unidentified_widths))
+                moves = command_moves(problem, search.best, comparisons)
+                return fitted_minimum(problem, search, unidentified_widths, added_covariance, moves)
             except NotIdentifiable as refusal:
                 if names or refusal.number is None:
                     raise
                 unidentified = {refusal.number: refusal.width}
                 reasons = refusal.reasons
-        kept |= unidentified
-        known = search.without([name not in unidentified for name in chosen])
-        chosen = tuple(name for name in chosen if name not in unidentified)
-        if not chosen:
+        unidentified_widths |= unidentified
+        starting_minima = search.restricted_to([name not in unidentified for name in fitted_names])
+        fitted_names = tuple(name for name in fitted_names if name not in unidentified)
+        if not fitted_names:
             x = search.best.x
-            doubted = "".join(f". {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
+            doubt_texts = "".join(f". {doubt.text}" for doubt in doubts(problem, x, require_description(problem, x)))
             raise NotIdentifiable(
-                f"the flight identifies none of {', '.join(kept)}: their laws are narrower than what it leaves open, a "
-                f"standard deviation that is a multiple of the law's, {open_numbers(kept)}. "
-                f"{reasons or width_reasons(problem)}{doubted}"
+                f"the flight identifies none of {', '.join(unidentified_widths)}: their laws are narrower than what it "
+                f"leaves open, a standard deviation that is a multiple of the law's, "
+                f"{open_numbers(unidentified_widths)}. {reasons or width_reasons(problem)}{doubt_texts}"
             )
 
 
@@ -196,8 +200,8 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
         return list(requested)
     names = []
     for name, law in study.laws.items():
-        decided = [follower.split(".") for follower in study.followers(name)]
-        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in decided):
+        paths = [follower.split(".") for follower in study.followers(name)]
+        if law.movable and any(fields[0] in PLANT_SLOTS and fields[-1] not in RANDOM for fields in paths):
             names.append(name)
     if not names:
         raise ConfigError(study.source, f"has no law of {', '.join(PLANT_SLOTS)}: give a number a law to be fitted")
@@ -205,7 +209,7 @@ def numbers_to_fit(study: Study, requested: Sequence[str]) -> list[str]:
 
 
 def sampled_log(study: Study, log: FlightLog) -> SampledLog:
-    """Measured outputs with their times, and commands, of every channel.
+    """Measured outputs, the offsets of their times, and commands of every channel, at the study's samples.
 
     A command that was not logged is that of the analysed controller for the logged outputs.
     """
@@ -216,10 +220,10 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     outputs = np.full(shape, np.nan)
     offsets = np.zeros(shape)
     commands = np.zeros(shape)
-    replayed = []
-    rare = []
-    needed = []  # signals whose gaps falsify a command
-    held: dict[str, int] = {}
+    replayed_channels = []
+    rare_commands = []
+    needed_signals = []  # signals whose gaps falsify a command
+    held_counts: dict[str, int] = {}
     jumps: dict[str, float] = {}
     slow: dict[str, float] = {}
     for row, channel in enumerate(loop.channels):
@@ -236,9 +240,9 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
         if command is not None and np.isfinite(command).any():
             commands[row] = command
             if is_rare(command):
-                rare.append(signal_name(channel, "u_total"))
-            needed.append(signal_name(channel, "u_total"))
-            held |= held_samples({signal_name(channel, "u_total"): command})
+                rare_commands.append(signal_name(channel, "u_total"))
+            needed_signals.append(signal_name(channel, "u_total"))
+            held_counts |= held_samples({signal_name(channel, "u_total"): command})
             jump = largest_jump(command)
             if jump > LARGE_JUMP * np.nanmax(command) - LARGE_JUMP * np.nanmin(command):
                 jumps[signal_name(channel, "u_total")] = jump
@@ -248,33 +252,33 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
             name = signal_name(channel, "u_total")
             raise ConfigError(log.name, f"has no command {name}, and {replay}; {column_remedy(channel, 'u_total')}")
         commands[row] = replay
-        replayed.append(channel)
-        needed += [signal_name(channel, name) for name in signals if name.startswith("y")]
+        replayed_channels.append(channel)
+        needed_signals += [signal_name(channel, name) for name in signals if name.startswith("y")]
     if samples < 4 or np.isfinite(outputs).sum(axis=1).max() < LEAST_SAMPLES:
         rule = f"has fewer than {LEAST_SAMPLES} values of the output y at the study's samples"
         place = " in every channel" if len(loop.channels) > 1 else ""
         raise ConfigError(log.name, f"{rule}{place}{time_unit_text(log, loop.sample_time)}")
     end = log.start + (samples - 1) * loop.sample_time
-    taken, *others = reconstructions(list(commands))
-    gaps = log_gaps(log, needed, end)
+    reconstruction, *alternatives = reconstructions(list(commands))
+    gaps = log_gaps(log, needed_signals, end)
     return SampledLog(
         outputs,
         offsets,
-        taken.commands,
-        held,
-        tuple(replayed),
+        reconstruction.commands,
+        held_counts,
+        tuple(replayed_channels),
         jumps,
         gaps,
-        tuple(rare),
-        taken.text,
+        tuple(rare_commands),
+        reconstruction.text,
         reading_noise(study, outputs),
-        tuple(others),
+        tuple(alternatives),
         slow,
     )
 
 
 def wind_doubts(study: Study) -> tuple[Doubt, ...]:
-    """That a vehicle which begins in the air in wind begins without the tilt that the wind asks of it."""
+    """The doubt about a vehicle that begins in the air in wind, but without the tilt that the wind requires."""
     if not begins_in_air(study) or not begins_level(study) or kind_in(study.config, "wind") == "none":
         return ()
     text = (
@@ -290,18 +294,18 @@ def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[
     return {name: dict(zip(names, map(float, row), strict=True)) for name, row in zip(names, information, strict=True)}
 
 
-def covariance_of_kept(
-    information: Mapping[str, Mapping[str, float]], fitted: Sequence[str], kept: Sequence[str]
+def covariance_of_unidentified(
+    information: Mapping[str, Mapping[str, float]], fitted_names: Sequence[str], unidentified: Sequence[str]
 ) -> np.ndarray:
-    """What the spread of the numbers that keep their laws adds to the covariance of the others, shape (p, p).
+    """The covariance that unidentified numbers, which keep their laws, add to the fitted ones, shape (p, p).
 
-    A kept number that differs from its median by d moves the estimates by -A^-1 B d, where A and B are the blocks of
-    the information of all numbers. In coordinates of the fit d has the variance 1.
+    An unidentified number that differs from its median by d moves the estimates by -A^-1 B d, where A and B are the
+    blocks of the information of all numbers. In coordinates of the fit d has the variance 1.
     """
-    inner = np.array([[information[row][column] for column in fitted] for row in fitted])
-    if not kept:
+    inner = np.array([[information[row][column] for column in fitted_names] for row in fitted_names])
+    if not unidentified:
         return np.zeros_like(inner)
-    coupling = np.array([[information[row][column] for column in kept] for row in fitted])
+    coupling = np.array([[information[row][column] for column in unidentified] for row in fitted_names])
     moves = np.linalg.lstsq(inner, coupling, rcond=None)[0]
     return moves @ moves.T
 
@@ -310,8 +314,8 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
     """Numbers whose standard deviation from this flight is not below that of their law, with the ratio of the two."""
     unidentified = {}
     information = search.best.equations.information
-    roots = np.sqrt(np.diag(information))
-    for name, root in zip(problem.names, roots, strict=True):
+    information_roots = np.sqrt(np.diag(information))
+    for name, root in zip(problem.names, information_roots, strict=True):
         width = math.inf if root == 0.0 else float(1.0 / root)
         if not width < 1.0:
             unidentified[name] = width
@@ -321,8 +325,8 @@ def unidentified_numbers(problem: FitProblem, search: MinimumSearch) -> dict[str
 def fitted_minimum(
     problem: FitProblem,
     search: MinimumSearch,
-    kept: dict[str, float],
-    covariance_by_kept: np.ndarray,
+    unidentified_widths: dict[str, float],
+    added_covariance: np.ndarray,
     moves: np.ndarray,
 ) -> Fitted:
     """The estimate at the best minimum, with its covariance, if it passes all checks.
@@ -330,8 +334,8 @@ def fitted_minimum(
     Args:
         problem: The problem.
         search: Its minima.
-        kept: Numbers that keep their laws.
-        covariance_by_kept: What they add to the covariance, shape (p, p).
+        unidentified_widths: Numbers that keep their laws, with the width that the flight leaves over that of the law.
+        added_covariance: What they add to the covariance, shape (p, p).
         moves: How far other commands that may have flown move the coordinates, shape (k, p).
     """
     study = problem.study
@@ -347,9 +351,9 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    late = delay_doubts(problem, search.best)
-    covariance = widening(rough) * averaged_covariance(problem, posteriors) + covariance_by_kept
-    rare = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
+    delays = delay_doubts(problem, search.best)
+    covariance = widening(rough) * averaged_covariance(problem, posteriors) + added_covariance
+    rare_commands = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
     growth = widest_growth(covariance, covariance + moves.T @ moves)
     covariance = covariance + moves.T @ moves
     information = np.linalg.inv(covariance)
@@ -372,10 +376,10 @@ def fitted_minimum(
         problem.scaled(x),
         covariance * np.outer(problem.widths, problem.widths),
         dict(zip(channels, noises, strict=True)),
-        kept,
+        unidentified_widths,
         sum(len(readings.values) for readings in problem.readings),
         problem.log.outputs.shape[1],
-        problem.log.held,
+        problem.log.held_samples,
         problem.log.between,
         problem.log.replayed,
         search.starts,
@@ -387,9 +391,9 @@ def fitted_minimum(
             *doubts(problem, x, results),
             *outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
-            *late,
+            *delays,
             *held_doubts(problem.log),
-            *rare,
+            *rare_commands,
             *wind_doubts(study),
             *roughness_doubts(rough),
         ),

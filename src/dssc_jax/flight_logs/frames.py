@@ -1,4 +1,4 @@
-"""From PX4's axes to those of the model: fields that a topic of a log has beside its own.
+"""Conversion from PX4's axes to the model's: the fields that a topic of a log has in addition to its own.
 
 PX4's local frame is north, east, down (NED), and its body axes point forward, right, down (FRD). The model's inertial
 frame has z up; waypoints make it east, north, up (ENU), see :mod:`dssc_jax.models.references.waypoints`. Its body axes
@@ -38,13 +38,13 @@ class DerivedField(NamedTuple):
     of: Callable[..., np.ndarray]
 
 
-def same(values: np.ndarray) -> np.ndarray:
-    """The values."""
+def identity(values: np.ndarray) -> np.ndarray:
+    """Leave values as they are."""
     return values
 
 
-def opposite(values: np.ndarray) -> np.ndarray:
-    """The values with the other sign."""
+def negative(values: np.ndarray) -> np.ndarray:
+    """Change the sign of values."""
     return -values
 
 
@@ -68,7 +68,7 @@ def yaw_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.nda
     return yaw_of_heading(np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
 
 
-def turning_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stamp: np.ndarray) -> np.ndarray:
+def yaw_rate_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stamp: np.ndarray) -> np.ndarray:
     """psi' [rad/s] by differences of psi over the messages' times [us]; NaN of a single message."""
     if len(stamp) < 2:
         return np.full(len(stamp), np.nan)
@@ -76,25 +76,27 @@ def turning_of(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray, stamp
         return np.gradient(np.unwrap(yaw_of(w, x, y, z)), MICROSECOND * stamp)
 
 
-def along_axes(names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]) -> list[DerivedField]:
-    """A vector of the local frame as east, north and up."""
+def local_vector_fields(
+    names: tuple[str, str, str], unit: str, north_east_down: tuple[str, str, str]
+) -> list[DerivedField]:
+    """The fields of a vector of PX4's local frame as east, north and up."""
     north, east, down = north_east_down
-    sources = ((east, same), (north, same), (down, opposite))
+    sources = ((east, identity), (north, identity), (down, negative))
     return [DerivedField(name, unit, (field,), of) for name, (field, of) in zip(names, sources, strict=True)]
 
 
-def about_body(forward_right_down: tuple[str, str, str]) -> list[DerivedField]:
-    """A rate about forward, right and down as p, q and r about forward, left and up."""
-    sources = zip("pqr", forward_right_down, (same, opposite, opposite), strict=True)
+def body_rate_fields(forward_right_down: tuple[str, str, str]) -> list[DerivedField]:
+    """The fields of a rate about forward, right and down as p, q and r about forward, left and up."""
+    sources = zip("pqr", forward_right_down, (identity, negative, negative), strict=True)
     return [DerivedField(name, "rad/s", (field,), of) for name, field, of in sources]
 
 
-def attitude(quaternion: str) -> list[DerivedField]:
-    """Euler angles of a quaternion."""
+def attitude_fields(quaternion: str) -> list[DerivedField]:
+    """The fields of a quaternion as Euler angles, and psi'."""
     needs = tuple(f"{quaternion}[{i}]" for i in range(4))
     angles = (("phi", roll_of), ("theta", pitch_of), ("psi", yaw_of))
     fields = [DerivedField(name, "rad", needs, of) for name, of in angles]
-    return [*fields, DerivedField("psi_dot", "rad/s", (*needs, "timestamp"), turning_of)]
+    return [*fields, DerivedField("psi_dot", "rad/s", (*needs, "timestamp"), yaw_rate_of)]
 
 
 def components(name: str) -> tuple[str, str, str]:
@@ -106,26 +108,26 @@ PLACE = ("east", "north", "up")
 SPEED = ("v_east", "v_north", "v_up")
 DERIVED = {
     "vehicle_local_position": (
-        *along_axes(PLACE, "m", ("x", "y", "z")),
-        *along_axes(SPEED, "m/s", ("vx", "vy", "vz")),
+        *local_vector_fields(PLACE, "m", ("x", "y", "z")),
+        *local_vector_fields(SPEED, "m/s", ("vx", "vy", "vz")),
         DerivedField("psi", "rad", ("heading",), yaw_of_heading),
     ),
     "vehicle_local_position_setpoint": (
-        *along_axes(PLACE, "m", ("x", "y", "z")),
-        *along_axes(SPEED, "m/s", ("vx", "vy", "vz")),
+        *local_vector_fields(PLACE, "m", ("x", "y", "z")),
+        *local_vector_fields(SPEED, "m/s", ("vx", "vy", "vz")),
         DerivedField("psi", "rad", ("yaw",), yaw_of_heading),
-        DerivedField("psi_dot", "rad/s", ("yawspeed",), opposite),
+        DerivedField("psi_dot", "rad/s", ("yawspeed",), negative),
     ),
     "trajectory_setpoint": (
-        *along_axes(PLACE, "m", components("position")),
-        *along_axes(SPEED, "m/s", components("velocity")),
+        *local_vector_fields(PLACE, "m", components("position")),
+        *local_vector_fields(SPEED, "m/s", components("velocity")),
         DerivedField("psi", "rad", ("yaw",), yaw_of_heading),
-        DerivedField("psi_dot", "rad/s", ("yawspeed",), opposite),
+        DerivedField("psi_dot", "rad/s", ("yawspeed",), negative),
     ),
-    "vehicle_attitude": tuple(attitude("q")),
-    "vehicle_attitude_setpoint": tuple(attitude("q_d")),
-    "vehicle_angular_velocity": tuple(about_body(components("xyz"))),
-    "vehicle_rates_setpoint": tuple(about_body(("roll", "pitch", "yaw"))),
+    "vehicle_attitude": tuple(attitude_fields("q")),
+    "vehicle_attitude_setpoint": tuple(attitude_fields("q_d")),
+    "vehicle_angular_velocity": tuple(body_rate_fields(components("xyz"))),
+    "vehicle_rates_setpoint": tuple(body_rate_fields(("roll", "pitch", "yaw"))),
 }
 """What each topic has in the model's axes, where it has the fields that this follows from."""
 GROUND_TRUTH = "_groundtruth"
@@ -134,11 +136,11 @@ GROUND_TRUTH = "_groundtruth"
 
 def derived_fields(topic: str, columns: Fields) -> dict[str, DerivedField]:
     """The fields in the model's axes of a topic with given fields, by name; a field of its own goes first."""
-    found = {}
+    derived = {}
     for field in DERIVED.get(topic.removesuffix(GROUND_TRUTH), ()):
         if field.name not in columns and all(name in columns for name in field.needs):
-            found[field.name] = field
-    return found
+            derived[field.name] = field
+    return derived
 
 
 def field_values(topic: str, columns: Fields, name: str) -> np.ndarray | None:

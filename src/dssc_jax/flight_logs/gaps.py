@@ -32,40 +32,40 @@ class Gap(NamedTuple):
 
 
 def gaps_of(column: Column, begin: float, end: float) -> list[tuple[float, float]]:
-    """Spans between two times in which a signal that has a rate lacks messages [s], and its value changes."""
-    inside = (column.time >= begin) & (column.time <= end)
-    time, value = column.time[inside], column.value[inside]
+    """Find spans between two times [s] in which a signal with a rate lacks messages while its value changes."""
+    is_selected = (column.time >= begin) & (column.time <= end)
+    time, value = column.time[is_selected], column.value[is_selected]
     steps = np.diff(time)
     steps = steps[steps > 0.0]
     if not steps.size:
         return []
-    usual = float(np.median(steps))
-    if np.quantile(steps, 0.9, method="lower") > REGULAR * usual:
+    usual_step = float(np.median(steps))
+    if np.quantile(steps, 0.9, method="lower") > REGULAR * usual_step:
         return []
     bounds = np.concatenate([[begin], time, [end]])
-    places = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual)
-    least = UNCHANGED * np.ptp(value)
-    found: list[tuple[float, float]] = []
-    for place in places.tolist():
-        around = value[max(place - BESIDE, 0) : place + BESIDE]
-        within = 0 < place < len(time)  # beyond the messages the change is not known
-        if not within or not np.ptp(around) <= least:
-            found.append((float(bounds[place]), float(bounds[place + 1])))
-    return found
+    rows = np.flatnonzero(np.diff(bounds) > (MISSING + 0.5) * usual_step)
+    least_change = UNCHANGED * np.ptp(value)
+    spans: list[tuple[float, float]] = []
+    for row in rows.tolist():
+        nearby_values = value[max(row - BESIDE, 0) : row + BESIDE]
+        is_inside = 0 < row < len(time)  # beyond the messages the change is not known
+        if not is_inside or not np.ptp(nearby_values) <= least_change:
+            spans.append((float(bounds[row]), float(bounds[row + 1])))
+    return spans
 
 
 def log_gaps(log: FlightLog, signals: Iterable[str], end: float) -> tuple[Gap, ...]:
-    """The gaps of signals from the study's beginning to a time of the log [s]; those that overlap are one."""
-    found: list[Gap] = []
+    """Find the gaps of signals from the study's beginning to a time of the log [s]; overlapping gaps are merged."""
+    gaps: list[Gap] = []
     spans = ((span, name) for name in signals for span in gaps_of(log.columns[name], log.start, end))
     for (begin, stop), name in sorted(spans):
-        latest = found[-1] if found else None
+        latest = gaps[-1] if gaps else None
         if latest is not None and begin < latest.end:
             names = latest.signals if name in latest.signals else (*latest.signals, name)
-            found[-1] = Gap(latest.begin, max(latest.end, stop), names)
+            gaps[-1] = Gap(latest.begin, max(latest.end, stop), names)
         else:
-            found.append(Gap(begin, stop, (name,)))
-    return tuple(found)
+            gaps.append(Gap(begin, stop, (name,)))
+    return tuple(gaps)
 
 
 def gap_text(log: FlightLog, gaps: tuple[Gap, ...], sample_time: float) -> str:

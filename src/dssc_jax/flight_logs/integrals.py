@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_of
+from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_unit_of
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
 
@@ -32,29 +32,29 @@ TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standar
 
 
 class Factor(NamedTuple):
-    """What an output changes by, over the integral of its derivative, with the standard deviation."""
+    """The change of an output over the integral of its derivative, with the standard deviation."""
 
     value: float
     deviation: float
 
     @property
     def differs(self) -> bool:
-        """Whether it is not 1, for sure."""
+        """Whether it certainly differs from 1."""
         distance = abs(self.value - 1.0)
-        known = self.deviation < ACCURATE * abs(self.value)
-        return known and distance > max(LEAST_DIFFERENCE, DEVIATIONS * self.deviation)
+        is_accurate = self.deviation < ACCURATE * abs(self.value)
+        return is_accurate and distance > max(LEAST_DIFFERENCE, DEVIATIONS * self.deviation)
 
 
 def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Factor | None:
-    """The factor of an output over the integral of its rate, between two times of the log [s].
+    """Estimate the factor of an output over the integral of its rate, between two times of the log [s].
 
     None if too few values, too rare ones, or noise leave it open.
     """
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return None
-    inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
-    time, value = output.time[inside], output.value[inside]
+    is_inside = (output.time >= slope.time[0]) & (output.time <= slope.time[-1])
+    time, value = output.time[is_inside], output.value[is_inside]
     if len(time) < LEAST_VALUES:
         return None
     sizes = float(np.abs(value).max()), float(np.abs(slope.value).max())
@@ -85,7 +85,7 @@ def integral_factor(y: Column, y_dot: Column, begin: float, end: float) -> Facto
 
 def are_exchanged(y: Column, y_dot: Column, begin: float, end: float) -> bool:
     """Whether a derivative is the integral of its output, between two times of the log [s], and not the reverse."""
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return False
     return likeness_to_integral(slope, output) > INTEGRAL and likeness_to_integral(output, slope) < NO_INTEGRAL
@@ -106,10 +106,10 @@ def likeness_to_integral(output: Column, rate: Column) -> float:
     return float(parts[:, 0] @ parts[:, 1]) / size if size > 0.0 else 0.0
 
 
-def between(column: Column, begin: float, end: float) -> Column:
-    """The values between two times, the first of several at one time."""
-    inside = np.flatnonzero((column.time >= begin) & (column.time <= end))
-    rows = inside[np.diff(column.time[inside], prepend=-np.inf) > 0.0]
+def values_between(column: Column, begin: float, end: float) -> Column:
+    """Select the values between two times; of several at one time, the first."""
+    selected_rows = np.flatnonzero((column.time >= begin) & (column.time <= end))
+    rows = selected_rows[np.diff(column.time[selected_rows], prepend=-np.inf) > 0.0]
     return Column(column.time[rows], column.value[rows])
 
 
@@ -121,27 +121,27 @@ class Jump(NamedTuple):
 
 
 def jumps_beside(y: Column, y_dot: Column, begin: float, end: float) -> list[Jump]:
-    """The jumps of an output between two times of the log [s]; none where there are more than a few, or too few values.
+    """Find the jumps of an output between two times of the log [s]; none where there are many, or too few values.
 
     A jump is far larger than what the output usually changes by beside the integral of its rate, and than what the
     largest rate gives within the same time; and it lasts, which an outlier does not.
     """
-    output, slope = between(y, begin, end), between(y_dot, begin, end)
+    output, slope = values_between(y, begin, end), values_between(y_dot, begin, end)
     if min(len(output.time), len(slope.time)) < LEAST_VALUES:
         return []
     rate = np.interp(output.time, slope.time, slope.value)
     gaps = np.diff(output.time)
     changes = np.diff(output.value) - 0.5 * gaps * (rate[1:] + rate[:-1])
-    beside = np.concatenate([[0.0], np.cumsum(changes)])
-    means = np.convolve(beside, np.full(NEIGHBOURS, 1.0 / NEIGHBOURS), "valid")
-    lasting = np.zeros(len(changes))
-    lasting[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
-    least = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
-    is_jump = (np.abs(changes) > least) & (np.abs(lasting) > LASTING * usual_size(lasting))
-    rows = np.flatnonzero(is_jump & (np.abs(lasting - changes) < 0.5 * np.abs(changes)))
+    excess = np.concatenate([[0.0], np.cumsum(changes)])
+    means = np.convolve(excess, np.full(NEIGHBOURS, 1.0 / NEIGHBOURS), "valid")
+    lasting_changes = np.zeros(len(changes))
+    lasting_changes[NEIGHBOURS - 1 : len(changes) - NEIGHBOURS + 1] = means[NEIGHBOURS:] - means[:-NEIGHBOURS]
+    least_change = np.maximum(JUMP * usual_size(changes), 2.0 * gaps * np.abs(slope.value).max())
+    is_jump = (np.abs(changes) > least_change) & (np.abs(lasting_changes) > LASTING * usual_size(lasting_changes))
+    rows = np.flatnonzero(is_jump & (np.abs(lasting_changes - changes) < 0.5 * np.abs(changes)))
     if len(rows) > MOST_JUMPS:
         return []
-    return [Jump(float(output.time[row + 1]), float(lasting[row])) for row in rows]
+    return [Jump(float(output.time[row + 1]), float(lasting_changes[row])) for row in rows]
 
 
 def usual_size(values: np.ndarray) -> float:
@@ -150,7 +150,7 @@ def usual_size(values: np.ndarray) -> float:
 
 
 class IntegralHints(NamedTuple):
-    """Signals that contradict each other, with the words for it.
+    """Hints about signals that contradict each other, by signal.
 
     Args:
         units: One of them is in another unit, or has the opposite sign.
@@ -163,77 +163,78 @@ class IntegralHints(NamedTuple):
     jumps: dict[str, str]
 
 
-def are_copies(one: Column | None, another: Column | None) -> bool:
+def are_copies(first: Column | None, second: Column | None) -> bool:
     """Whether two columns that are logged, and that move, hold the same numbers."""
-    if one is None or another is None:
+    if first is None or second is None:
         return False
-    known = one.value[np.isfinite(one.value)]
-    return known.size > 1 and bool(np.ptp(known) > 0.0) and np.array_equal(one.value, another.value, equal_nan=True)
+    finite_values = first.value[np.isfinite(first.value)]
+    is_moving = finite_values.size > 1 and bool(np.ptp(finite_values) > 0.0)
+    return is_moving and np.array_equal(first.value, second.value, equal_nan=True)
 
 
 def is_still(column: Column) -> bool:
     """Whether a column holds one number."""
-    known = column.value[np.isfinite(column.value)]
-    return known.size > 0 and float(known.min()) == float(known.max())
+    finite_values = column.value[np.isfinite(column.value)]
+    return finite_values.size > 0 and float(finite_values.min()) == float(finite_values.max())
 
 
 def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
-    """The outputs that are copies of their references, or not the integrals of their logged derivatives.
+    """Hints about outputs that are copies of their references, or not the integrals of their logged derivatives.
 
     Of the integrals, angles are left out, which are logged in one turn, and logs with jumps of an estimator.
     """
-    found = IntegralHints({}, {}, {})
+    hints = IntegralHints({}, {}, {})
     loop = study.loop
     for channel in loop.channels:
         for quantity in ("y", "y_dot"):
             name, reference = signal_name(channel, quantity), signal_name(channel, quantity.replace("y", "y_ref"))
             if are_copies(log.columns.get(name), log.columns.get(reference)):
-                found.units[name] = f"is a copy of {reference}, number by number"
+                hints.units[name] = f"is a copy of {reference}, number by number"
     end = log.start + loop.sample_time * (loop.steps - 1)
-    if any(log.start < reset.time <= end and not reset.is_taken_out for reset in log.resets):
-        return found
+    if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
+        return hints
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
         if {y, rate} <= set(log.columns) and is_still(log.columns[rate]) and not is_still(log.columns[y]):
-            found.factors[rate] = f"does not change while {y} does: its column holds something else"
-        if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(found.units):
+            hints.factors[rate] = f"does not change while {y} does: its column holds something else"
+        if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(hints.units):
             continue
         factor = integral_factor(log.columns[y], log.columns[rate], log.start, end)
-        opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
-        if not opposite and are_exchanged(log.columns[y], log.columns[rate], log.start, end):
-            found.units[y] = f"looks exchanged with {rate}, which is its integral"
+        is_opposite = factor is not None and abs(factor.value + 1.0) < SAME_FACTOR  # as an exchange of a slow sine is
+        if not is_opposite and are_exchanged(log.columns[y], log.columns[rate], log.start, end):
+            hints.units[y] = f"looks exchanged with {rate}, which is its integral"
             continue
         jumps = jumps_beside(log.columns[y], log.columns[rate], log.start, end)
         if jumps:
             times = ", ".join(f"by {jump.size:.3g} {unit.output} at {jump.time:.4g} s" for jump in jumps)
-            found.jumps[y] = (
+            hints.jumps[y] = (
                 f"jumps {times} of the log, and {rate} has no such peak: a reset of the estimator that the log does "
                 "not count, or two flights in one log. Take the part before or after"
             )
             continue
         if factor is None or not factor.differs:
             continue
-        said = unit_text(factor.value, unit.output)
+        multiple = unit_text(factor.value, unit.output)
         inverse = unit_text(1.0 / factor.value, unit.output)
         if inverse and abs(factor.value) < 1.0:
-            found.units[rate] = f"is the derivative of {y} {inverse}"
-        elif said:
-            found.units[y] = f"is the integral of {rate} {said}"
+            hints.units[rate] = f"is the derivative of {y} {inverse}"
+        elif multiple:
+            hints.units[y] = f"is the integral of {rate} {multiple}"
         else:
-            fast = abs(factor.value) < 1.0
-            clock = f"{1.0 / factor.value:.4g} times too fast" if fast else f"{factor.value:.4g} times too slow"
-            found.factors[y] = (
+            is_fast = abs(factor.value) < 1.0
+            clock = f"{1.0 / factor.value:.4g} times too fast" if is_fast else f"{factor.value:.4g} times too slow"
+            hints.factors[y] = (
                 f"changes by {factor.value:.4g} ± {factor.deviation:.2g} times the integral of {rate}: the log's clock "
                 f"is {clock}, or one of both is in another unit or of another place. Compare the times with those of "
                 "another clock, and scale the times or the column"
             )
-    return found
+    return hints
 
 
 def unit_text(factor: float, unit: str) -> str:
     """The unit or sign that a factor means, in words; empty if it is none of these."""
     for conversion in RATE_CONVERSIONS:
-        usable = conversion.unit not in ONLY_WITH_UNIT or is_of(unit, conversion.unit)
-        if usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
+        is_usable = conversion.unit not in ONLY_WITH_UNIT or is_unit_of(unit, conversion.unit)
+        if is_usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
             return conversion.text(unit)
     return ""

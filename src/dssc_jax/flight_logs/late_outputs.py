@@ -34,21 +34,21 @@ ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform
 SIGNIFICANCE = 1e-4
 LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
 EXPLAINED = 0.97  # of the residual without a shift: what is left of one that a shift explains
-MOST_LEFT = 0.7  # of the sum of squares that a shift may leave to be told without a fit
+MOST_REMAINING = 0.7  # of the sum of squares that a shift may leave to be told without a fit
 
 
 class ScreenedShift(NamedTuple):
-    """The shift that leaves least where the prediction is linear in the numbers.
+    """The shift with the least residual, if the prediction is linear in the numbers.
 
     Args:
         channels: Positions of the channels that are shifted.
         shift: By how many samples they are later; 0: none is better.
-        left: Share of the weighted sum of squares that is left.
+        remaining_share: Share of the weighted sum of squares that is left.
     """
 
     channels: tuple[int, ...]
     shift: int
-    left: float
+    remaining_share: float
 
 
 class LateOutput(NamedTuple):
@@ -75,14 +75,15 @@ class LateOutput(NamedTuple):
     shifted: tuple[float, ...]
 
     def matters(self, sample_time: float) -> bool:
-        """Whether the outputs are at other times for sure, and the estimates depend on it."""
-        moved = max(map(abs, self.moves.values())) > LARGE_MOVE
-        return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and moved
+        """Whether the outputs are certainly at other times, and the estimates depend on it."""
+        is_large_move = max(map(abs, self.moves.values())) > LARGE_MOVE
+        return self.p_value < SIGNIFICANCE and abs(self.delay) >= LEAST_SHIFT * sample_time and is_large_move
 
     @property
     def explains(self) -> bool:
-        """Whether the residual of any of them falls clearly."""
-        return any(late < EXPLAINED * early for early, late in zip(self.unshifted, self.shifted, strict=True))
+        """Whether the shift clearly lowers the residual of any of the channels."""
+        pairs = zip(self.unshifted, self.shifted, strict=True)
+        return any(shifted < EXPLAINED * unshifted for unshifted, shifted in pairs)
 
 
 class ShiftedProblems:
@@ -104,7 +105,7 @@ class ShiftedProblems:
         for row in set(range(len(self.outputs))) - {readings.channel for readings in problem.readings}:
             self.outputs[row] = np.nan
 
-    def sufficient(self) -> bool:
+    def has_enough_readings(self) -> bool:
         """Whether every channel keeps enough readings."""
         counts = np.isfinite(self.outputs).sum(axis=1)
         return all(counts[readings.channel] >= LEAST_SAMPLES for readings in self.problem.readings)
@@ -120,7 +121,7 @@ class ShiftedProblems:
 
 
 def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
-    """The shift of outputs that the residual at a minimum asks for.
+    """The shift of outputs that lowers the residual at a minimum most.
 
     Args:
         problem: The problem, with the noise of the minimum.
@@ -132,7 +133,7 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     sample_time = problem.study.loop.sample_time
     margin = longest_shift(problem)
     shifts = ShiftedProblems(problem, margin)
-    if margin < 1 or not shifts.sufficient():
+    if margin < 1 or not shifts.has_enough_readings():
         return None
     unshifted_end = minimise(shifts.at((), 0), minimum.x)
     channels, shift, _ = screened_shift(shifts, unshifted_end.x, margin)
@@ -141,23 +142,25 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     shift, end = climbed_shift(shifts, unshifted_end, unshifted_end, channels, shift, margin)
     if shift == 0 or not end.cost < unshifted_end.cost:
         return None
-    late = shifts.at(channels, shift)
-    end = reweighted_minimum(late, end)
-    shifts.noises, shifts.variances = late.noises, late.variances
+    shifted_problem = shifts.at(channels, shift)
+    end = reweighted_minimum(shifted_problem, end)
+    shifts.noises, shifts.variances = shifted_problem.noises, shifted_problem.variances
     shift, end = climbed_shift(shifts, end, minimise(shifts.at((), 0), unshifted_end.x), channels, shift, margin)
     if shift == 0:
         return None
-    late = shifts.at(channels, shift)
-    end = reweighted_minimum(late, end)
-    null = shifts.at((), 0)
-    unshifted_end = reweighted_minimum(null, unshifted_end)
-    gain = 2.0 * (log_likelihood(late, end.x) - log_likelihood(null, unshifted_end.x))
+    shifted_problem = shifts.at(channels, shift)
+    end = reweighted_minimum(shifted_problem, end)
+    unshifted_problem = shifts.at((), 0)
+    unshifted_end = reweighted_minimum(unshifted_problem, unshifted_end)
+    gain = 2.0 * (log_likelihood(shifted_problem, end.x) - log_likelihood(unshifted_problem, unshifted_end.x))
     p_value = float(stats.chi2.sf(max(gain, 0.0), 1))
     distance, deviation = refinement(shifts, end, channels, shift, margin)
     delay = sample_time * (shift + distance)
     deviations = np.sqrt(np.diag(np.linalg.pinv(unshifted_end.equations.information)))
-    moves = dict(zip(problem.names, ((end.x - unshifted_end.x) / np.maximum(deviations, TINY)).tolist(), strict=True))
-    unshifted, shifted = (residuals(part, channels, x) for part, x in ((null, unshifted_end.x), (late, end.x)))
+    relative_moves = (end.x - unshifted_end.x) / np.maximum(deviations, TINY)
+    moves = dict(zip(problem.names, relative_moves.tolist(), strict=True))
+    unshifted = residuals(unshifted_problem, channels, unshifted_end.x)
+    shifted = residuals(shifted_problem, channels, end.x)
     return LateOutput(
         channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), unshifted, shifted
     )
@@ -170,7 +173,7 @@ def longest_shift(problem: FitProblem) -> int:
 
 
 def screened_shift(shifts: ShiftedProblems, x: np.ndarray, margin: int, white: bool = False) -> ScreenedShift:
-    """The channels and the shift that leave least where the prediction is linear in the numbers, by one simulation.
+    """Find the channels and the shift with the least residual, by one simulation and its linearisation.
 
     Args:
         shifts: The problems.
@@ -180,47 +183,48 @@ def screened_shift(shifts: ShiftedProblems, x: np.ndarray, margin: int, white: b
             reason.
     """
     plain = shifts.at((), 0)
-    known = plain.predict(plain.values(x), plain.log.commands)
+    prediction = plain.predict(plain.values(x), plain.log.commands)
     channels = tuple(readings.channel for readings in plain.readings)
-    sizes = [float(np.mean(c[:, 0] ** 2)) + TINY for c in replace_prediction(shifts.at((), 0), known).columns(x)]
+    unshifted_columns = replace_prediction(shifts.at((), 0), prediction).columns(x)
+    mean_squares = [float(np.mean(columns[:, 0] ** 2)) + TINY for columns in unshifted_columns]
     products = []  # by channel and shift
     for shift in range(-margin, margin + 1):
-        moved = replace_prediction(shifts.at(channels, shift), known)
-        columns = moved.columns(x)
+        shifted_problem = replace_prediction(shifts.at(channels, shift), prediction)
+        columns = shifted_problem.columns(x)
         if white:
-            products.append([c.T @ c / size for c, size in zip(columns, sizes, strict=True)])
+            products.append([c.T @ c / mean_square for c, mean_square in zip(columns, mean_squares, strict=True)])
             continue
-        rows = zip(moved.readings, moved.noises, moved.variances, columns, strict=True)
+        rows = zip(shifted_problem.readings, shifted_problem.noises, shifted_problem.variances, columns, strict=True)
         products.append([weighted_products(noise, part.times, c)[0] / variance for part, noise, variance, c in rows])
     table = np.array(products)  # shifts, channels, 1 + p, 1 + p
     if not np.isfinite(table).all():
         return ScreenedShift((), 0, 1.0)
     best = ((), 0)
-    unshifted = linear_cost(table[margin].sum(axis=0))
-    least = unshifted
-    for choice in choices_of(channels):
-        chosen = np.isin(channels, choice)
-        for place, shift in enumerate(range(-margin, margin + 1)):
-            cost = linear_cost(table[place, chosen].sum(axis=0) + table[margin, ~chosen].sum(axis=0))
-            if cost < least:
-                least = cost
-                best = (choice, shift)
-    return ScreenedShift(*best, least / max(unshifted, TINY))
+    unshifted_cost = linear_cost(table[margin].sum(axis=0))
+    least_cost = unshifted_cost
+    for shifted_channels in choices_of(channels):
+        is_shifted = np.isin(channels, shifted_channels)
+        for row, shift in enumerate(range(-margin, margin + 1)):
+            cost = linear_cost(table[row, is_shifted].sum(axis=0) + table[margin, ~is_shifted].sum(axis=0))
+            if cost < least_cost:
+                least_cost = cost
+                best = (shifted_channels, shift)
+    return ScreenedShift(*best, least_cost / max(unshifted_cost, TINY))
 
 
 def choices_of(channels: tuple[int, ...]) -> list[tuple[int, ...]]:
     """The channels that are shifted together: all, all but one, and each alone."""
     choices = [channels]
     if len(channels) > 2:
-        choices += [tuple(kept for kept in channels if kept != channel) for channel in channels]
+        choices += [tuple(other for other in channels if other != channel) for channel in channels]
     if len(channels) > 1:
         choices += [(channel,) for channel in channels]
     return choices
 
 
-def replace_prediction(problem: FitProblem, known: tuple[np.ndarray, np.ndarray]) -> FitProblem:
-    """The problem with a prediction that is known, for any numbers."""
-    problem.predict = lambda values, commands: known
+def replace_prediction(problem: FitProblem, prediction: tuple[np.ndarray, np.ndarray]) -> FitProblem:
+    """Replace the prediction of a problem by one result, whatever the numbers; returns the problem."""
+    problem.predict = lambda values, commands: prediction
     return problem
 
 
@@ -233,7 +237,7 @@ def linear_cost(products: np.ndarray) -> float:
 def climbed_shift(
     shifts: ShiftedProblems, start: Minimum, unshifted_end: Minimum, channels: Sequence[int], shift: int, margin: int
 ) -> tuple[int, Minimum]:
-    """The shift next to which none leaves less, from a first one on, and the end of the fit there.
+    """Climb from a shift to one whose neighbours fit no better, and return it with the end of its fit.
 
     Args:
         shifts: The problems.
@@ -245,12 +249,12 @@ def climbed_shift(
     """
     ends = {0: unshifted_end}
 
-    def cost(place: int) -> float:
-        if abs(place) > margin:
+    def cost(candidate: int) -> float:
+        if abs(candidate) > margin:
             return math.inf
-        if place not in ends:
-            ends[place] = minimise(shifts.at(channels, place), start.x)
-        return ends[place].cost
+        if candidate not in ends:
+            ends[candidate] = minimise(shifts.at(channels, candidate), start.x)
+        return ends[candidate].cost
 
     while True:
         better = min((shift, shift - 1, shift + 1), key=cost)
@@ -272,7 +276,7 @@ def log_likelihood(problem: FitProblem, x: np.ndarray) -> float:
 def refinement(
     shifts: ShiftedProblems, end: Minimum, channels: Sequence[int], shift: int, margin: int
 ) -> tuple[float, float]:
-    """The distance of the best shift from a whole one, by a parabola through three fits, and its deviation, in samples.
+    """The best shift less the whole one, by a parabola through three fits, and its standard deviation, in samples.
 
     Commands and outputs count at the nearest sample, so the deviation has that of a uniform error of one sample, too.
     It is infinite where the fits are on no parabola with a minimum.
@@ -293,55 +297,57 @@ def residuals(problem: FitProblem, channels: Sequence[int], x: np.ndarray) -> tu
 
 
 def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
-    """That logged outputs are later or earlier than the study predicts, with the remedy.
+    """The doubt about outputs that are later or earlier than the study predicts, with the remedy.
 
     The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
     """
     study = problem.study
     if problem.count.reason:
         return screened_doubts(problem, minimum)
-    found = late_output(problem, minimum)
-    if found is None or not found.matters(study.loop.sample_time) or not found.explains:
+    lateness = late_output(problem, minimum)
+    if lateness is None or not lateness.matters(study.loop.sample_time) or not lateness.explains:
         return ()
-    names = [signal_name(study.loop.channels[channel], "y") for channel in found.channels]
+    names = [signal_name(study.loop.channels[channel], "y") for channel in lateness.channels]
     sizes = []
-    for name, channel, unshifted, shifted in zip(names, found.channels, found.unshifted, found.shifted, strict=True):
+    for name, channel, unshifted, shifted in zip(
+        names, lateness.channels, lateness.unshifted, lateness.shifted, strict=True
+    ):
         sizes.append(f"that of {name} from {unshifted:.3g} to {shifted:.3g} {study.units[channel].output} rms")
-    side = "later" if found.delay > 0.0 else "earlier"
-    number = max(found.moves, key=lambda name: abs(found.moves[name]))
+    side = "later" if lateness.delay > 0.0 else "earlier"
+    number = max(lateness.moves, key=lambda name: abs(lateness.moves[name]))
     estimate = problem.named_values(minimum.x)[number]
-    late = (
+    remedy = (
         "Log the time of the measurement, not that of its arrival (`timestamp_sample` of PX4), or give the study the "
         "delay that the vehicle has (unmodelled, actuator)"
-        if found.delay > 0.0
+        if lateness.delay > 0.0
         else "Log the time of the command at which the vehicle gets it, and look for a delay in the study that the "
         "vehicle does not have"
     )
-    margin_text = f" ± {found.deviation:.2g}" if math.isfinite(found.deviation) else ""
+    margin_text = f" ± {lateness.deviation:.2g}" if math.isfinite(lateness.deviation) else ""
     verb = "are" if len(names) > 1 else "is"
     text = (
-        f"{', '.join(names)} {verb} {abs(found.delay):.3g}{margin_text} s {side} than the study predicts "
-        f"(p = {found.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
-        f"{found.values[number]:.4g} in place of {estimate:.4g}. {late}"
+        f"{', '.join(names)} {verb} {abs(lateness.delay):.3g}{margin_text} s {side} than the study predicts "
+        f"(p = {lateness.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
+        f"{lateness.values[number]:.4g} in place of {estimate:.4g}. {remedy}"
     )
     return tuple(Doubt(name, text) for name in names[:1])
 
 
 def screened_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
-    """That a shift leaves far less near the best numbers of a search that has ended early."""
+    """The doubt about a search that has ended early, if a shift leaves a far smaller residual near its best numbers."""
     margin = longest_shift(problem)
     shifts = ShiftedProblems(problem, margin)
-    if margin < 1 or not shifts.sufficient():
+    if margin < 1 or not shifts.has_enough_readings():
         return ()
-    channels, shift, left = screened_shift(shifts, minimum.x, margin, white=True)
-    if shift == 0 or left > MOST_LEFT:
+    channels, shift, remaining_share = screened_shift(shifts, minimum.x, margin, white=True)
+    if shift == 0 or remaining_share > MOST_REMAINING:
         return ()
     names = [signal_name(problem.study.loop.channels[channel], "y") for channel in channels]
     delay = abs(shift) * problem.study.loop.sample_time
     side = "earlier" if shift > 0 else "later"
     text = (
-        f"with {', '.join(names)} {delay:.3g} s {side}, {100 * left:.2g} % of the sum of squares would be left: they "
-        "seem to be logged at other times than the study predicts, and the search has ended too early to tell by how "
-        "much and what the numbers are without it. Compare the stamps of the log's topics"
+        f"with {', '.join(names)} {delay:.3g} s {side}, {100 * remaining_share:.2g} % of the sum of squares would be "
+        "left: they seem to be logged at other times than the study predicts, and the search has ended too early to "
+        "tell by how much and what the numbers are without it. Compare the stamps of the log's topics"
     )
     return tuple(Doubt(name, text) for name in names[:1])

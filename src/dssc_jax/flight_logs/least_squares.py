@@ -76,19 +76,19 @@ class Readings(NamedTuple):
     @classmethod
     def of(cls, log: SampledLog, channel: int, sample_time: float) -> "Readings":
         """The readings of a channel."""
-        known = np.flatnonzero(np.isfinite(log.outputs[channel]))
-        values = log.outputs[channel, known]
-        place = known + log.offsets[channel, known]
-        first = np.clip(np.floor(place).astype(int) - 1, 0, max(log.outputs.shape[1] - 4, 0))
+        finite_rows = np.flatnonzero(np.isfinite(log.outputs[channel]))
+        values = log.outputs[channel, finite_rows]
+        position = finite_rows + log.offsets[channel, finite_rows]
+        first = np.clip(np.floor(position).astype(int) - 1, 0, max(log.outputs.shape[1] - 4, 0))
         nodes = first[:, None] + np.arange(4)
-        weights = np.ones((len(known), 4))
+        weights = np.ones((len(finite_rows), 4))
         for i in range(4):
             for j in range(4):
                 if i != j:
-                    weights[:, i] *= (place - nodes[:, j]) / (i - j)
-        size = max(float(np.abs(values).max(initial=0.0)), TINY)
+                    weights[:, i] *= (position - nodes[:, j]) / (i - j)
+        largest = max(float(np.abs(values).max(initial=0.0)), TINY)
         sensor = log.sensor_noise[channel] ** 2
-        return cls(channel, sample_time * place, values, nodes, weights, (LEAST_NOISE * size) ** 2, sensor)
+        return cls(channel, sample_time * position, values, nodes, weights, (LEAST_NOISE * largest) ** 2, sensor)
 
     def interpolate(self, sampled: np.ndarray) -> np.ndarray:
         """Values at the times of the readings, shape (..., n), of a signal of shape (..., samples)."""
@@ -161,17 +161,17 @@ class FitProblem:
     def normal_equations(self, x: np.ndarray, commands: np.ndarray | None = None) -> NormalEquations:
         """The normal equations at coordinates; infinite cost where the simulated output diverges."""
         self.count.add()
-        size = len(self.names)
-        products = np.zeros((1 + size, 1 + size))
+        count = len(self.names)
+        products = np.zeros((1 + count, 1 + count))
         for readings, noise, variance, columns in zip(
             self.readings, self.noises, self.variances, self.columns(x, commands), strict=True
         ):
             if not np.isfinite(columns).all():
-                return NormalEquations(math.inf, np.zeros(size), np.eye(size))
+                return NormalEquations(math.inf, np.zeros(count), np.eye(count))
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # squares of what diverges
                 products += weighted_products(noise, readings.times, columns)[0] / variance
         if not np.isfinite(products).all():
-            return NormalEquations(math.inf, np.zeros(size), np.eye(size))
+            return NormalEquations(math.inf, np.zeros(count), np.eye(count))
         return NormalEquations(float(products[0, 0]), products[1:, 0], products[1:, 1:])
 
     def noise_searches(self, x: np.ndarray) -> list[NoiseSearch]:
@@ -181,9 +181,9 @@ class FitProblem:
 
     def reweight(self, x: np.ndarray) -> None:
         """Replace the noises by the likeliest ones of the residual at coordinates."""
-        for place, search in enumerate(self.noise_searches(x)):
-            self.noises[place], noise_fit = search.likeliest()
-            self.variances[place] = noise_fit.variance
+        for row, search in enumerate(self.noise_searches(x)):
+            self.noises[row], noise_fit = search.likeliest()
+            self.variances[row] = noise_fit.variance
 
 
 class Minimum(NamedTuple):
@@ -220,11 +220,11 @@ def minimise(problem: FitProblem, x: np.ndarray, starts: int = 1, to_end: bool =
         if problem.is_admissible(problem.values(trial_x)):
             trial = problem.normal_equations(trial_x)
         if trial is not None and trial.cost <= equations.cost:
-            converged = largest < 1e-8 or equations.cost - trial.cost < 1e-12 * equations.cost
+            is_converged = largest < 1e-8 or equations.cost - trial.cost < 1e-12 * equations.cost
             x = trial_x
             equations = trial
             damping *= 0.1
-            if converged:
+            if is_converged:
                 break
         else:
             damping *= 10.0
@@ -246,10 +246,10 @@ def screened_points(problem: FitProblem) -> np.ndarray:
     points = candidate_points(problem)
     costs = np.full(len(points), np.inf)
     costs[0] = -np.inf
-    for place in range(1, len(points)):
+    for row in range(1, len(points)):
         if problem.count.reason:
             break
-        costs[place] = problem.normal_equations(points[place]).cost
+        costs[row] = problem.normal_equations(points[row]).cost
     return points[np.argsort(costs, kind="stable")]
 
 
@@ -258,9 +258,9 @@ def distinct_minima(ends: Sequence[Minimum]) -> list[Minimum]:
     minima: list[Minimum] = []
     finite = [end for end in ends if math.isfinite(end.cost)]
     for end in sorted(finite, key=lambda end: end.cost):
-        for place, known in enumerate(minima):
-            if np.abs(end.x - known.x).max() < SAME_MINIMUM:
-                minima[place] = known._replace(starts=known.starts + end.starts)
+        for index, minimum in enumerate(minima):
+            if np.abs(end.x - minimum.x).max() < SAME_MINIMUM:
+                minima[index] = minimum._replace(starts=minimum.starts + end.starts)
                 break
         else:
             minima.append(end)
@@ -281,13 +281,13 @@ class MinimumSearch(NamedTuple):
     rivals: list[Minimum]
     starts: int
 
-    def without(self, kept: Sequence[bool]) -> list[Minimum]:
-        """Its minima in the coordinates that are kept, as starts of another search."""
-        return [minimum._replace(x=minimum.x[np.array(kept)]) for minimum in (self.best, *self.rivals)]
+    def restricted_to(self, mask: Sequence[bool]) -> list[Minimum]:
+        """The minima in some of the coordinates, as starts of another search."""
+        return [minimum._replace(x=minimum.x[np.array(mask)]) for minimum in (self.best, *self.rivals)]
 
 
 def reweighted_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
-    """The minimum from another one on, by the noise of its own residual; the problem then has that noise."""
+    """Minimise from another minimum, weighted by the noise of the residual, which the problem then has."""
     starts = minimum.starts
     minimum = minimise(problem, minimum.x, starts, to_end=True)
     for _ in range(REWEIGHTINGS):
@@ -308,7 +308,7 @@ def random_rays(seed: int, shape: tuple[int, int], nearest: float, farthest: flo
 
 
 def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
-    """The best minimum to which points around one lead; the same one if none is better.
+    """The best minimum that the search finds from points around a minimum; the same one if none is better.
 
     Where limits of a sampled loop act, the residual has kinks and small jumps, and the search stops at one of them
     while better points are some standard deviations away.
@@ -317,14 +317,14 @@ def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
         values, directions = np.linalg.eigh(minimum.equations.information)
         lengths = np.minimum(1.0 / np.sqrt(np.maximum(values, TINY)), LARGEST_STEP / FARTHEST)
         rays = random_rays(2 * turn, (NEIGHBOURS, len(problem.names)), 0.0, FARTHEST)
-        found = []
+        points = []
         for x in minimum.x + (rays * lengths) @ directions.T:
             if problem.count.reason:
                 return minimum
             if problem.is_admissible(problem.values(x)):
-                found.append(Minimum(x, problem.normal_equations(x), minimum.starts))
-        found.sort(key=lambda point: point.cost)
-        ends = [minimise(problem, point.x, minimum.starts) for point in found[:RESTARTED]]
+                points.append(Minimum(x, problem.normal_equations(x), minimum.starts))
+        points.sort(key=lambda point: point.cost)
+        ends = [minimise(problem, point.x, minimum.starts) for point in points[:RESTARTED]]
         best = min([minimum, *ends], key=lambda end: end.cost)
         gain = minimum.cost - best.cost
         minimum = best
@@ -334,7 +334,7 @@ def neighbouring_minimum(problem: FitProblem, minimum: Minimum) -> Minimum:
 
 
 def searched_minima(problem: FitProblem) -> list[Minimum]:
-    """The ends of the search from the best of many points; those so far at a limit or an interrupt."""
+    """Search from the best of many points, and return the ends, or those so far at a limit or an interrupt."""
     ends: list[Minimum] = []
     try:
         points = screened_points(problem)
@@ -352,9 +352,9 @@ def searched_minima(problem: FitProblem) -> list[Minimum]:
     return ends
 
 
-def find_minima(problem: FitProblem, known: Sequence[Minimum] = ()) -> MinimumSearch | None:
-    """The minima of several starts, or from known ones on; None if no start has a finite output."""
-    ends = [minimise(problem, minimum.x, minimum.starts) for minimum in known] or searched_minima(problem)
+def find_minima(problem: FitProblem, starting_minima: Sequence[Minimum] = ()) -> MinimumSearch | None:
+    """Find the minima from several starts, or from given minima; None if no start has a finite output."""
+    ends = [minimise(problem, minimum.x, minimum.starts) for minimum in starting_minima] or searched_minima(problem)
     minima = distinct_minima(ends)
     for turn in range(MINIMUM_ROUNDS if minima else 0):
         best = reweighted_minimum(problem, minima[0])
@@ -368,19 +368,19 @@ def find_minima(problem: FitProblem, known: Sequence[Minimum] = ()) -> MinimumSe
 
 def averaged_covariance(problem: FitProblem, posteriors: Sequence[NoisePosterior]) -> np.ndarray:
     """Second moments of the coordinates about the estimate, over all noises that the residual allows; shape (p, p)."""
-    size = len(problem.names)
-    information = np.zeros((NOISE_DRAWS, size, size))
-    gradient = np.zeros((NOISE_DRAWS, size))
+    count = len(problem.names)
+    information = np.zeros((NOISE_DRAWS, count, count))
+    gradient = np.zeros((NOISE_DRAWS, count))
     random = np.random.default_rng(0)
     for posterior in posteriors:
         noise_fits = [candidate.fit for candidate in posterior.candidates]
         levels = np.cumsum([candidate.weight for candidate in posterior.candidates])
-        drawn = np.searchsorted(levels, (np.arange(NOISE_DRAWS) + 0.5) / NOISE_DRAWS * levels[-1])
-        drawn = random.permutation(np.minimum(drawn, len(levels) - 1))
-        information += np.array([fit.information for fit in noise_fits])[drawn]
-        gradient += np.array([fit.gradient for fit in noise_fits])[drawn]
+        candidate_indices = np.searchsorted(levels, (np.arange(NOISE_DRAWS) + 0.5) / NOISE_DRAWS * levels[-1])
+        candidate_indices = random.permutation(np.minimum(candidate_indices, len(levels) - 1))
+        information += np.array([fit.information for fit in noise_fits])[candidate_indices]
+        gradient += np.array([fit.gradient for fit in noise_fits])[candidate_indices]
     scale = np.sqrt(np.mean([np.diag(matrix) for matrix in information], axis=0))
-    scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(size)
+    scaled = information / np.outer(scale, scale) + 1e-12 * np.eye(count)
     covariances = np.linalg.inv(scaled)
     moves = np.einsum("gij,gj->gi", covariances, gradient / scale)
     moments = np.mean(covariances + moves[:, :, None] * moves[:, None, :], axis=0)

@@ -1,4 +1,4 @@
-"""What some logged flights say of the next one, and of the study, if flights are exchangeable and nothing else.
+"""What logged flights tell about the next one and the study, assuming only that flights are exchangeable.
 
 Half of the draws give the middle and the spread by which curves are measured; they are compared with nothing. The
 departure of a flight is then a number of this flight alone, and so is every metric. Ranks do the rest
@@ -158,11 +158,11 @@ class NextFlight(Analysis):
         metrics = {}
         for name in self.metric_names:
             values = self.dataset[name].values
-            of_draws = self.dataset[f"{name}_of_draw"].values
+            draw_values = self.dataset[f"{name}_of_draw"].values
             limit = self.limit(name)
-            share = None if limit is None else float(np.mean(~(of_draws <= limit)))
+            share = None if limit is None else float(np.mean(~(draw_values <= limit)))
             unit = str(self.dataset[name].attrs["units"])
-            metrics[name] = MetricLimit(unit, limit, float(values.max()), float(np.nanmedian(of_draws)), share)
+            metrics[name] = MetricLimit(unit, limit, float(values.max()), float(np.nanmedian(draw_values)), share)
         spread = self.dataset["spread"].values
         signals = self.dataset["signal"].values
         return NextFlightAnswer(
@@ -181,14 +181,14 @@ class NextFlight(Analysis):
 
     def study_test(self) -> StudyTest:
         """Whether so many flights depart farther than 95 % of the draws that the study is refuted."""
-        of_draws = self.dataset["departure_of_draw"].values
-        draws = len(of_draws)
-        line = np.sort(of_draws)[draws - line_rank(draws)]
-        count = int(np.count_nonzero(self.dataset["departure"].values > line))
-        p_value = beyond_p_value(count, len(self.logs), draws)
-        low, high = clopper_pearson(count, len(self.logs), CONFIDENCE).tolist()
+        draw_departures = self.dataset["departure_of_draw"].values
+        draws = len(draw_departures)
+        line = np.sort(draw_departures)[draws - line_rank(draws)]
+        beyond_count = int(np.count_nonzero(self.dataset["departure"].values > line))
+        p_value = beyond_p_value(beyond_count, len(self.logs), draws)
+        low, high = clopper_pearson(beyond_count, len(self.logs), CONFIDENCE).tolist()
         return StudyTest(
-            beyond=count,
+            beyond=beyond_count,
             p_value=p_value,
             refuted=p_value <= 1.0 - CONFIDENCE,
             share_interval=(low, high),
@@ -240,32 +240,37 @@ def next_flight(
     desired = desired[..., ::stride]
     for log, flight in zip(logs, flights, strict=True):
         require_samples(study, log, np.isfinite(flight).any(axis=0))
-    known = np.all(np.isfinite(flights), axis=0)
-    if samples < 1 or not known.any():
+    is_finite = np.all(np.isfinite(flights), axis=0)
+    if samples < 1 or not is_finite.any():
         raise ConfigError("logs", "the flights have no sample of any signal in common within the study's duration")
     curves = drawn_curves(study, signals, samples, stride, progress)
     yardstick = Yardstick.of(curves[:half])
-    if not (known & np.isfinite(yardstick.spread)).any():
+    if not (is_finite & np.isfinite(yardstick.spread)).any():
         raise ConfigError("logs", "no logged signal differs between the draws, which gives no spread to measure by")
-    compared = curves[half:]
-    data = band_columns(yardstick, flights, known)
-    departures = np.array([yardstick.largest_departure(flight, known) for flight in flights])
-    of_draws = np.array([yardstick.largest_departure(curve, known) for curve in compared])
-    data |= number_columns("departure", "1", "largest departure", departures, of_draws)
+    compared_curves = curves[half:]
+    data = band_columns(yardstick, flights, is_finite)
+    departures = np.array([yardstick.largest_departure(flight, is_finite) for flight in flights])
+    draw_departures = np.array([yardstick.largest_departure(curve, is_finite) for curve in compared_curves])
+    data |= number_columns("departure", "1", "largest departure", departures, draw_departures)
     times = loop.sample_time * stride * np.arange(flights.shape[-1])
-    measured = measured_samples(study, times)
+    is_measured = measured_samples(study, times)
     for row, signal in enumerate(signals):
         if signal.quantity != "y":
             continue
-        inside = known[row] & measured
-        if not inside.any():
+        is_inside = is_finite[row] & is_measured
+        if not is_inside.any():
             continue
         unit = study.units[signal.channel].output
-        errors = (flights[:, row] - desired[:, signal.channel])[:, inside]
-        drawn = (compared[:, row] - references[signal.channel, 0, ::stride])[:, inside]
-        for name, of, meaning in (("error_max", largest, "largest"), ("error_rms", rms, "root mean square of the")):
-            place = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
-            data |= number_columns(place, unit, f"{meaning} measured error", of(errors), of(drawn))
+        flight_errors = (flights[:, row] - desired[:, signal.channel])[:, is_inside]
+        draw_errors = (compared_curves[:, row] - references[signal.channel, 0, ::stride])[:, is_inside]
+        for name, statistic, meaning in (
+            ("error_max", largest_error, "largest"),
+            ("error_rms", rms_error, "root mean square of the"),
+        ):
+            column_name = f"{name}_{loop.channels[signal.channel]}".rstrip("_")
+            data |= number_columns(
+                column_name, unit, f"{meaning} measured error", statistic(flight_errors), statistic(draw_errors)
+            )
     coords = {
         "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),
         "t": ("t", times, {"long_name": "time", "units": "s"}),
@@ -277,7 +282,7 @@ def next_flight(
 
 
 def short_log(study: Study, logs: Sequence[FlightLog]) -> FlightLog | None:
-    """The shortest log, if it ends far before the study or the longest one: no flight is compared beyond it."""
+    """The shortest log, if it ends far before the study or the longest log; no flight is compared beyond it."""
     lengths = [log.end - log.start for log in logs]
     duration = study.loop.sample_time * study.loop.steps
     shortest = min(lengths)
@@ -304,43 +309,43 @@ def logged_curves(
     the shape (flights, channels, times).
     """
     channels = study.loop.channels
-    by_flight = []
+    signals_by_flight = []
     desired = np.repeat(references[None, :, 0], len(logs), axis=0)
     for flight, log in enumerate(logs):
-        found = {}
+        signals_by_name = {}
         for index, channel in enumerate(channels):
             logged = channel_signals(study, log, index, references[index, 0])
             if "y_ref" in logged:
                 desired[flight, index] = np.where(np.isfinite(logged["y_ref"]), logged["y_ref"], desired[flight, index])
-            found |= {signal_name(channel, name): values for name, values in logged.items()}
-        by_flight.append(found)
+            signals_by_name |= {signal_name(channel, name): values for name, values in logged.items()}
+        signals_by_flight.append(signals_by_name)
     signals = []
     for index, channel in enumerate(channels):
         for quantity in ChannelCurves._fields:
             name = signal_name(channel, quantity)
-            if all(name in found for found in by_flight):
+            if all(name in flight_signals for flight_signals in signals_by_flight):
                 signals.append(Signal(index, quantity, name))
-    values = np.array([[found[signal.name] for signal in signals] for found in by_flight])
+    values = np.array([[logged[signal.name] for signal in signals] for logged in signals_by_flight])
     return signals, values.reshape(len(logs), len(signals), references.shape[-1]), desired
 
 
-def band_columns(yardstick: Yardstick, flights: np.ndarray, known: np.ndarray) -> dict[str, Column]:
+def band_columns(yardstick: Yardstick, flights: np.ndarray, is_finite: np.ndarray) -> dict[str, Column]:
     """The columns of the dataset along signals and times; the band is filled in by :func:`with_band`."""
-    absent = np.full(known.shape, np.nan)
-    lowest = np.where(known, flights.min(axis=0), np.nan)
-    highest = np.where(known, flights.max(axis=0), np.nan)
+    missing = np.full(is_finite.shape, np.nan)
+    lowest = np.where(is_finite, flights.min(axis=0), np.nan)
+    highest = np.where(is_finite, flights.max(axis=0), np.nan)
     columns = {
         "middle": (yardstick.middle, "median of the draws"),
         "spread": (yardstick.spread, "spread of the draws"),
         "lowest": (lowest, "lowest value of the flights"),
         "highest": (highest, "highest value of the flights"),
-        "lower": (absent, "lower end of the band of the next flight"),
-        "upper": (absent, "upper end of the band of the next flight"),
+        "lower": (missing, "lower end of the band of the next flight"),
+        "upper": (missing, "upper end of the band of the next flight"),
     }
-    described = {}
+    variables = {}
     for name, (values, meaning) in columns.items():
-        described[name] = (NextFlight.table, values, {"long_name": meaning, "units": "that of the signal"})
-    return described
+        variables[name] = (NextFlight.table, values, {"long_name": meaning, "units": "that of the signal"})
+    return variables
 
 
 def with_band(analysis: NextFlight, departure: float) -> NextFlight:
@@ -353,7 +358,7 @@ def with_band(analysis: NextFlight, departure: float) -> NextFlight:
 
 
 def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draws: np.ndarray) -> dict[str, Column]:
-    """The columns of a number of each flight, and of each draw compared."""
+    """The dataset's columns of a number of each flight, and of each compared draw."""
     return {
         name: (("flight",), flights, {"long_name": f"{meaning} of each flight", "units": unit}),
         f"{name}_of_draw": (("draw",), draws, {"long_name": f"{meaning} of each draw", "units": unit}),
@@ -362,15 +367,15 @@ def number_columns(name: str, unit: str, meaning: str, flights: np.ndarray, draw
 
 def measured_samples(study: Study, times: np.ndarray) -> np.ndarray:
     """Which samples lie in the window of the study's metrics; all of them if the logs end before it."""
-    inside = times >= study.config.metrics.window.after - 1e-9
-    return inside if inside.any() else np.ones_like(inside)
+    is_inside = times >= study.config.metrics.window.after - 1e-9
+    return is_inside if is_inside.any() else np.ones_like(is_inside)
 
 
-def largest(errors: np.ndarray) -> np.ndarray:
+def largest_error(errors: np.ndarray) -> np.ndarray:
     """The largest absolute error along the last axis; infinite if a draw has ended."""
     return np.nan_to_num(np.abs(errors), nan=np.inf).max(axis=-1)
 
 
-def rms(errors: np.ndarray) -> np.ndarray:
+def rms_error(errors: np.ndarray) -> np.ndarray:
     """The root mean square along the last axis; infinite if a draw has ended."""
     return np.sqrt(np.mean(np.nan_to_num(np.abs(errors), nan=np.inf) ** 2, axis=-1))

@@ -1,4 +1,4 @@
-"""Readings that a fit's residual cannot have by noise: single ones beside their neighbours, and jumps that last."""
+"""Readings that noise does not explain in a fit's residual: single outliers, and jumps that last."""
 
 from typing import NamedTuple
 
@@ -31,12 +31,12 @@ class Outlier(NamedTuple):
     lasts: bool
 
     def text(self, unit: str) -> str:
-        """Size and time."""
+        """Size and time in words."""
         return f"by {self.size:.3g} {unit} at {self.time:.4g} s"
 
 
 def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Outlier]:
-    """The changes of a residual that stand out, in order of time; none where there are many.
+    """Find the changes of a residual that stand out, in order of time; none where there are many.
 
     Args:
         times: Of the readings [s], shape (n,).
@@ -47,28 +47,28 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     changes = np.diff(residual)
     if len(changes) < 3:
         return []
-    usual = max(usual_size(changes - np.median(changes)), np.sqrt(2.0) * sensor)
-    large = (np.abs(changes) > OUTSTANDING * usual) & (gaps <= CLOSE * np.median(gaps))
-    rows = np.flatnonzero(large)
-    if usual == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
+    usual_change = max(usual_size(changes - np.median(changes)), np.sqrt(2.0) * sensor)
+    is_large = (np.abs(changes) > OUTSTANDING * usual_change) & (gaps <= CLOSE * np.median(gaps))
+    rows = np.flatnonzero(is_large)
+    if usual_change == 0.0 or len(rows) > max(MOST_CHANGES, MOST_SHARE * len(changes)):
         return []
-    beside = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
+    padded_changes = np.concatenate([[0.0], changes, [0.0, 0.0]])  # the changes from the one before on
     result = []
-    counted = -1
+    last_counted_row = -1
     for row in rows.tolist():
-        if row <= counted:
+        if row <= last_counted_row:
             continue
-        before, size, following, second = beside[row : row + 4]
-        returns = abs(size + following) < ALONE * abs(size)
-        after = second if returns else following
+        before, size, following, second = padded_changes[row : row + 4]
+        has_returned = abs(size + following) < ALONE * abs(size)
+        after = second if has_returned else following
         if max(abs(before), abs(after)) < ALONE * abs(size):
-            result.append(Outlier(float(times[row + 1]), float(size), not returns))
-            counted = row + 1 if returns else row
+            result.append(Outlier(float(times[row + 1]), float(size), not has_returned))
+            last_counted_row = row + 1 if has_returned else row
     return result
 
 
 def outlier_doubts(problem: FitProblem, x: np.ndarray) -> tuple[Doubt, ...]:
-    """The readings that stand out of the residual at coordinates x, by channel, with the remedy."""
+    """The doubts about readings that stand out of the residual at coordinates x, by channel, with the remedy."""
     doubts = []
     for readings, columns in zip(problem.readings, problem.columns(x), strict=True):
         name = signal_name(problem.study.loop.channels[readings.channel], "y")

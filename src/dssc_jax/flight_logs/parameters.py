@@ -19,9 +19,9 @@ def logged_parameters(path: Path) -> dict[str, float]:
     parameters = dict(log.initial_parameters)
     for _, name, value in log.changed_parameters:
         parameters[name] = value
-    return {name: shortest(value) for name, value in parameters.items() if isinstance(value, int | float)}
+    return {name: shortest_decimal(value) for name, value in parameters.items() if isinstance(value, int | float)}
 
 
-def shortest(value: float) -> float:
+def shortest_decimal(value: float) -> float:
     """A parameter of PX4; of a float32 the number with the fewest digits: 0.05, not 0.05000000074505806."""
     return float(value) if isinstance(value, int) else float(str(np.float32(value)))

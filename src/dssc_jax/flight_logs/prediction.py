@@ -82,11 +82,11 @@ def simulated_outputs(study: Study, names: Sequence[str], samples: int, quiet: b
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], tuple[Scalar, ...]]:
             state, k = carry
-            after, recorded = step(loop, params, key, state, k, advance)
+            next_state, recorded = step(loop, params, key, state, k, advance)
             readings = []
             for i, (controlled, reference) in enumerate(zip(recorded.controlled, recorded.references, strict=True)):
                 readings.append(near_reference(loop, i, controlled.reading, reference).y)
-            return (after, k + 1), tuple(readings)
+            return (next_state, k + 1), tuple(readings)
 
         initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32))
         _, readings = jax.lax.scan(sample, initial, length=samples)
@@ -177,8 +177,8 @@ def study_noise(
     quiet = simulated_outputs(study, names, samples, quiet=True)
     noisy = simulated_outputs(study, names, samples, quiet=False)
 
-    def lane(drawn: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
-        numbers = [drawn[name] for name in names]
+    def lane(lane_values: dict[str, jax.Array], index: jax.Array) -> tuple[Scalar, ...]:
+        numbers = [lane_values[name] for name in names]
         logged = jnp.asarray(commands)
         return (*noisy(numbers, logged, index), *quiet(numbers, logged, 0))
 

@@ -25,9 +25,9 @@ from dssc_jax.flight_logs.ulog import (
     SEGMENT_TOPICS,
     Segment,
     TopicData,
-    chosen_segment,
     is_cut,
     is_ulog,
+    named_segment,
     read_topics,
     segments_of,
     stamps,
@@ -131,26 +131,27 @@ def read_log(
     file = Path(path)
     columns = column_map(table or {}, log_signals(channels))
     with errors_in_file(str(file)):
-        logged = is_ulog(file)
-        if columns.segment is not None and not logged:
+        is_px4 = is_ulog(file)
+        if columns.segment is not None and not is_px4:
             raise ConfigError("segment", "is found in a ULog of PX4 only; `start` is a time of any log")
-        found = (ulog_columns if logged else table_columns)(file, columns, channels)
-        raw = found.columns
-        if not any(name.endswith(("y", "u_total")) for name in raw):
+        raw_log = (ulog_columns if is_px4 else table_columns)(file, columns, channels)
+        if not any(name.endswith(("y", "u_total")) for name in raw_log.columns):
             names = [name for name in log_signals(channels) if name.endswith(("y", "u_total"))]
-            raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}{found.reason}")
+            raise ConfigError("signals", f"map a column to at least one of {', '.join(names)}{raw_log.reason}")
         converted = {}
         dropped = {}
-        for name, column in raw.items():
+        for name, column in raw_log.columns.items():
             source = columns.signals.get(name, SignalSource(name))
             if not (np.isfinite(column.time) & np.isfinite(column.value)).any():
-                raise ConfigError(name, f"has no finite value in the log{found.reason}")
+                raise ConfigError(name, f"has no finite value in the log{raw_log.reason}")
             converted[name], count = converted_column(name, column, source, allow_damaged)
             if count:
                 dropped[name] = count
-    first = min(float(column.time[0]) for column in converted.values()) if found.begin is None else found.begin
+    first = raw_log.begin
+    if first is None:
+        first = min(float(column.time[0]) for column in converted.values())
     start = first if columns.start is None else columns.start
-    details = found.damaged, found.airborne, file, dropped, columns.time, found.resets, found.invalid
+    details = raw_log.damaged, raw_log.airborne, file, dropped, columns.time, raw_log.resets, raw_log.invalid
     log = FlightLog(file.name, converted, start, *details)
     if start >= log.end > first:
         raise ConfigError(f"{file}: start", f"is {start:g} s, and the log ends at {log.end:g} s")
@@ -160,21 +161,21 @@ def read_log(
 def converted_column(name: str, column: Column, source: SignalSource, allow_damaged: bool) -> tuple[Column, int]:
     """The finite values of a column in the study's unit, and the number of rows left out because their times fall."""
     rows = np.flatnonzero(np.isfinite(column.time) & np.isfinite(column.value))
-    kept = rows[sound_rows(name, column.time[rows], rows, allow_damaged)]
-    time = column.time[kept]
+    selected_rows = rows[sound_rows(name, column.time[rows], rows, allow_damaged)]
+    time = column.time[selected_rows]
     with np.errstate(over="ignore"):
-        value = source.scale * column.value[kept] + source.offset
+        value = source.scale * column.value[selected_rows] + source.offset
     for label, numbers in (("time", time), ("value", value)):
         largest = np.abs(numbers).max()
         if largest > LARGEST_VALUE:
             raise ConfigError(
                 name, f"its largest {label} in the log is {largest:g}; at most {LARGEST_VALUE:g} is taken"
             )
-    return Column(time, value), len(rows) - len(kept)
+    return Column(time, value), len(rows) - len(selected_rows)
 
 
 class LogColumns(NamedTuple):
-    """Columns of a log by the signals' names, and what a ULog tells beside them.
+    """Columns of a log by the signals' names, and further facts from a ULog.
 
     Args:
         columns: The columns.
@@ -199,7 +200,7 @@ class LogColumns(NamedTuple):
 
 
 def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
-    """The columns of a CSV or Parquet file by the signals' names."""
+    """Read the columns of a CSV or Parquet file, by the signals' names."""
     frame = recorded_frame(path)
     present = [str(name) for name in frame.columns]
     names = {signal: source.column for signal, source in columns.signals.items()}
@@ -211,18 +212,18 @@ def table_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> 
             raise ConfigError(field, rule)
     try:
         time = columns.time.scale * frame[columns.time.column].to_numpy(float)
-        found = {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
+        signal_columns = {signal: Column(time, frame[name].to_numpy(float)) for signal, name in names.items()}
     except (TypeError, ValueError):
         for signal, name in {"time": columns.time.column, **names}.items():
             numbers_of(frame[name], path, signal)
         raise
-    return LogColumns(found)
+    return LogColumns(signal_columns)
 
 
 def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> LogColumns:
-    """The fields of a ULog's topics by the signals' names; without a segment there is no beginning.
+    """Read the fields of a ULog's topics, by the signals' names; without a segment there is no beginning.
 
-    Times count from the beginning of the log. Known jumps of the estimator after the start are taken out.
+    Times count from the beginning of the log. Stated jumps of the estimator after the start are taken out.
     """
     sources = {name: (source.column,) for name, source in columns.signals.items()} or vehicle_columns(channels)
     if not sources:
@@ -232,25 +233,25 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> L
     valid = without_invalid(logged)
     segments = segments_of(logged, begin)
     airborne = tuple(segment for segment in segments if segment.name == "airborne")
-    segment = None if columns.segment is None else chosen_segment(columns.segment, segments)
-    chosen = {}
+    segment = None if columns.segment is None else named_segment(columns.segment, segments)
+    column_names = {}
     for name, choices in sources.items():
-        found = [column for column in choices if has_column(valid, column)]
-        if columns.signals or found:
-            chosen[name] = found[0] if found else choices[0]
-    if not chosen:
+        present = [column for column in choices if has_column(valid, column)]
+        if columns.signals or present:
+            column_names[name] = present[0] if present else choices[0]
+    if not column_names:
         topics = ", ".join(sorted(names))
         raise ConfigError("signals", f"the log has no values of {topics}; `dssc-jax log FILE` lists its topics")
-    places = [column_place(column) for column in chosen.values()]
+    places = [column_place(column) for column in column_names.values()]
     pairs = [(place.topic, place.field) for place in places if place.label == f"{place.topic}:0"]
     start = columns.start if columns.start is not None else (segment.begin if segment else -np.inf)
     resets = concerned_resets(logged, begin, pairs, start)
     topics = without_jumps(valid, resets)
-    raw = {name: ulog_column(topics, begin, name, column) for name, column in chosen.items()}
+    signals = {name: ulog_column(topics, begin, name, column) for name, column in column_names.items()}
     if segment is not None:
-        raw = {name: within_segment(name, column, segment) for name, column in raw.items()}
+        signals = {name: within_segment(name, column, segment) for name, column in signals.items()}
     invalid = concerned_spans(logged, begin, pairs)
-    return LogColumns(raw, segment.begin if segment else None, damaged, airborne, resets, invalid)
+    return LogColumns(signals, segment.begin if segment else None, damaged, airborne, resets, invalid)
 
 
 class ColumnPlace(NamedTuple):
@@ -270,18 +271,18 @@ def column_place(column: str) -> ColumnPlace:
 
 def vehicle_columns(channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """The columns of a multirotor's signals in a ULog; none for other channels."""
-    found = {}
+    choices_by_signal = {}
     for channel in channels:
         for name, choices in PX4_COLUMNS.get(channel, {}).items():
-            found[signal_name(channel, name)] = choices
-    return found
+            choices_by_signal[signal_name(channel, name)] = choices
+    return choices_by_signal
 
 
 def column_remedy(channel: str, name: str) -> str:
     """How a table of columns gives a signal, with the column that a ULog of PX4 usually has."""
     signal = signal_name(channel, name)
-    usual = PX4_COLUMNS.get(channel, {}).get(name)
-    example = f", which PX4 logs as {' or '.join(usual)}" if usual else ""
+    usual_columns = PX4_COLUMNS.get(channel, {}).get(name)
+    example = f", which PX4 logs as {' or '.join(usual_columns)}" if usual_columns else ""
     return f"give its column in the table of columns, or by --column {signal}=COLUMN{example}"
 
 
@@ -293,7 +294,7 @@ def has_column(topics: TopicData, column: str) -> bool:
 
 
 def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Column:
-    """A signal's column with its times; raises ConfigError if the log lacks it."""
+    """Get a signal's column with its times; raises ConfigError if the log lacks it."""
     place = column_place(column)
     if place.label not in topics:
         present = [label.removesuffix(":0") for label in topics]
@@ -302,21 +303,22 @@ def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Colu
     fields = topics[place.label]
     values = field_values(place.topic, fields, place.field)
     if values is None:
-        known = [*fields, *derived_fields(place.topic, fields)]
+        field_names = [*fields, *derived_fields(place.topic, fields)]
         raise ConfigError(
-            f"signals.{name}", f"topic '{place.topic}' has no field '{place.field}'; {nearest(place.field, known)}"
+            f"signals.{name}",
+            f"topic '{place.topic}' has no field '{place.field}'; {nearest(place.field, field_names)}",
         )
     return Column(stamps(fields, begin), values)
 
 
 def within_segment(name: str, column: Column, segment: Segment) -> Column:
     """The values of a column within a segment."""
-    inside = (column.time >= segment.begin) & (column.time <= segment.end)
-    if not inside.any():
+    is_inside = (column.time >= segment.begin) & (column.time <= segment.end)
+    if not is_inside.any():
         raise ConfigError(
             name, f"has no value in the segment '{segment.name}', {segment.begin:.4g} s to {segment.end:.4g} s"
         )
-    return Column(column.time[inside], column.value[inside])
+    return Column(column.time[is_inside], column.value[is_inside])
 
 
 def samples_within(log: FlightLog, sample_time: float, steps: int) -> int:
@@ -387,7 +389,7 @@ def held_samples(signals: Mapping[str, np.ndarray]) -> dict[str, int]:
 
 
 def forward_filled(values: np.ndarray) -> np.ndarray:
-    """The last known value in place of each missing one; the first known one before it. Shape (samples,)."""
-    known = np.flatnonzero(np.isfinite(values))
-    latest = np.searchsorted(known, np.arange(len(values)), side="right") - 1
-    return values[known[np.maximum(latest, 0)]]
+    """Fill each missing value with the last finite one, or the first finite one before it, shape (samples,)."""
+    finite_rows = np.flatnonzero(np.isfinite(values))
+    latest = np.searchsorted(finite_rows, np.arange(len(values)), side="right") - 1
+    return values[finite_rows[np.maximum(latest, 0)]]

@@ -28,14 +28,14 @@ def reading_noise(study: Study, outputs: np.ndarray) -> tuple[float, ...]:
     with arithmetic(study.config.loop.precision):
         params = study.params(median_values(study))
         for i, logged in enumerate(outputs):
-            known = np.flatnonzero(np.isfinite(logged))
-            if len(known) < 3:
+            finite_rows = np.flatnonzero(np.isfinite(logged))
+            if len(finite_rows) < 3:
                 continue
             times = loop.sample_time * np.arange(len(logged))
-            true = np.interp(times, times[known], logged[known])
+            true = np.interp(times, times[finite_rows], logged[finite_rows])
             key = loop.key(draw_key(study.config.seed, 0), "sensor", loop.channels[i])
-            added = sensor_readings(study, i, params.sensor[i], key, true) - true
-            noise[i] = noise_between_neighbours(times, added)
+            noise_values = sensor_readings(study, i, params.sensor[i], key, true) - true
+            noise[i] = noise_between_neighbours(times, noise_values)
     return tuple(noise)
 
 
@@ -46,12 +46,14 @@ def sensor_readings(study: Study, i: int, params: Params, key: jax.Array, true: 
     slopes = np.gradient(true, dt)
     first = Measurement(jnp.asarray(true[0]), jnp.asarray(slopes[0]))
 
-    def sample(state: State, seen: tuple[jax.Array, Measurement]) -> tuple[State, Scalar]:
-        k, measurement = seen
+    def sample(state: State, sample_input: tuple[jax.Array, Measurement]) -> tuple[State, Scalar]:
+        k, measurement = sample_input
         fresh = jax.random.fold_in(key, k + 1)
-        after, shown = sensor.step(params, state, measurement, fresh, k * dt, dt)
-        return after, jnp.asarray(shown.y)
+        next_state, reading = sensor.step(params, state, measurement, fresh, k * dt, dt)
+        return next_state, jnp.asarray(reading.y)
 
     state = as_arrays(sensor.init(params, first, jax.random.fold_in(key, 0)))
-    _, shown = jax.lax.scan(sample, state, (jnp.arange(len(true)), Measurement(jnp.asarray(true), jnp.asarray(slopes))))
-    return np.asarray(shown, float)
+    _, readings = jax.lax.scan(
+        sample, state, (jnp.arange(len(true)), Measurement(jnp.asarray(true), jnp.asarray(slopes)))
+    )
+    return np.asarray(readings, float)

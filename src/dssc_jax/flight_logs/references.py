@@ -56,14 +56,14 @@ def references_at(study: Study, times: np.ndarray) -> np.ndarray:
 
 
 def study_references(study: Study, samples: int) -> np.ndarray:
-    """The same at the study's samples, shape (channels, 3, samples)."""
+    """The study's references, with two derivatives, at its samples, shape (channels, 3, samples)."""
     return references_at(study, study.loop.sample_time * np.arange(samples))
 
 
 def compared_references(
     study: Study, log: FlightLog, signals: Sequence[Mapping[str, np.ndarray]], references: np.ndarray
 ) -> ComparedReferences:
-    """The log's references beside the study's.
+    """Compare the log's references with the study's.
 
     Args:
         study: The study, without a sweep.
@@ -72,40 +72,40 @@ def compared_references(
         references: The study's, shape (channels, 3, samples).
     """
     loop = study.loop
-    found = ComparedReferences({}, {}, {}, {}, {})
+    comparison = ComparedReferences({}, {}, {}, {}, {})
     rates = rate_distances(study, log)
     logged = {index: part["y_ref"] for index, part in enumerate(signals) if "y_ref" in part}
     for index, values in logged.items():
         channel = loop.channels[index]
         name = signal_name(channel, "y_ref")
         reference = references[index, 0]
-        found.differences[channel] = largest_distance(values, reference)
+        comparison.differences[channel] = largest_distance(values, reference)
         text = reference_conversion(index, values, references[:, 0], loop.channels, study.units[index].output)
         shift = 0 if text else reference_shift(values, reference)
         if text:
-            found.conversions[name] = text
-        elif shift and all(is_shifted(values, references[place, 0], shift) for place, values in logged.items()):
+            comparison.conversions[name] = text
+        elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
             side = "later" if shift > 0 else "earlier"
             start = log.start + shift * loop.sample_time
             remedy = f"set start to {start:g} s"
             if start < first_time(log):
                 remedy = "the log does not begin so early: shift the study's reference, or let its record begin there"
-            found.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
+            comparison.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
         if channel not in rates:
             continue
         distance, rate = rates[channel]
-        found.rates[channel] = float(distance.max(initial=0.0))
-        usual = distance <= np.quantile(distance, USUAL)
-        rough, size = rms(distance[usual]), rms(rate[usual])
-        moves = np.ptp(reference) > 0.0
+        comparison.rates[channel] = float(distance.max(initial=0.0))
+        is_usual = distance <= np.quantile(distance, USUAL)
+        rms_distance, rms_rate = rms(distance[is_usual]), rms(rate[is_usual])
+        is_moving = np.ptp(reference) > 0.0
         is_same = rms(values - reference) <= SAME_REFERENCE * rms(reference)
-        if moves and is_same and rough > SAME_REFERENCE * size > 0.0:
+        if is_moving and is_same and rms_distance > SAME_REFERENCE * rms_rate > 0.0:
             unit = study.units[index].of("y/s")
-            found.slopes[signal_name(channel, "y_ref_dot")] = (
-                f"differs from the slope of the study's reference by {rough:.3g} {unit} rms, {100 * rough / size:.2g} "
-                f"% of it, though y_ref is the same: {RATE_REMEDY}"
+            comparison.slopes[signal_name(channel, "y_ref_dot")] = (
+                f"differs from the slope of the study's reference by {rms_distance:.3g} {unit} rms, "
+                f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
             )
-    return found
+    return comparison
 
 
 def first_time(log: FlightLog) -> float:
@@ -129,17 +129,17 @@ def rate_distances(study: Study, log: FlightLog) -> dict[str, tuple[np.ndarray, 
         column = log.columns.get(signal_name(channel, "y_ref_dot"))
         if column is not None:
             time = column.time - log.start
-            inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
-            if inside.any():
-                columns[index] = (time[inside], column.value[inside])
+            is_inside = (time >= 0.0) & (time <= loop.sample_time * (loop.steps - 1))
+            if is_inside.any():
+                columns[index] = (time[is_inside], column.value[is_inside])
     if not columns:
         return {}
     times, places = np.unique(np.concatenate([time for time, _ in columns.values()]), return_inverse=True)
     slopes = references_at(study, times)[:, 1]
-    found = {}
+    distances = {}
     begin = 0
     for index, (time, value) in columns.items():
         rows = places[begin : begin + len(time)]
         begin += len(time)
-        found[loop.channels[index]] = (np.abs(value - slopes[index, rows]), value)
-    return found
+        distances[loop.channels[index]] = (np.abs(value - slopes[index, rows]), value)
+    return distances

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from dssc_jax.flight_logs.conversions import likeness
+from dssc_jax.flight_logs.conversions import likeness_text
 from dssc_jax.flight_logs.least_squares import TINY, FitProblem, MinimumSearch, Readings
 from dssc_jax.flight_logs.prediction import study_noise
 from dssc_jax.flight_logs.reader import signal_name
@@ -83,7 +83,7 @@ class Explained(NamedTuple):
         return max(self.residual**2 / largest - self.noise**2, 0.0) / max(self.output**2, TINY)
 
     @property
-    def doubtful(self) -> bool:
+    def is_doubtful(self) -> bool:
         """Whether the residual is clearly larger than noise explains, and no trifle."""
         return self.residual > max(MUCH_LARGER * self.noise, self.limit) and self.unexplained > LEAST_DOUBTED
 
@@ -110,13 +110,13 @@ def noise_between_neighbours(times: np.ndarray, values: np.ndarray) -> float:
 
 def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> Explained:
     """How well a channel is described; its noise is the smaller estimate from the output and from the residual."""
-    noise_size = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
-    size = float(np.sqrt(np.mean(residual**2)))
+    noise_rms = min(noise_between_neighbours(readings.times, series) for series in (readings.values, residual))
+    residual_rms = float(np.sqrt(np.mean(residual**2)))
     independent = independent_samples(noise, readings.times)
-    noise_size = min(noise_size, size)
+    noise_rms = min(noise_rms, residual_rms)
     count = len(readings.values)
-    limit = noise_size * math.sqrt(float(stats.chi2.ppf(NOISE_CONFIDENCE, count)) / count)
-    return Explained(size, noise_size, float(np.std(readings.values)), independent, limit)
+    limit = noise_rms * math.sqrt(float(stats.chi2.ppf(NOISE_CONFIDENCE, count)) / count)
+    return Explained(residual_rms, noise_rms, float(np.std(readings.values)), independent, limit)
 
 
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
@@ -128,20 +128,23 @@ def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     results = []
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):
         results.append(explain_channel(readings, noise, columns[:, 0]))
-    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.doubtful for result in results):
+    if all(result.least_unexplained <= MOST_UNEXPLAINED and not result.is_doubtful for result in results):
         return results
-    added = study_noise(problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES)
+    simulated_noise = study_noise(
+        problem.study, problem.names, problem.values(x), problem.log.commands, NOISE_REPLICATES
+    )
     for place, readings in enumerate(problem.readings):
-        sizes = np.sqrt(np.mean(readings.interpolate(added[:, readings.channel]) ** 2, axis=-1))  # of each replicate
-        simulated = float(np.sqrt(np.mean(sizes**2)))
-        limit = float(np.mean(sizes) + NOISE_DEVIATIONS * np.std(sizes))
+        added_noise = readings.interpolate(simulated_noise[:, readings.channel])
+        replicate_rms = np.sqrt(np.mean(added_noise**2, axis=-1))
+        simulated = float(np.sqrt(np.mean(added_noise**2)))
+        limit = float(np.mean(replicate_rms) + NOISE_DEVIATIONS * np.std(replicate_rms))
         result = results[place]
         results[place] = result._replace(noise=max(result.noise, simulated), limit=max(result.limit, limit))
     return results
 
 
-def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
-    """In which other unit, sign or channel a channel's readings are what the study predicts; empty if in none.
+def conversion_hint(problem: FitProblem, x: np.ndarray, place: int) -> str:
+    """The unit, sign or channel in which a channel's readings would match the prediction, in words; empty if none.
 
     Predicted are the outputs at coordinates x and at the medians of the laws.
 
@@ -157,48 +160,48 @@ def converted_text(problem: FitProblem, x: np.ndarray, place: int) -> str:
         predicted = []
         for output, columns in zip(problem.readings, problem.columns(coordinates), strict=True):
             predicted.append(np.interp(readings.times, output.times, output.values - columns[:, 0]))
-        words = likeness(place, readings.values, predicted, names, unit)
+        words = likeness_text(place, readings.values, predicted, names, unit)
         if words:
             return f". {names[place]} {words}"
     return ""
 
 
 def doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
-    """The residuals that are clearly larger than noise explains, by channel, with the remedy."""
+    """The doubts about residuals that are clearly larger than noise explains, by channel, with the remedy."""
     reasons = []
     for place, result in enumerate(results):
-        if not result.doubtful:
+        if not result.is_doubtful:
             continue
-        name, unit = reading_name(problem, place)
+        name, unit = signal_and_unit(problem, place)
         text = (
             f"the residual of {name} is {result.residual:.3g} {unit} rms, "
             f"{result.residual / max(result.noise, TINY):.3g} times the {result.noise:.3g} {unit} that noise explains: "
             "the study lacks something of this flight, such as a limit or friction, or the log is not what the study "
             f"takes it for. Estimates may be wrong by more than their intervals. {REMEDY}"
-            f"{converted_text(problem, x, place)}"
+            f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))
     return tuple(reasons)
 
 
 def noise_doubts(problem: FitProblem, x: np.ndarray, results: Sequence[Explained]) -> tuple[Doubt, ...]:
-    """The readings that are far noisier than the study's sensor, by channel, with the remedy."""
+    """The doubts about readings that are far noisier than the study's sensor, by channel, with the remedy."""
     reasons = []
     for place, (readings, result) in enumerate(zip(problem.readings, results, strict=True)):
         sensor = math.sqrt(readings.sensor)
         if sensor == 0.0 or result.noise <= NOISIER * sensor:
             continue
-        name, unit = reading_name(problem, place)
+        name, unit = signal_and_unit(problem, place)
         text = (
             f"the readings of {name} have a noise of {result.noise:.3g} {unit}, {result.noise / sensor:.3g} times that "
             f"of the study's sensor, {sensor:.3g} {unit}. {REMEDY}; or give the sensor that noise"
-            f"{converted_text(problem, x, place)}"
+            f"{conversion_hint(problem, x, place)}"
         )
         reasons.append(Doubt(name, text))
     return tuple(reasons)
 
 
-def reading_name(problem: FitProblem, place: int) -> tuple[str, str]:
+def signal_and_unit(problem: FitProblem, place: int) -> tuple[str, str]:
     """The signal of readings, by their position, and its unit."""
     channel = problem.readings[place].channel
     return signal_name(problem.study.loop.channels[channel], "y"), problem.study.units[channel].output
@@ -226,12 +229,12 @@ def require_description(problem: FitProblem, x: np.ndarray) -> list[Explained]:
         if result.least_unexplained > MOST_UNEXPLAINED:
             channel = problem.study.loop.channels[readings.channel]
             unit = problem.study.units[readings.channel].output
-            require_explained(channel, unit, result, converted_text(problem, x, place))
+            require_explained(channel, unit, result, conversion_hint(problem, x, place))
     return results
 
 
-def combination(names: Sequence[str], direction: np.ndarray) -> str:
-    """A direction in the space of the numbers, in words."""
+def direction_text(names: Sequence[str], direction: np.ndarray) -> str:
+    """Describe a direction in the space of the numbers in words."""
     direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
     terms = [(name, float(x)) for name, x in zip(names, direction, strict=True) if abs(x) >= SMALL_COEFFICIENT]
     if len(terms) == 1:
@@ -240,7 +243,7 @@ def combination(names: Sequence[str], direction: np.ndarray) -> str:
 
 
 def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
-    """Require along every direction a standard deviation below that of the laws, in which the information counts."""
+    """Require a standard deviation below that of the laws along every direction of the numbers' coordinates."""
     diagonal = np.diag(information)
     for name, entry in zip(names, diagonal, strict=True):
         if entry <= 1e-24 * max(float(diagonal.max()), TINY) or not math.isfinite(entry):
@@ -249,7 +252,7 @@ def require_identifiable(names: Sequence[str], information: np.ndarray) -> None:
     direction = unidentified_direction(information)
     if direction is None:
         return
-    text = combination(names, direction.parts)
+    text = direction_text(names, direction.parts)
     number = names[int(np.argmax(np.abs(direction.parts)))]
     if math.isinf(direction.width):
         reason = "the information matrix is singular in this direction"
@@ -290,19 +293,19 @@ def require_unique_minimum(problem: FitProblem, search: MinimumSearch, informati
         search: Its minima.
         information: The inverse of the covariance that the answer states.
     """
-    allowed = float(stats.chi2.ppf(TIE, len(problem.names)))
+    allowed_difference = float(stats.chi2.ppf(TIE, len(problem.names)))
     for rival in search.rivals:
         move = rival.x - search.best.x
-        is_near = float(move @ information @ move) <= allowed
-        if rival.cost - search.best.cost <= allowed and not is_near:
-            best = assignments(problem.named_values(search.best.x))
-            second = assignments(problem.named_values(rival.x))
+        is_near = float(move @ information @ move) <= allowed_difference
+        if rival.cost - search.best.cost <= allowed_difference and not is_near:
+            best = assignments_text(problem.named_values(search.best.x))
+            second = assignments_text(problem.named_values(rival.x))
             raise NotIdentifiable(
                 f"the flight does not identify the numbers: two minima describe it equally well, at {best} and at "
                 f"{second}; narrow a law to one of them, or fit fewer numbers"
             )
 
 
-def assignments(values: Mapping[str, float]) -> str:
+def assignments_text(values: Mapping[str, float]) -> str:
     """Values of numbers in words."""
     return ", ".join(f"{name} = {value:.4g}" for name, value in values.items())

@@ -69,8 +69,8 @@ DrawCurves: TypeAlias = tuple[ChannelCurves, ...]
 """The curves of each channel."""
 
 
-def commanded(study: Study, index: int, readings: np.ndarray, references: np.ndarray) -> np.ndarray:
-    """The command of a channel's analysed differentiator and controller for logged measurements.
+def analysed_command(study: Study, index: int, readings: np.ndarray, references: np.ndarray) -> np.ndarray:
+    """Compute the command that a channel's analysed differentiator and controller give for logged measurements.
 
     They start from the first sample, as after a reset. Uncertain gains have the medians of their laws.
 
@@ -131,7 +131,7 @@ def replayed_channel(
         signals[name] = np.full(len(signals["y"]), np.nan)
     readings = np.array([signals["y"], signals["y_dot"]])
     desired = np.array([signals["y_ref"], signals["y_ref_dot"], signals["y_ref_ddot"]])
-    command = commanded(study, index, readings, desired)
+    command = analysed_command(study, index, readings, desired)
     if np.isfinite(command).all():
         return command
     if missing:
@@ -141,8 +141,8 @@ def replayed_channel(
 
 def is_close(logged: np.ndarray, reference: np.ndarray) -> bool:
     """Whether a logged reference is that of the study."""
-    size = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
-    return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * size
+    largest = max(float(np.abs(reference).max()), float(np.ptp(reference)), 1e-300)
+    return float(np.abs(logged - reference).max()) <= REFERENCE_TOLERANCE * largest
 
 
 @dataclass(frozen=True)
@@ -155,24 +155,24 @@ class ReplayedCommand:
     rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
 
 
-def replayed_command(time: np.ndarray, logged: np.ndarray, commanded: np.ndarray) -> ReplayedCommand | None:
+def replayed_command(time: np.ndarray, logged: np.ndarray, command: np.ndarray) -> ReplayedCommand | None:
     """The difference of a replayed command from the logged one; None if no sample has both.
 
     Args:
         time: Of the samples [s], shape (samples,).
         logged: The logged command, NaN where it is missing.
-        commanded: The analysed controller's command, NaN where it is missing.
+        command: The analysed controller's command, NaN where it is missing.
     """
-    difference = commanded - logged
-    compared = np.isfinite(difference)
-    if not compared.any():
+    difference = command - logged
+    is_compared = np.isfinite(difference)
+    if not is_compared.any():
         return None
-    largest = int(np.argmax(np.abs(np.where(compared, difference, 0.0))))
+    largest = int(np.argmax(np.abs(np.where(is_compared, difference, 0.0))))
     return ReplayedCommand(
         largest_difference=float(abs(difference[largest])),
         largest_difference_at=float(time[largest]),
         rms_difference=rms(difference),
-        rms_logged=rms(logged[compared]),
+        rms_logged=rms(logged[is_compared]),
     )
 
 
@@ -192,7 +192,7 @@ class LogReplay(NamedTuple):
         samples: Samples of the study up to the log's end.
         logged: The logged signals by name, NaN where missing, each of shape (samples,).
         commands: Commands of the analysed controller, by the name of the logged command.
-        held: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
+        held_samples: Samples of the replay at which the log lacks a signal, and its last value counts; by signal.
         not_replayed: Why a channel's log was not replayed, by channel.
         references: Largest difference between the logged and the study's reference, by channel; empty if not logged.
         rates: Largest difference between their derivatives, by channel; empty if not logged.
@@ -203,7 +203,7 @@ class LogReplay(NamedTuple):
     samples: int
     logged: dict[str, np.ndarray]
     commands: dict[str, np.ndarray]
-    held: dict[str, int]
+    held_samples: dict[str, int]
     not_replayed: dict[str, str]
     references: dict[str, float]
     rates: dict[str, float]
@@ -230,7 +230,7 @@ class LogReplay(NamedTuple):
             },
             "replayed_samples": self.samples,
             "dropped_rows": self.dropped,
-            "held_samples": self.held,
+            "held_samples": self.held_samples,
             "not_replayed": self.not_replayed,
             "reference_differences": self.references,
             "reference_rate_differences": self.rates,
@@ -239,7 +239,7 @@ class LogReplay(NamedTuple):
 
 
 def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay:
-    """A log at the study's samples beside the analysed controller's commands and the study's references.
+    """Compare a log, at the study's samples, with the analysed controller's commands and the study's references.
 
     Args:
         study: The study, without a sweep.
@@ -251,21 +251,21 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
     references = study_references(study, max(samples, 1))
     logged: dict[str, np.ndarray] = {}
     replays: dict[str, np.ndarray] = {}
-    held: dict[str, int] = {}
+    held_counts: dict[str, int] = {}
     not_replayed: dict[str, str] = {}
     channels = [channel_signals(study, log, index, references[index, 0]) for index in range(len(loop.channels))]
-    compared = compared_references(study, log, channels, references)
+    comparison = compared_references(study, log, channels, references)
     integrals = integral_hints(study, log)
-    conversions = integrals.units | compared.conversions
+    conversions = integrals.units | comparison.conversions
     factors = dict(integrals.factors)
     repeated = next(filter(None, (repeated_times_text(column.time) for column in log.columns.values())), "")
     if repeated:
         factors["t"] = repeated
     for index, (channel, units, signals) in enumerate(zip(loop.channels, study.units, channels, strict=True)):
         logged |= {signal_name(channel, name): values for name, values in signals.items()}
-        followed = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
-        if followed:
-            conversions.setdefault(signal_name(channel, "y"), followed)
+        followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
+        if followed_text:
+            conversions.setdefault(signal_name(channel, "y"), followed_text)
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])
@@ -275,7 +275,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         name = signal_name(channel, "u_total")
         replays[name] = replay
         inputs = {label: values for label, values in signals.items() if label != "u_total"}
-        held |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
+        held_counts |= {signal_name(channel, label): count for label, count in held_samples(inputs).items()}
         if "u_total" in signals:
             text = conversion_text(signals["u_total"], replay, SAME_COMMAND, units.of("u"))
             hint = command_hint(signals["u_total"], replay, loop.sample_time, units.of("u"))
@@ -285,17 +285,17 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
                 factors[name] = hint
     hints = LogHints(
         conversions,
-        compared.shifts,
-        compared.slopes,
+        comparison.shifts,
+        comparison.slopes,
         start_hints(study, log),
         attitude_hints(study, log),
         reset_hints(study, log),
         factors,
         integrals.jumps,
     )
-    differences = compared.differences
+    differences = comparison.differences
     dropped = dict(log.dropped)
-    return LogReplay(samples, logged, replays, held, not_replayed, differences, compared.rates, hints, dropped)
+    return LogReplay(samples, logged, replays, held_counts, not_replayed, differences, comparison.rates, hints, dropped)
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:

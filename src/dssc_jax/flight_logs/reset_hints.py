@@ -16,21 +16,21 @@ def study_end(study: Study, log: FlightLog) -> float:
     return min(log.start + study.loop.sample_time * (study.loop.steps - 1), log.end)
 
 
-def told_resets(study: Study, log: FlightLog) -> list[Reset]:
-    """The resets within the study that are no trifles."""
+def relevant_resets(study: Study, log: FlightLog) -> list[Reset]:
+    """The resets within the study whose jump is not negligible, or not stated."""
     end = study_end(study, log)
-    within = [reset for reset in log.resets if log.start < reset.time <= end]
-    return [reset for reset in within if reset.size > TRIFLE or not reset.known]
+    resets = [reset for reset in log.resets if log.start < reset.time <= end]
+    return [reset for reset in resets if reset.size > TRIFLE or not reset.is_stated]
 
 
 def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
     """The resets within the study by counter, and the invalid spans by flag, with the words for them."""
-    found: dict[str, list[Reset]] = {}
-    for reset in told_resets(study, log):
-        found.setdefault(reset.label, []).append(reset)
+    resets_by_counter: dict[str, list[Reset]] = {}
+    for reset in relevant_resets(study, log):
+        resets_by_counter.setdefault(reset.label, []).append(reset)
     hints = {}
-    for label, resets in found.items():
-        if all(reset.is_taken_out for reset in resets):
+    for label, resets in resets_by_counter.items():
+        if all(reset.is_removed for reset in resets):
             text = "the jump is taken out of the estimate and its setpoints"
         elif resets[0].is_speed:
             text = "the flight followed a wrong velocity before it, and this jump is not taken out"
@@ -49,14 +49,14 @@ def reset_hints(study: Study, log: FlightLog) -> dict[str, str]:
 
 def require_no_jumps(study: Study, log: FlightLog) -> None:
     """Require that no jump of the estimator is in the signals of a fit; raises ConfigError with the remedy."""
-    left = []
-    for reset in told_resets(study, log):
-        if not reset.is_taken_out and not (reset.known and reset.size < LARGE_SPEED):
-            left.append(reset)
-    if not left:
+    remaining_resets = []
+    for reset in relevant_resets(study, log):
+        if not reset.is_removed and not (reset.is_stated and reset.size < LARGE_SPEED):
+            remaining_resets.append(reset)
+    if not remaining_resets:
         return
     sample_time = study.loop.sample_time
-    bounds = [log.start, *(reset.time for reset in left), study_end(study, log)]
+    bounds = [log.start, *(reset.time for reset in remaining_resets), study_end(study, log)]
     parts = []
     if bounds[1] - log.start > sample_time:
         duration = sample_time * np.floor((bounds[1] - log.start) / sample_time)
@@ -64,11 +64,11 @@ def require_no_jumps(study: Study, log: FlightLog) -> None:
     longest = 1 + int(np.argmax(np.diff(bounds[1:])))
     length = bounds[longest + 1] - bounds[longest]
     if length > sample_time:
-        until = "" if longest == len(left) else f" and loop.duration = {length:.4g}"
+        until = "" if longest == len(remaining_resets) else f" and loop.duration = {length:.4g}"
         parts.append(f"a part after with a start of {bounds[longest]:.4g} s{until}")
-    names = ", ".join(dict.fromkeys(reset.label for reset in left))
+    names = ", ".join(dict.fromkeys(reset.label for reset in remaining_resets))
     raise ConfigError(
         log.name,
-        f"{names}: the estimator was reset {reset_list(left)}, and no vehicle has flown such a jump. "
+        f"{names}: the estimator was reset {reset_list(remaining_resets)}, and no vehicle has flown such a jump. "
         f"Fit {' or '.join(parts) or 'another log'}; `allow_damaged` fits it all the same",
     )

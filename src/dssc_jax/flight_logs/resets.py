@@ -80,14 +80,14 @@ class Reset(NamedTuple):
         row: Position of the first message after it, in the topic.
         time: Time of that message, from the beginning of the log [s].
         jump: The change of each field of the counter; of an attitude, the quaternion q_after q_before^-1.
-        known: Whether the log states the jump; else it is the difference from the message before.
+        is_stated: Whether the log states the jump; else it is the difference from the message before.
     """
 
     counter: Counter
     row: int
     time: float
     jump: tuple[float, ...]
-    known: bool
+    is_stated: bool
 
     @property
     def label(self) -> str:
@@ -100,9 +100,9 @@ class Reset(NamedTuple):
         return self.counter.unit == "m/s"
 
     @property
-    def is_taken_out(self) -> bool:
-        """Whether the jump is taken out."""
-        return self.known and not self.is_speed
+    def is_removed(self) -> bool:
+        """Whether the jump is removed from the signals."""
+        return self.is_stated and not self.is_speed
 
     @property
     def size(self) -> float:
@@ -112,8 +112,8 @@ class Reset(NamedTuple):
         return float(np.linalg.norm(self.jump))
 
     def text(self) -> str:
-        """What jumps by how much."""
-        qualifier = "" if self.known else "about "
+        """The fields that jump, and by how much, in words."""
+        qualifier = "" if self.is_stated else "about "
         if self.counter.fields == QUATERNION:
             return f"attitude by {qualifier}{self.size:.3g} rad"
         parts = [
@@ -131,7 +131,7 @@ class InvalidSpan(NamedTuple):
     end: float
 
     def text(self) -> str:
-        """Which flag calls what invalid, and when."""
+        """The flag and the span, in words."""
         return f"{POSITION}.{self.flag} is 0 from {self.begin:.4g} s to {self.end:.4g} s"
 
 
@@ -143,14 +143,14 @@ def reset_list(resets: Sequence[Reset]) -> str:
 
 
 def estimate_topics(names: Iterable[str]) -> set[str]:
-    """The topics that tell the resets of some topics."""
-    found = set()
+    """The topics that count the resets of the estimates in some topics."""
+    topics = set()
     for name in names:
         if name == POSITION or name in SETPOINTS:
-            found.add(POSITION)
+            topics.add(POSITION)
         if name == ATTITUDE or name in SETPOINTS:
-            found.add(ATTITUDE)
-    return found
+            topics.add(ATTITUDE)
+    return topics
 
 
 def resets_of(topics: TopicData, begin: float) -> list[Reset]:
@@ -160,7 +160,7 @@ def resets_of(topics: TopicData, begin: float) -> list[Reset]:
         topics: Of the log, as far as it has them: those of the position and of the attitude.
         begin: The time at which it begins [us].
     """
-    found = []
+    resets = []
     for counter in COUNTERS:
         fields = topics.get(f"{counter.topic}:0", {})
         if not {counter.name, *counter.fields} <= set(fields):
@@ -170,14 +170,14 @@ def resets_of(topics: TopicData, begin: float) -> list[Reset]:
         for row in (np.flatnonzero(np.diff(counts)) + 1).tolist():
             if not was_valid(fields, counter, row - 1):
                 continue
-            known = (counts[row] - counts[row - 1]) % 256 == 1 and set(counter.deltas) <= set(fields)
-            jump = stated_jump(fields, counter, row) if known else seen_jump(fields, counter, row)
-            found.append(Reset(counter, row, float(time[row]), jump, known))
-    return sorted(found, key=lambda reset: reset.time)
+            is_stated = (counts[row] - counts[row - 1]) % 256 == 1 and set(counter.deltas) <= set(fields)
+            jump = stated_jump(fields, counter, row) if is_stated else measured_jump(fields, counter, row)
+            resets.append(Reset(counter, row, float(time[row]), jump, is_stated))
+    return sorted(resets, key=lambda reset: reset.time)
 
 
 def was_valid(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> bool:
-    """Whether a message has valid values of what a counter is of."""
+    """Whether a message has valid values of a counter's fields."""
     for flag, names in VALIDITY.items():
         if names == counter.fields and flag in fields and not fields[flag][row]:
             return False
@@ -189,16 +189,18 @@ def stated_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) ->
     return tuple(float(fields[name][row]) for name in counter.deltas)
 
 
-def seen_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
-    """The jump from one message to the following one, with the motion in between."""
+def measured_jump(fields: Mapping[str, np.ndarray], counter: Counter, row: int) -> tuple[float, ...]:
+    """The jump as the difference from the message before a row, which includes the motion in between."""
     following, preceding = (
-        np.array([float(fields[name][place]) for name in counter.fields]) for place in (row, row - 1)
+        np.array([float(fields[name][message]) for name in counter.fields]) for message in (row, row - 1)
     )
-    jump = product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
+    jump = (
+        quaternion_product(following, conjugate(preceding)) if counter.fields == QUATERNION else following - preceding
+    )
     return tuple(map(float, jump))
 
 
-def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def quaternion_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The product of quaternions w, x, y, z; shape (4, ...)."""
     w, x, y, z = left
     return np.array(
@@ -225,7 +227,7 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
         end: Its end [s], up to which the last message holds.
     """
     fields = topics.get(f"{POSITION}:0", {})
-    found = []
+    spans = []
     for flag, names in VALIDITY.items():
         if flag not in fields:
             continue
@@ -233,12 +235,12 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
         edges = np.diff(np.concatenate([[0], fields[flag] == 0, [0]]).astype(int))
         for begin_row, end_row in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
             stop = float(time[end_row]) if end_row < len(time) else max(end, float(time[-1]))
-            found.append(InvalidSpan(flag, names, float(time[begin_row]), stop))
-    return found
+            spans.append(InvalidSpan(flag, names, float(time[begin_row]), stop))
+    return spans
 
 
 def without_invalid(topics: TopicData) -> TopicData:
-    """The topics, with NaN in place of what the estimator calls invalid."""
+    """The topics, with NaN in place of values that the estimator calls invalid."""
     fields = topics.get(f"{POSITION}:0", {})
     changed = dict(fields)
     for flag, names in VALIDITY.items():
@@ -249,43 +251,47 @@ def without_invalid(topics: TopicData) -> TopicData:
 
 
 def without_jumps(topics: TopicData, resets: Sequence[Reset]) -> TopicData:
-    """The topics, with the known jumps of position and heading taken out of the estimate and of its setpoints."""
+    """The topics, with the stated jumps of position, heading and attitude removed, also from the setpoints."""
     changed = {name: dict(fields) for name, fields in topics.items()}
     has_heading = "heading_reset_counter" in topics.get(f"{POSITION}:0", {})
     for reset in reversed(resets):  # rotations do not commute: the last one goes first
-        if not reset.is_taken_out:
+        if not reset.is_removed:
             continue
         fields = changed[f"{reset.counter.topic}:0"]
         if reset.counter.fields == QUATERNION:
-            turned = np.array([fields[name].astype(float) for name in QUATERNION])
-            turned[:, reset.row :] = product(conjugate(np.array(reset.jump)), turned[:, reset.row :])
-            fields.update(zip(QUATERNION, turned, strict=True))
+            quaternions = np.array([fields[name].astype(float) for name in QUATERNION])
+            quaternions[:, reset.row :] = quaternion_product(
+                conjugate(np.array(reset.jump)), quaternions[:, reset.row :]
+            )
+            fields.update(zip(QUATERNION, quaternions, strict=True))
             w, x, y, z = reset.jump
             angle = float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
             jumps = {} if has_heading else {"heading": angle}
         else:
             jumps = dict(zip(reset.counter.fields, reset.jump, strict=True))
             for name, jump in jumps.items():
-                fields[name] = shifted(fields[name], reset.row, jump)
-        begin, end = event_span(reset, resets, topics)
+                fields[name] = without_jump(fields[name], reset.row, jump)
+        begin, end = stamps_around_reset(reset, resets, topics)
         for topic, names in SETPOINTS.items():
             setpoint = changed.get(f"{topic}:0", {})
-            moved = {name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint}
-            if moved:
-                row = following_row(setpoint, moved, begin, end)
-                for name, jump in moved.items():
-                    setpoint[name] = shifted(setpoint[name], row, jump)
+            setpoint_jumps = {
+                name: jumps[source] for name, source in names.items() if source in jumps and name in setpoint
+            }
+            if setpoint_jumps:
+                row = first_row_after_reset(setpoint, setpoint_jumps, begin, end)
+                for name, jump in setpoint_jumps.items():
+                    setpoint[name] = without_jump(setpoint[name], row, jump)
     return changed
 
 
-def shifted(values: np.ndarray, row: int, jump: float) -> np.ndarray:
-    """Values without a jump from a row on."""
+def without_jump(values: np.ndarray, row: int, jump: float) -> np.ndarray:
+    """Values with a jump subtracted from a row on."""
     changed = values.astype(float)
     changed[row:] -= jump
     return changed
 
 
-def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
+def stamps_around_reset(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tuple[float, float]:
     """The stamps of the estimate before and after a reset [us]; of a heading, those of the attitude, if it has both."""
 
     def stamps_of(jump: Reset) -> tuple[float, float]:
@@ -300,7 +306,9 @@ def event_span(reset: Reset, resets: Sequence[Reset], topics: TopicData) -> tupl
     return begin, end
 
 
-def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], begin: float, end: float) -> int:
+def first_row_after_reset(
+    setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float], begin: float, end: float
+) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
     That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.
@@ -312,16 +320,16 @@ def following_row(setpoint: Mapping[str, np.ndarray], jumps: Mapping[str, float]
         end: That of the first message after it [us].
     """
     time = setpoint["timestamp"].astype(float)
-    late = end + SETPOINT_DELAY / MICROSECOND
-    nearby = np.flatnonzero((time[1:] > begin) & (time[1:] <= late)) + 1
+    latest = end + SETPOINT_DELAY / MICROSECOND
+    nearby = np.flatnonzero((time[1:] > begin) & (time[1:] <= latest)) + 1
     squares = np.zeros(len(nearby))
     for name, jump in jumps.items():
         values = setpoint[name].astype(float)
         excess = values[nearby] - values[nearby - 1] - jump
         squares += (np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi if name == "yaw" else excess) ** 2
-    known = np.flatnonzero(np.isfinite(squares))
-    if known.size and np.sqrt(squares[known].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
-        return int(nearby[known[np.argmin(squares[known])]])
+    finite_rows = np.flatnonzero(np.isfinite(squares))
+    if finite_rows.size and np.sqrt(squares[finite_rows].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
+        return int(nearby[finite_rows[np.argmin(squares[finite_rows])]])
     return int(np.searchsorted(time, end))
 
 
@@ -355,8 +363,8 @@ def concerned_resets(
         start: From the beginning of the log [s].
     """
     needs = [(topic, needed_fields(topic, name, topics)) for topic, name in columns]
-    found = [reset for reset in resets_of(topics, begin) if reset.time > start]
-    return tuple(reset for reset in found if any(concerns(reset, *fields) for fields in needs))
+    later_resets = [reset for reset in resets_of(topics, begin) if reset.time > start]
+    return tuple(reset for reset in later_resets if any(concerns(reset, *fields) for fields in needs))
 
 
 def concerned_spans(topics: TopicData, begin: float, columns: Sequence[tuple[str, str]]) -> tuple[InvalidSpan, ...]:

@@ -27,17 +27,17 @@ def roughness(problem: FitProblem, minimum: Minimum) -> float:
         if problem.is_admissible(problem.values(x)):
             cost = problem.normal_equations(x).cost
             deviations.append(cost - minimum.cost - ray @ ray)
-    known = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+    finite_deviations = np.array([deviation for deviation in deviations if math.isfinite(deviation)])
+    return float(np.sqrt(np.mean(finite_deviations**2))) if finite_deviations.size else 0.0
 
 
 def widening(rough: float) -> float:
-    """The factor of the covariance for a roughness: a step of the sum of squares as large as its noise counts as 1."""
+    """The factor by which a roughness widens the covariance; a roughness as large as the noise is 1."""
     return max(1.0, rough / SMOOTH)
 
 
 def roughness_doubts(rough: float) -> tuple[Doubt, ...]:
-    """What is told of a sum of squares that is no parabola."""
+    """The doubt about a sum of squares that is no parabola."""
     if widening(rough) == 1.0:
         return ()
     text = (

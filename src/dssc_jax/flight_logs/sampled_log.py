@@ -22,12 +22,12 @@ class SampledLog(NamedTuple):
     outputs: np.ndarray  # measured outputs, NaN where missing
     offsets: np.ndarray  # their times less the sample instants, in samples
     commands: np.ndarray
-    held: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
+    held_samples: dict[str, int]  # samples at which the log lacks a command, and its last value counts, by signal
     replayed: tuple[str, ...]  # channels whose commands are those of the analysed controller for the logged outputs
     jumps: dict[str, float]  # changes of held commands at the gaps' ends, at most, where they are large; by signal
     gaps: tuple[Gap, ...]  # spans without messages, over which a command is held or replayed
     rare: tuple[str, ...] = ()  # commands that are logged more rarely than the controller gives them
     between: str = ""  # what commands do between two logged values
     sensor_noise: tuple[float, ...] = ()  # standard deviation of what the study's sensor adds to a reading, by channel
-    others: tuple[Reconstruction, ...] = ()  # commands that may have flown instead
+    alternatives: tuple[Reconstruction, ...] = ()  # commands that may have flown instead
     slow: Mapping[str, float] = MappingProxyType({})  # outputs that are held, with the time between readings

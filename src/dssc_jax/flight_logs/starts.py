@@ -1,6 +1,6 @@
 """Integrals of software on board, such as an inner loop's, where a logged flight begins in the air.
 
-The flight has filled them: they carry what the believed mass, the wind and the drag leave open. A study whose integrals
+By then they compensate errors of the believed mass, the wind and the drag. A study whose integrals
 start at 0 then sees a fall or a drift that the flight did not have, and another mass explains it.
 """
 
@@ -19,22 +19,22 @@ def fixed_integrals(study: Study) -> dict[str, float]:
     """The numbers at which integrals of software on board start, by name; without those that have a law."""
     software = study.loop.mimo_plant.software
     names = () if software is None else software.integrals(study.template.plant)
-    found = {}
+    initial_values = {}
     for name in names:
         number = study.numbers.get(f"plant.{name}")
         if number is not None and number.expression is None and isinstance(number.value, int | float):
-            found[number.name] = float(number.value)
-    return found
+            initial_values[number.name] = float(number.value)
+    return initial_values
 
 
 def begins_in_air(study: Study) -> bool:
-    """Whether integrals of software on board start elsewhere than at 0, as in a flight that has begun before."""
+    """Whether integrals of software on board start elsewhere than at 0, as in a flight under way."""
     software = study.loop.mimo_plant.software
     if software is None:
         return False
     names = software.integrals(study.template.plant)
-    fixed = fixed_integrals(study)
-    return software.settled(study.template.plant) or any(fixed.values()) or len(fixed) < len(names)
+    initial_values = fixed_integrals(study)
+    return software.settled(study.template.plant) or any(initial_values.values()) or len(initial_values) < len(names)
 
 
 def begins_level(study: Study) -> bool:
@@ -61,20 +61,20 @@ def start_remedy(name: str) -> str:
 
 
 def start_hints(study: Study, log: FlightLog) -> dict[str, str]:
-    """That the study's integrals start at 0 while the log begins in the air, by their name; empty if not so."""
+    """Hints that the study's integrals start at 0 while the log begins in the air, by the integrals' name."""
     software = study.loop.mimo_plant.software
-    fixed = fixed_integrals(study)
-    if software is None or not fixed or software.settled(study.template.plant) or any(fixed.values()):
+    initial_values = fixed_integrals(study)
+    if software is None or not initial_values or software.settled(study.template.plant) or any(initial_values.values()):
         return {}
-    reason = in_the_air(study, log)
+    reason = airborne_reason(study, log)
     if not reason:
         return {}
-    vertical = list(fixed)[-1]
+    vertical = list(initial_values)[-1]
     return {vertical.rpartition(".")[0]: f"starts at 0, as after a take-off, and {reason}. {start_remedy(vertical)}"}
 
 
-def in_the_air(study: Study, log: FlightLog) -> str:
-    """Why a vehicle is in the air where the study begins; empty if nothing says so."""
+def airborne_reason(study: Study, log: FlightLog) -> str:
+    """Why a vehicle seems to be in the air where the study begins; empty if nothing suggests it."""
     for segment in log.airborne:
         if segment.begin + LONG_IN_AIR < log.start < segment.end:
             return f"at {log.start:g} s the vehicle has been airborne for {log.start - segment.begin:.3g} s"
@@ -82,7 +82,7 @@ def in_the_air(study: Study, log: FlightLog) -> str:
     for channel in study.loop.channels:
         column = log.columns.get(signal_name(channel, "y_dot"))
         if column is not None and channel not in study.loop.plant.angles:
-            place = int(np.searchsorted(column.time, log.start - 0.5 * study.loop.sample_time))
-            speeds.append(float(column.value[min(place, len(column.value) - 1)]))
+            row = int(np.searchsorted(column.time, log.start - 0.5 * study.loop.sample_time))
+            speeds.append(float(column.value[min(row, len(column.value) - 1)]))
     speed = math.hypot(*speeds)
     return f"the log begins at a speed of {speed:.3g} m/s" if speed > MOVING else ""

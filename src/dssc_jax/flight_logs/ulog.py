@@ -1,4 +1,4 @@
-"""PX4's ULog: its topics and segments listed, and chosen topics read, without holding the whole file.
+"""PX4's ULog: its topics and segments listed, and selected topics read, without holding the whole file.
 
 pyulog reads a file message by message and holds the data of the topics that are asked for, with all their fields. The
 list of topics comes from a pass of its own, which holds no data at all.
@@ -122,7 +122,7 @@ class ReadTopics(NamedTuple):
 
 
 def read_topics(path: Path, names: Iterable[str]) -> ReadTopics:
-    """The messages of some topics; others are passed over.
+    """Read the messages of some topics, and skip those of others.
 
     Args:
         path: The log.
@@ -143,7 +143,7 @@ def read_topics(path: Path, names: Iterable[str]) -> ReadTopics:
 
 
 def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
-    """A log with the messages of some topics, and whether it is damaged.
+    """Parse a log with the messages of some topics, and tell whether it is damaged.
 
     pyulog skips to the next synchronisation message after damage, or stops. A damaged log is therefore parsed again,
     without the bytes that are no message.
@@ -151,23 +151,23 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
     Raises:
         ConfigError: the file cannot be read.
     """
-    chosen = sorted(set(names))
+    topic_names = sorted(set(names))
     with opened_log(path) as opened:
         log_begin(opened.file)
         opened.file.seek(0)
-        log = opened.parse(opened.file, chosen)
+        log = opened.parse(opened.file, topic_names)
     if not log.file_corruption:
         return log, False
     with opened_log(path) as opened:
-        scan = scanned(opened.file)
+        scan = scan_log(opened.file)
         if not scan.damages:
             return log, True
-        left_out = list(scan.damages)
+        skipped_parts = list(scan.damages)
         if scan.flags is not None:  # its offsets are those of the whole file
-            left_out.append(scan.flags)
-        left_out.sort()
+            skipped_parts.append(scan.flags)
+        skipped_parts.sort()
         size = opened.file.seek(0, 2)
-        return opened.parse(UndamagedPart(opened.file, left_out, size), chosen), True
+        return opened.parse(UndamagedPart(opened.file, skipped_parts, size), topic_names), True
 
 
 def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
@@ -178,10 +178,10 @@ def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
     """
     published = fields["timestamp"].astype(float)
     measured = fields.get("timestamp_sample")
-    chosen = published
+    times = published
     if measured is not None and (measured > 0).all() and (np.diff(measured.astype(np.int64)) >= 0).all():
-        chosen = measured.astype(float)
-    return np.where(published > 0.0, MICROSECOND * (chosen - begin), np.nan)
+        times = measured.astype(float)
+    return np.where(published > 0.0, MICROSECOND * (times - begin), np.nan)
 
 
 def list_topics(path: Path) -> LogTopics:
@@ -191,25 +191,27 @@ def list_topics(path: Path) -> LogTopics:
         ConfigError: the file cannot be read.
     """
     with opened_log(path) as opened:
-        scan = scanned(opened.file)
+        scan = scan_log(opened.file)
         opened.file.seek(0)
         log = opened.parse(opened.file, parse_header_only=True)
     system = {name: str(value) for name, value in log.msg_info_dict.items()}
     topics = tuple(sorted(scan.topics(), key=lambda topic: topic.name))
-    duration, late = span_of(topics)
+    duration, late_messages = span_of(topics)
     damaged = scan.damages[0].begin if scan.damages else None
-    lost = sum(damage.end - damage.begin for damage in scan.damages)
-    return LogTopics(system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost, scan.cut, tuple(late))
+    lost_bytes = sum(damage.end - damage.begin for damage in scan.damages)
+    return LogTopics(
+        system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost_bytes, scan.cut, tuple(late_messages)
+    )
 
 
 def is_cut(path: Path) -> bool:
     """Whether a log ends within a message, as where the power failed while it was written."""
     with opened_log(path) as opened:
-        return scanned(opened.file).cut
+        return scan_log(opened.file).cut
 
 
-def scanned(file: BinaryIO) -> Scan:
-    """The pass over all messages of a log."""
+def scan_log(file: BinaryIO) -> Scan:
+    """Scan all messages of a log."""
     scan = Scan(log_begin(file))
     scan.run(file)
     return scan
@@ -232,7 +234,7 @@ def log_end(topics: TopicData, begin: float) -> float:
 
 
 def segments_of(topics: TopicData, begin: float, end: float | None = None) -> list[Segment]:
-    """When a vehicle was armed and in the air.
+    """The segments in which a vehicle was armed, and in the air.
 
     Armed: ``actuator_armed.armed``, or ``vehicle_status.arming_state`` is 2. Airborne: armed and not
     ``vehicle_land_detected.landed``. A state holds until the topic's next message, the last one until the end of the
@@ -277,7 +279,7 @@ def spans_of(
     return [(low, high) for low, high in pairs if low < high]
 
 
-def chosen_segment(text: str, segments: Sequence[Segment]) -> Segment:
+def named_segment(text: str, segments: Sequence[Segment]) -> Segment:
     """The segment that a text names: ``armed`` the longest one, ``armed:2`` the second.
 
     Raises:
@@ -286,11 +288,11 @@ def chosen_segment(text: str, segments: Sequence[Segment]) -> Segment:
     name, _, number = text.partition(":")
     if name not in SEGMENTS or (number and not number.isdecimal()):
         raise ConfigError("segment", f"must be {' or '.join(SEGMENTS)}, or armed:2 for the second one, got {text!r}")
-    found = [segment for segment in segments if segment.name == name]
-    if not found:
+    matches = [segment for segment in segments if segment.name == name]
+    if not matches:
         raise ConfigError("segment", f"the log has no segment '{name}'; `dssc-jax log FILE` lists what it has")
     if not number:
-        return max(found, key=lambda segment: segment.end - segment.begin)
-    if not 1 <= int(number) <= len(found):
-        raise ConfigError("segment", f"the log has {len(found)} segments '{name}', got number {number}")
-    return found[int(number) - 1]
+        return max(matches, key=lambda segment: segment.end - segment.begin)
+    if not 1 <= int(number) <= len(matches):
+        raise ConfigError("segment", f"the log has {len(matches)} segments '{name}', got number {number}")
+    return matches[int(number) - 1]

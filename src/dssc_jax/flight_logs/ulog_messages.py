@@ -67,10 +67,10 @@ def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
     padded = 0
     unpadded = 0
     for text in formats[name].split(";"):
-        found = FIELD.fullmatch(text.strip())
-        if found is None:
+        match = FIELD.fullmatch(text.strip())
+        if match is None:
             continue
-        kind, count, label = found.groups()
+        kind, count, label = match.groups()
         single = TYPE_SIZES[kind] if kind in TYPE_SIZES else field_sizes(kind, formats)[1]
         padded += single * int(count or 1)
         if not label.startswith(PADDING):
@@ -79,7 +79,7 @@ def field_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int]:
 
 
 def is_sound_text(kind: int, body: bytes) -> bool:
-    """Whether a message that is no data may be one of its kind."""
+    """Whether the body of a message without data is possible for its kind."""
     if kind not in KINDS or kind == DATA:
         return False
     size = len(body)
@@ -99,10 +99,10 @@ def is_sound_value(body: bytes) -> bool:
     if not body or len(body) <= body[0]:
         return False
     key = body[1 : 1 + body[0]]
-    found = FIELD.fullmatch(key.decode("ascii", "replace"))
-    if found is None or not is_plain(key) or found[1] not in TYPE_SIZES:
+    match = FIELD.fullmatch(key.decode("ascii", "replace"))
+    if match is None or not is_plain(key) or match[1] not in TYPE_SIZES:
         return False
-    return len(body) - 1 - len(key) == TYPE_SIZES[found[1]] * int(found[2] or 1)
+    return len(body) - 1 - len(key) == TYPE_SIZES[match[1]] * int(match[2] or 1)
 
 
 def is_plain(text: bytes) -> bool:

@@ -130,11 +130,11 @@ class TopicCount:
 
     def usual(self) -> float:
         """Messages a second, without intervals of more than eight times the middle one."""
-        known = sum(self.intervals)
-        counted = 0
+        interval_count = sum(self.intervals)
+        cumulative_count = 0
         for digits, count in enumerate(self.intervals):
-            counted += count
-            if 2 * counted > known:
+            cumulative_count += count
+            if 2 * cumulative_count > interval_count:
                 number, total = (sum(values[: digits + USUAL_DIGITS + 1]) for values in (self.intervals, self.sums))
                 return number / (MICROSECOND * total) if total else np.nan
         return np.nan
@@ -190,7 +190,7 @@ class Scan:
                 return
             size, kind = MESSAGE.unpack(head)
             body = read(size)
-            if len(body) == size and (self._count(body) if kind == DATA else self._note(kind, body, file.tell())):
+            if len(body) == size and (self._count(body) if kind == DATA else self._record(kind, body, file.tell())):
                 continue
             place = file.tell() - len(body) - MESSAGE.size
             if len(body) < size and self._is_sound_head(head + body[: STAMPED.size]):
@@ -217,8 +217,8 @@ class Scan:
         count = self._counts.get(number)
         return None if count is None else count.sizes
 
-    def _note(self, kind: int, body: bytes, end: int) -> bool:
-        """Note a format, a topic or a dropout of a message that has an end; False: it is none."""
+    def _record(self, kind: int, body: bytes, end: int) -> bool:
+        """Record a format, topic, dropout or flags from a message with an end; False if it is not sound."""
         if not is_sound_text(kind, body):
             return False
         if kind == FORMAT:
@@ -231,8 +231,8 @@ class Scan:
             sizes = message_sizes(name, self._formats)
             self._counts.setdefault(number, TopicCount(sizes)).sizes = sizes
         elif kind == DROPPED:
-            count, lost = self.dropouts
-            self.dropouts = (count + 1, lost + 1e-3 * DROPOUT.unpack_from(body)[0])
+            count, lost_time = self.dropouts
+            self.dropouts = (count + 1, lost_time + 1e-3 * DROPOUT.unpack_from(body)[0])
         elif kind == FLAGS and self.flags is None:
             self.flags = Damage(end - len(body) - MESSAGE.size, end)
         return True
@@ -248,51 +248,51 @@ class Scan:
         return sizes is not None and sizes.smallest <= size <= sizes.largest
 
     def _next_message(self, file: BinaryIO, place: int) -> int:
-        """The first place from a place on at which the log goes on; its end if there is none."""
+        """Find the first place, from a given one, where sound messages continue; the log's end if there is none."""
         longest_head = MESSAGE.size + STAMPED.size
         while True:
             file.seek(place)
             window = file.read(WINDOW)
             if len(window) < MESSAGE.size:
                 return place + len(window)
-            ends = len(window) < WINDOW
-            searched = len(window) - (MESSAGE.size if ends else longest_head)
-            for start in range(searched):
+            is_last_window = len(window) < WINDOW
+            searched_bytes = len(window) - (MESSAGE.size if is_last_window else longest_head)
+            for start in range(searched_bytes):
                 if window[start + 2] not in KINDS or not self._is_sound_head(window[start : start + longest_head]):
                     continue
-                if self._goes_on(file, place + start):
+                if self._has_sound_chain(file, place + start):
                     return place + start
-            if ends:
+            if is_last_window:
                 return place + len(window)
-            place += searched
+            place += searched_bytes
 
-    def _goes_on(self, file: BinaryIO, place: int) -> bool:
-        """Whether several sound messages follow one another from a place on, or the last ones of the log."""
+    def _has_sound_chain(self, file: BinaryIO, place: int) -> bool:
+        """Whether several sound messages follow one another from a place, or the last ones of the log."""
         file.seek(place)
-        sound = 0
+        sound_count = 0
         for count in range(CHAIN_READ):
             head = file.read(MESSAGE.size)
             if not head:
-                return sound > 0
+                return sound_count > 0
             if len(head) < MESSAGE.size:
-                return sound > 1
+                return sound_count > 1
             size, kind = MESSAGE.unpack(head)
             body = file.read(size)
             if len(body) < size:
-                return sound > 1
+                return sound_count > 1
             if kind == DATA:
                 if size < STAMPED.size:
                     return False
                 sizes = self._sizes(STAMPED.unpack_from(body)[0])
-                known = sizes is not None and sizes.smallest <= size <= sizes.largest
-                if (sizes is not None or count == 0) and not known:
+                is_sound = sizes is not None and sizes.smallest <= size <= sizes.largest
+                if (sizes is not None or count == 0) and not is_sound:
                     return False
-                sound += known
+                sound_count += is_sound
             elif is_sound_text(kind, body):
-                sound += 1
+                sound_count += 1
             else:
                 return False
-            if sound == CHAIN or body == SYNCHRONISATION:
+            if sound_count == CHAIN or body == SYNCHRONISATION:
                 return True
         return False
 
@@ -328,11 +328,11 @@ class UndamagedPart:
         while self._place < end:
             part = bisect.bisect_right(self._places, self._place) - 1
             self._file.seek(self._begins[part] + self._place - self._places[part])
-            found = self._file.read(min(end, self._places[part + 1]) - self._place)
-            if not found:
+            chunk = self._file.read(min(end, self._places[part + 1]) - self._place)
+            if not chunk:
                 break
-            parts.append(found)
-            self._place += len(found)
+            parts.append(chunk)
+            self._place += len(chunk)
         return b"".join(parts)
 
     def seek(self, offset: int, origin: int = 0) -> int:

@@ -1,4 +1,4 @@
-"""Why a flight leaves numbers open: what made the intervals wide, and what to do about each of it."""
+"""Why a flight leaves numbers open: the causes of wide intervals, and a remedy for each."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ NOTICEABLE = 1.1  # of an interval's width: what widens it by less is not named
 
 
 def width_reasons(problem: FitProblem, rough: float = 0.0, growth: float = 1.0) -> str:
-    """What made the intervals wide, with the remedies, as sentences.
+    """The causes of wide intervals, with the remedies, as sentences.
 
     Args:
         problem: The problem, with the noise of its minimum.
@@ -52,13 +52,13 @@ def sentence(text: str) -> str:
 
 
 def widest_growth(narrow: np.ndarray, wide: np.ndarray) -> float:
-    """By how much the widest-growing standard deviation grows from one covariance to another, each of shape (p, p)."""
+    """The largest growth factor of a standard deviation between two covariances, each of shape (p, p)."""
     return float(np.sqrt(np.max(np.diag(wide) / np.diag(narrow))))
 
 
-def open_numbers(kept: Mapping[str, float]) -> str:
+def open_numbers(widths: Mapping[str, float]) -> str:
     """Numbers that a flight leaves open, each with its standard deviation from the flight over that of its law."""
     parts = []
-    for name, width in kept.items():
+    for name, width in widths.items():
         parts.append(f"{name} ({width:.3g} times)" if math.isfinite(width) else f"{name} (not at all)")
     return ", ".join(parts)
