@@ -38,7 +38,7 @@ def test_a_diverged_draw_ends_alike():
 
 def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
     monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
-    assert kernels.requested() == "lanes"
+    assert kernels.requested_form() == "lanes"
     assert not any(kernels.KERNEL_VARIABLE in flag for flag in computing()["compiler"])
     monkeypatch.setenv(kernels.KERNEL_VARIABLE, "strict")
     assert Engine(axis(), 8).kernel == "strict"
@@ -53,7 +53,7 @@ def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
 def test_a_gpu_advances_sample_by_sample(monkeypatch):
     monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert kernels.requested() == "scan"
+    assert kernels.requested_form() == "scan"
 
 
 @pytest.mark.parametrize("name", [name for name in REFUSED if name != "algorithm"])  # XLA refuses that here, too

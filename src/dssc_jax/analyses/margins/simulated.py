@@ -175,7 +175,7 @@ def number_margins(
     blocks: list[CriticalDraws] = []
     for begin in range(0, draws, evaluator.lanes):
         indices = np.arange(begin, min(begin + evaluator.lanes, draws))
-        laws = evaluator.drawn(slice(begin, begin + len(indices)))
+        laws = evaluator.values_of_draws(slice(begin, begin + len(indices)))
         violated = FirstViolated(len(indices), walk.start)
 
         def slack_at(

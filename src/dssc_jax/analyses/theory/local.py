@@ -27,7 +27,7 @@ from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.smooth_parts import (
     declared_places,
     require_smooth_at,
-    stated,
+    substitute_notes,
     substituted,
     with_inner_sides,
 )
@@ -111,7 +111,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             return AtRest(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
         return linearised_at_rest(*with_inner_sides(loop, params, parts, findings))
 
-    notes = stated(parts)
+    notes = substitute_notes(parts)
     examine = examination(keyed_loop, parts)
     options = plain_options()
     starts = jax.jit(jax.vmap(start), compiler_options=options)
