@@ -8,7 +8,7 @@ import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine import kernels
-from dssc_jax.engine.batching import Engine, computing, drawn
+from dssc_jax.engine.batching import Engine, computing, values_of_draws
 from tests.conftest import UNCERTAIN
 from tests.lanes.test_exactness import REFUSED
 from tests.lanes.test_translation import sorts
@@ -24,7 +24,7 @@ def axis(**changes):
 
 def batch(study, kernel):
     draws = study.config.draws
-    return Engine(study, draws, kernel=kernel)(drawn(study, slice(0, draws)), np.arange(draws))()
+    return Engine(study, draws, kernel=kernel)(values_of_draws(study, slice(0, draws)), np.arange(draws))()
 
 
 def test_a_diverged_draw_ends_alike():

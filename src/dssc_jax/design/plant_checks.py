@@ -91,7 +91,7 @@ def plant_warnings(study: Study) -> list[str]:
             found.append(
                 f"the disturbance at the command{place} has no effect: the plant does not use it (`drive.disturbance`)"
             )
-    for name, model, acts in zip(loop.input_names, loop.inputs, observed.relevant_states, strict=True):
+    for name, model, acts in zip(loop.input_names, loop.inputs, observed.felt, strict=True):
         if model != NO_DISTURBANCE and not acts:
             found.append(
                 f"the disturbance at the input {name} has no effect: the plant does not use it (`drive.inputs`)"
