@@ -26,8 +26,8 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
     plant, memory = estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
     software = loop.mimo_plant.software
     if software is not None and software.period(params.plant) is not None:
-        seen = estimation.seen(params.plant, plant)
-        plant = software.holding(plant, software.start(params.plant, seen, first_wind(loop, params)))
+        estimated_plant = estimation.seen(params.plant, plant)
+        plant = software.holding(plant, software.start(params.plant, estimated_plant, first_wind(loop, params)))
     return plant, memory
 
 

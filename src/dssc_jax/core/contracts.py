@@ -162,8 +162,8 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
         """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
         outputs = self.outputs(params) if self.outputs else ()
-        declared = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
-        return outputs or tuple(declared)
+        declared_signals = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
+        return outputs or tuple(declared_signals)
 
 
 class Preset(NamedTuple):

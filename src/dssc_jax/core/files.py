@@ -47,10 +47,10 @@ class UnsafeFileError(OSError):
 
 
 def file_type(mode: int) -> str:
-    """What a file that is not regular is, in words."""
-    for matches, words in FILE_TYPES:
+    """The type of a file that is not regular, in words."""
+    for matches, description in FILE_TYPES:
         if matches(mode):
-            return words
+            return description
     return "no regular file"
 
 

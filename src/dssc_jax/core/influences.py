@@ -10,9 +10,9 @@ def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
         begin: Masks of states, shape (..., states).
         influences: Whether the state of each row depends on that of each column, shape (..., states, states).
     """
-    reached = begin
+    influencing = begin
     while True:
-        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
-        if np.array_equal(wider, reached):
-            return reached
-        reached = wider
+        extended = influencing | np.any(influencing[..., :, None] & influences, axis=-2)
+        if np.array_equal(extended, influencing):
+            return influencing
+        influencing = extended

@@ -54,8 +54,8 @@ def restored(content: Any) -> Any:
     ((kind, parts),) = content.items()
     if kind == DTYPE:
         return np.dtype(parts)
-    inside = restored(parts)
+    arguments = restored(parts)
     if kind in CONTAINERS:
-        return CONTAINERS[kind](inside)
+        return CONTAINERS[kind](arguments)
     module, _, name = kind.rpartition(".")
-    return getattr(importlib.import_module(module), name)(*inside)
+    return getattr(importlib.import_module(module), name)(*arguments)

@@ -106,9 +106,9 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
         case np.ndarray() | np.generic() | jax.Array():
             yield from array_parts(subject)
         case _:
-            inside = consists_of(subject)
-            yield str(len(inside)).encode()
-            for part in inside:
+            parts = consists_of(subject)
+            yield str(len(parts)).encode()
+            for part in parts:
                 yield from description_parts(part, (*ancestors, id(subject)))
 
 

@@ -13,13 +13,13 @@ from dssc_jax.core.native.fmu_tables import (
     OUTPUTS_KEY,
     WITHOUT_DERIVATIVE,
     Connection,
-    chosen_parameters,
     connection,
     connections,
     fmu_of,
     named_signals,
+    parameter_connections,
     params_type,
-    reported,
+    reported_outputs,
     require_distinct,
     values_of,
 )
@@ -74,9 +74,9 @@ class FmuPlant:
         self.inputs = tuple(sorted(connections(fmu, table, "inputs", INPUT)))
         self.y = connection(fmu, table, "y", OUTPUT)
         self.rate = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
-        self.outputs = reported(fmu, table)
+        self.outputs = reported_outputs(fmu, table)
         require_distinct(self.driven)
-        self.parameters = chosen_parameters(fmu, table, self.driven)
+        self.parameters = parameter_connections(fmu, table, self.driven)
         read = (self.y, *([self.rate] if self.rate else []), *self.outputs)
         ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.driven, read)))
         self.functions = FmuFunctions(ports)
