@@ -75,15 +75,15 @@ class FmuPlant:
         self.y = connection(fmu, table, "y", OUTPUT)
         self.rate = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
         self.outputs = reported_outputs(fmu, table)
-        require_distinct(self.driven)
-        self.parameters = parameter_connections(fmu, table, self.driven)
+        require_distinct(self.connected_inputs)
+        self.parameters = parameter_connections(fmu, table, self.connected_inputs)
         read = (self.y, *([self.rate] if self.rate else []), *self.outputs)
-        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.driven, read)))
+        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.connected_inputs, read)))
         self.functions = FmuFunctions(ports)
 
     @property
-    def driven(self) -> tuple[Connection, ...]:
-        """What is set before each step."""
+    def connected_inputs(self) -> tuple[Connection, ...]:
+        """The connected inputs, which are set before each step."""
         return (self.command, *([self.disturbance] if self.disturbance else []), *self.inputs)
 
     @property

@@ -143,16 +143,18 @@ def prepare(params: UavParams) -> UavParams:
     for name in ("position", "velocity", "body_rate"):
         if len(getattr(params, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
-    plain = vehicle._replace(
+    nominal_vehicle = vehicle._replace(
         body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
         rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
         rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
     )
-    vehicle_values = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
-    chosen = {name: value for name, value in params.believed._asdict().items() if value is not None}
-    believed = vehicle_values._replace(**chosen)
-    if len(chosen.get("inertia", (0, 0, 0))) != 3:
-        raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
+    vehicle_values = Believed(
+        nominal(vehicle.mass), tuple(nominal_vehicle.inertia), nominal(vehicle.thrust_coefficient)
+    )
+    stated_values = {name: value for name, value in params.believed._asdict().items() if value is not None}
+    believed = vehicle_values._replace(**stated_values)
+    if len(stated_values.get("inertia", (0, 0, 0))) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {stated_values['inertia']}")
     if params.inner_loop.start is Start.SETTLED:
         require_known_equilibrium(params)
     return params._replace(
