@@ -50,7 +50,7 @@ def seen_measurements(
     drive: PlantInput[Signals],
     exact: Measurements,
 ) -> Measurements:
-    """What the sensors of the channels see: the estimate, or the exact measurements without an estimator."""
+    """The inputs of the channels' sensors: the estimate, or the exact measurements without an estimator."""
     estimation = estimation_of(loop, params)
     if estimation is None:
         return exact

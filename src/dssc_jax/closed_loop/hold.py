@@ -244,7 +244,7 @@ def terms_of(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
 
 
 def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
-    """What advances the unmodelled dynamics of each channel over a step, but for their linear part."""
+    """The functions that advance each channel's unmodelled dynamics over a step, but for their linear part."""
     return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
 
 

@@ -168,7 +168,7 @@ def held_parts(loop: Loop) -> HeldParts:
 
 
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
-    """What happens between two samples of one draw; to be called before the time loop."""
+    """The function that advances a draw between two samples; to be called before the time loop."""
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 

@@ -125,7 +125,7 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
 def condition_at(
     events: tuple[VehicleEvent, ...], params: tuple[Params, ...], t: Scalar, dt: Scalar, rotors: int
 ) -> Condition | None:
-    """What the events have made of the vehicle in the sample at t; None where there are none."""
+    """The condition of the vehicle after the events up to the sample at t; None where there are none."""
     if not events:
         return None
     condition = Condition()

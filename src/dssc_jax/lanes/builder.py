@@ -140,7 +140,7 @@ class Builder:
         self.here.nodes.append(Record(recording, position, value))
 
     def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
-        """The same product or quotient with fewer operations here, by what is known before; None if there is none.
+        """The same product or quotient with fewer operations in this block; None if there is none.
 
         A divisor that is known before a loop is inverted there. Two factors that are known before the third are
         multiplied before it. Sums keep their order, on which cancellation depends.
@@ -160,7 +160,7 @@ class Builder:
         return None
 
     def _depth_of(self, value: Value) -> int:
-        """How deep an operation on a value alone is computed; -1 for a constant."""
+        """The depth of the block in which an operation on a value alone is computed; -1 for a constant."""
         return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:

@@ -79,7 +79,7 @@ class CompiledLanes:
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """Of how many lanes the recordings lie side by side, in a batch of so many."""
+        """The number of lanes whose recordings lie side by side, in a batch of ``lanes``."""
         return self.signature.width
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:

@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
-    """What follows from subjects alone: from the user's cache, or computed and kept there.
+    """A result that follows from subjects alone: from the user's cache, or computed and stored there.
 
     Args:
         label: Label of the cached quantity.

@@ -139,7 +139,7 @@ def array_parts(array: Any) -> Iterator[bytes]:
 
 
 def consists_of(subject: Any) -> list[Any]:
-    """What a container, a function or an object of a known type consists of.
+    """The parts of a container, a function or an object of a known type.
 
     Raises:
         Undescribed: Its parts are not known.

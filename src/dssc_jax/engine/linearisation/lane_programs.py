@@ -71,7 +71,7 @@ def entry_name(vector: str, index: int) -> str:
 
 
 def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.Array], tuple[Entries, ...]]:
-    """The same program with its vectors entry by entry.
+    """A program of a lane, whose vectors it takes entry by entry.
 
     Args:
         lane: The program.

@@ -63,7 +63,7 @@ class Operating(NamedTuple):
     taken: tuple[str, ...]
 
     def closed(self, point: int) -> np.ndarray:
-        """Which draws have an operating point where no part beyond its boundary opens the loop, shape (draws,).
+        """Whether each draw has an operating point where no part beyond its boundary opens the loop, shape (draws,).
 
         Args:
             point: Index of the break point.

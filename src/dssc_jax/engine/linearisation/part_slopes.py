@@ -206,7 +206,7 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 
 
 def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """The same for parts that are all examined."""
+    """As :func:`examination`, for parts that are all examined."""
 
     def lane_maps(numbers: Values, vectors: Values, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
         loop, params, key = lane(numbers, index)

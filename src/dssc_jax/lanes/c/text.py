@@ -151,7 +151,7 @@ class CText:
         self._written[id(loop)] = "", ATOM
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """One of two sides."""
+        """A branch as ``if`` and ``else``."""
         live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
         names = {i: self._variable("chosen") for i in live_positions}
         for i in live_positions:

@@ -40,7 +40,7 @@ def available_cores() -> int:
 
 @cache
 def features() -> Any:
-    """What this processor can do, by LLVM's names: a dictionary of truth values."""
+    """The features of this processor: for each of LLVM's names whether it has the feature."""
     return llvm.get_host_cpu_features()
 
 
@@ -55,7 +55,7 @@ def scheduling_model() -> str:
 
 
 def code_settings() -> list[str]:
-    """What a manifest tells of the machine code: LLVM's version and the processor."""
+    """The facts about the machine code for a manifest: LLVM's version and the processor."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 
@@ -101,7 +101,7 @@ def code_name(text: str) -> str:
 
 @cache
 def translator() -> tuple[str, ...]:
-    """What decides the machine code of a module's text: LLVM, the processor with its features, the addresses."""
+    """The facts that decide the machine code of a module's text: LLVM, the processor, its features, the addresses."""
     model, instructions, addresses = scheduling_model(), features().flatten(), str(has_near_constants())
     return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), addresses
 

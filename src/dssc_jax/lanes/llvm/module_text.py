@@ -99,7 +99,7 @@ class Emitter(Instructions):
     # Blocks
 
     def block(self, block: CodeBlock) -> None:
-        """All that a block computes and that is needed."""
+        """Write the nodes of a block that are needed."""
         for node in ordered([node for node in block.nodes if self.is_needed(node)], self.window):
             if isinstance(node, Record):
                 self.record(node)
@@ -115,7 +115,7 @@ class Emitter(Instructions):
         return id(node) in self.alive and id(node) not in self.computed_ids
 
     def loop(self, loop: CodeLoop) -> None:
-        """A loop that tests at its end; what is common to all lanes is computed ahead where that is worthwhile."""
+        """Write a loop that tests at its end; uniform values are computed ahead where that is worthwhile."""
         top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
         alive = [
             i
@@ -146,13 +146,13 @@ class Emitter(Instructions):
             self.name(loop.results[i], names[i])
 
     def turn(self, loop: CodeLoop) -> str:
-        """The body of a loop; whether it goes on."""
+        """Write the body of a loop; the register that tells whether it goes on."""
         self.block(loop.body)
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
     def turns(self, loop: CodeLoop, plan: AheadPlan, alive: Sequence[int]) -> str:
-        """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
+        """Write several turns of a loop, with uniform values computed ahead; whether it goes on after the last."""
         inner, out = self.fresh("turn"), self.fresh("out")
         ahead = Ahead(self, plan, self.window)
         ahead.write(loop)
@@ -196,7 +196,7 @@ class Emitter(Instructions):
         self.lines[line] = f"  {self.lines[line]} = phi {self.kind(state.dtype, wide)} {text}"
 
     def branch(self, branch: Branch) -> None:
-        """Both sides in turn, each if a lane takes it."""
+        """Write both sides of a branch in turn; each runs if a lane takes it."""
         alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
         varying = self.is_vector(branch.condition)
         condition = self.read(branch.condition, varying)
@@ -260,7 +260,7 @@ class Emitter(Instructions):
         return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
 
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
-        """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
+        """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
         side_label, end, entry = self.fresh("side"), self.fresh("end"), self.label
         self.lines.append(f"  br i1 {is_taken},  label %{side_label}, label %{end}")
         self.begin(side_label)

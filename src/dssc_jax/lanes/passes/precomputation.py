@@ -60,7 +60,7 @@ def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
 
 
 def step(loop: CodeLoop, position: int) -> int:
-    """By how much a state grows in every turn; 0 if it does something else."""
+    """The constant by which a state grows in every turn; 0 if it changes otherwise."""
     state, next_value = loop.states[position], loop.next_states[position]
     if next_value.operation == "add" and next_value.dtype.kind in "iu":
         for state_operand, increment in (next_value.operands, next_value.operands[::-1]):

@@ -100,27 +100,27 @@ def strided(operand: Tensor, params: Parameters) -> Tensor:
 
 
 def reshaped(operand: Tensor, params: Parameters) -> Tensor:
-    """The same elements in another shape."""
+    """An array in another shape."""
     return operand.reshape(params["new_sizes"])
 
 
 def squeezed(operand: Tensor, params: Parameters) -> Tensor:
-    """Without axes of size 1."""
+    """An array without some axes of size 1."""
     return np.squeeze(operand, tuple(params["dimensions"]))
 
 
 def expanded(operand: Tensor, params: Parameters) -> Tensor:
-    """With new axes of size 1."""
+    """An array with new axes of size 1."""
     return np.expand_dims(operand, tuple(params["dimensions"]))
 
 
 def transposed(operand: Tensor, params: Parameters) -> Tensor:
-    """With its axes in another order."""
+    """An array with its axes in another order."""
     return np.transpose(operand, params["permutation"])
 
 
 def reversed_along(operand: Tensor, params: Parameters) -> Tensor:
-    """Backwards along some axes."""
+    """An array reversed along some axes."""
     return np.flip(operand, params["dimensions"])
 
 

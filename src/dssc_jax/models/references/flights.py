@@ -52,7 +52,7 @@ def steps_at(params: StepsParams, t: Scalar) -> Flight:
 
 
 def whole_mission(params: NoParams, t: Scalar) -> Flight:
-    """All four axes."""
+    """The mission of all four axes."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 

@@ -138,7 +138,7 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
 
 
 def default_text(parameters: Mapping[str, float]) -> str:
-    """That rotors have PX4's default KM because the file does not set theirs; empty if it sets all of them."""
+    """A note that rotors have PX4's default KM where the file does not set theirs; empty if it sets all."""
     names = [f"CA_ROTOR{i}_KM" for i in range(int(parameters.get("CA_ROTOR_COUNT", 0)))]
     missing = [name for name in names if name not in parameters]
     if not missing:

@@ -97,7 +97,7 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
 
 
 def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
-    """What to change where hover needs negative thrusts of some rotors."""
+    """Advice for a vehicle whose hover needs negative thrusts of some rotors."""
     downward = [i for i, rotor in enumerate(vehicle.rotor) if nominal(rotor.axis[2]) < 0.0]
     if len(downward) == vehicle.rotors:
         return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"

@@ -216,7 +216,7 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
 
 
 def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
-    """What the vehicle reports, with the errors of an estimate where there is one."""
+    """The signals that the vehicle reports, with the errors of an estimate where there is one."""
     quantities = quantities_of(UavInfo)
     if estimator_of(params) is not None:
         quantities |= quantities_of(EstimateErrors)
