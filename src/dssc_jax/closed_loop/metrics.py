@@ -147,12 +147,12 @@ def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Mean over the window."""
-    return acc / span.inside
+    return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Root of the mean over the window."""
-    return root_abs(acc / span.inside)
+    return root_abs(acc / span.sample_count)
 
 
 class Stretch(NamedTuple):

@@ -17,7 +17,7 @@ from dssc_jax.closed_loop.control import (
     principal_value,
     unwrap,
 )
-from dssc_jax.closed_loop.estimates import renewed_estimate, seen_measurements, start_estimate
+from dssc_jax.closed_loop.estimates import measurements_for_sensors, renewed_estimate, start_estimate
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
@@ -129,7 +129,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     exact = measure(loop, params, plant, references, drive)
     signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
     plant, estimate = start_estimate(loop, params, key, plant)
-    measurements = seen_measurements(loop, params, plant, references, drive, exact)
+    measurements = measurements_for_sensors(loop, params, plant, references, drive, exact)
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -340,7 +340,9 @@ def step(
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     values = signal_values(loop, params, state.plant, measurements, arriving_drive)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
-    estimated_measurements = seen_measurements(loop, params, state.plant, references, arriving_drive, measurements)
+    estimated_measurements = measurements_for_sensors(
+        loop, params, state.plant, references, arriving_drive, measurements
+    )
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []

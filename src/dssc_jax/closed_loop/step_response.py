@@ -110,7 +110,7 @@ class Outside(NamedTuple):
     last_sample: Scalar = 0.0
 
 
-def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
+def update_outside(acc: Outside, sample: Sample, window: Window) -> Outside:
     """Note a sample whose distance from the goal exceeds the band."""
     step = acc.step.next(sample)
     is_outside = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
@@ -120,7 +120,7 @@ def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
 def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
     time = acc.last_sample * span.sample_time
-    return acc.step.result(jnp.where(acc.last_sample >= span.inside, jnp.inf, time))
+    return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
 
 class Following(NamedTuple):
@@ -135,7 +135,7 @@ class Following(NamedTuple):
     yd: Scalar = 0.0
 
 
-def following(acc: Following, sample: Sample, window: Window) -> Following:
+def update_following(acc: Following, sample: Sample, window: Window) -> Following:
     """Add a sample."""
     r = sample.reference.y
     d = sample.reference.y_dot
@@ -150,7 +150,7 @@ def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
     They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
     and the frequency squared is var r'/var r. Both are NaN if r does not move.
     """
-    n = span.inside
+    n = span.sample_count
     rr = acc.rr - acc.r * acc.r / n
     dd = acc.dd - acc.r_dot * acc.r_dot / n
     is_moving = (rr > 0.0) & (dd > 0.0)
@@ -181,15 +181,15 @@ STEP_RESPONSE: dict[str, Metric] = {
         defined_if=BEGINS_WITH_STEP,
     ),
     "settling_time_percent": Metric(
-        "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
+        "s", "time after which a step response stays within a per-cent band", update_outside, step_settling,
+        start=Outside(), counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
     ),
     "following_gain": Metric(
-        "1", "amplitude of the output over that of a sine reference", following, following_gain,
+        "1", "amplitude of the output over that of a sine reference", update_following, following_gain,
         start=Following(), least=0.0, defined_if=MOVES,
     ),
     "following_lag": Metric(
-        "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following(),
+        "rad", "phase by which the output lags a sine reference", update_following, following_lag, start=Following(),
         defined_if=MOVES,
     ),
 }  # fmt: skip

@@ -32,7 +32,7 @@ class WindowEntry(NamedTuple):
     absent: str = ""
 
 
-def declared(default: float, entry: WindowEntry) -> Any:
+def entry_field(default: float, entry: WindowEntry) -> Any:
     """A field of a window with its entry in a study."""
     return field(default=default, metadata={"entry": entry})
 
@@ -44,11 +44,11 @@ class Window:
     The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
     """
 
-    after: float = declared(
+    after: float = entry_field(
         0.0,
         WindowEntry("after", "start of the window [s]", "_after_{:.12g}", " after {:g} s", {"ge": 0.0}, relative=False),
     )
-    band: float = declared(
+    band: float = entry_field(
         0.05,
         WindowEntry(
             "settling_band",
@@ -58,7 +58,7 @@ class Window:
             {"gt": 0.0},
         ),
     )
-    percent: float = declared(
+    percent: float = entry_field(
         2.0,
         WindowEntry(
             "settling_percent",
@@ -68,13 +68,13 @@ class Window:
             {"gt": 0.0, "lt": 100.0},
         ),
     )
-    until: float = declared(
+    until: float = entry_field(
         math.inf,
         WindowEntry(
             "until", "end of the window [s]", "_until_{:.12g}", " up to {:g} s", {"ge": 0.0}, False, "the flight's end"
         ),
     )
-    chattering: float = declared(
+    chattering: float = entry_field(
         0.0,
         WindowEntry(
             "chattering_frequency",

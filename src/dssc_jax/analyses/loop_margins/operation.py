@@ -74,7 +74,7 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    found = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
+    found = examination(lane_loop(study, places, is_resting=True), places)(values, indices, states, 1)
     findings = resting.linearise.resolve_open_loops(values, indices, states, 1, found)
     taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
     plain = settled & ~np.any((found == Finding.CORNER) | (found == Finding.DEFECT), axis=1)
@@ -103,8 +103,8 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
     flown = flown_states(study, values, indices, samples)
-    linearise = Linearisation(study, places, resting=False)
-    examine = examination(lane_loop(study, places, resting=False), places)
+    linearise = Linearisation(study, places, is_resting=False)
+    examine = examination(lane_loop(study, places, is_resting=False), places)
     operating = {}
     for t, k, states in zip(times, samples, flown, strict=True):
         findings = examine(values, indices, states, k)

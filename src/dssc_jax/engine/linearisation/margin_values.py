@@ -86,7 +86,7 @@ class MarginValues:
         except ConfigError as error:
             raise ConfigError(error.where, f"{error.rule}; `{next(iter(self.margins))}` needs it") from None
         self.resting = RestingLoop(study, places)
-        self.examine = examination(lane_loop(self.resting.study, places, resting=True), places)
+        self.examine = examination(lane_loop(self.resting.study, places, is_resting=True), places)
 
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane by the name of its measure, shape (n,).

@@ -38,18 +38,21 @@ PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivat
 LoopWithParams = tuple[Loop, LoopParams]
 
 
-def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
+def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> LaneLoop:
     """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
-    return lambda values, index: (*linearised_loop(study, values, places, resting), draw_key(study.config.seed, index))
+    return lambda values, index: (
+        *linearised_loop(study, values, places, is_resting),
+        draw_key(study.config.seed, index),
+    )
 
 
 def linearised_loop(
-    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], resting: bool
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], is_resting: bool
 ) -> LoopWithParams:
     """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
     loop = study.loop
     params = study.params(values)
-    if resting:
+    if is_resting:
         loop, params = undisturbed(loop, params)
     return substituted(loop, params, places)
 
@@ -73,14 +76,14 @@ class Linearisation:
         resting: Whether the loop is at rest, without disturbances.
     """
 
-    def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
+    def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
         self.places = places
         self.points = len(break_points(study.loop))
 
         def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
             state = vectors["state"]
             direction = jnp.where(jnp.arange(len(state) + self.points) == vectors["direction"], 1.0, 0.0)
-            loop, params = linearised_loop(study, numbers, places, resting)
+            loop, params = linearised_loop(study, numbers, places, is_resting)
             loop, params = with_inner_sides(loop, params, places, vectors["findings"])
             k = vectors["sample"][0].astype(jnp.int32)
             sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
@@ -216,17 +219,17 @@ class RestingLoop:
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
         self.study = at_origin(study)
         self.places = places
-        self.linearise = Linearisation(self.study, places, resting=True)
+        self.linearise = Linearisation(self.study, places, is_resting=True)
         self.initial = LaneProgram(self._initial)
         self.flown = LaneProgram(self._flown)
 
     def _initial(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
-        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         return (ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0],)
 
     def _flown(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
         """The state after as many samples as the study has, at a constant reference."""
-        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
         quiet = jnp.zeros(len(break_points(loop)))
         steps = self.study.loop.steps

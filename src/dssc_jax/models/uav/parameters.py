@@ -104,7 +104,9 @@ class UavParams(NamedTuple):
         It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
         """
         rotors = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
-        lift = wrench(self.vehicle, tuple(f * actual / believed for f, actual, believed in rotors)).thrust
+        lift = wrench(
+            self.vehicle, tuple(f * actual / believed_coefficient for f, actual, believed_coefficient in rotors)
+        ).thrust
         if self.ground is not None and self.ground.rotor_radius is not None:
             lift = lift * lift_factor(self.ground, self.position[2])
         return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / lift)
@@ -117,8 +119,8 @@ class UavParams(NamedTuple):
     @property
     def first_carrying(self) -> Scalar:
         """The thrust that carries the weight: of the draw if the integrals start settled, else the believed one [N]."""
-        settled = self.inner_loop.start is Start.SETTLED
-        return self.carrying_thrust if settled else self.inner_model.mass * GRAVITY
+        is_settled = self.inner_loop.start is Start.SETTLED
+        return self.carrying_thrust if is_settled else self.inner_model.mass * GRAVITY
 
     @property
     def first_thrusts(self) -> tuple[Scalar, ...]:
@@ -195,5 +197,8 @@ def believed_rotors(params: UavParams) -> tuple[float, ...]:
     vehicle = params.vehicle
     if not vehicle.rotor:
         return ()
-    believed = params.believed.thrust_coefficient
-    return tuple(nominal(value if believed is None else believed) for value in vehicle.thrust_coefficients)
+    believed_coefficient = params.believed.thrust_coefficient
+    return tuple(
+        nominal(value if believed_coefficient is None else believed_coefficient)
+        for value in vehicle.thrust_coefficients
+    )

@@ -176,13 +176,13 @@ def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
 def spline_bounds(params: SplineWindParams) -> WindBounds:
     """A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval."""
     count = max(len(params.x), len(params.y), len(params.z))
-    columns = (padded(knots, count) for knots in (params.x, params.y, params.z))
+    columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
     knots = [Vec3(*row) for row in zip(*columns, strict=True)]
     slopes = [(next_knot - previous_knot) / params.interval for previous_knot, next_knot in pairwise(knots)]
     return enclosing(knots, slopes)
 
 
-def padded(knots: Sequence[Scalar], count: int) -> list[Scalar]:
+def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
     """Knots with zeros up to a count, and one zero on each side."""
     return [0.0, *knots, *[0.0] * (count - len(knots)), 0.0]
 
