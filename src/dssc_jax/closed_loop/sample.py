@@ -340,9 +340,7 @@ def step(
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     values = signal_values(loop, params, state.plant, measurements, arriving_drive)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
-    estimated_measurements = measurements_for_sensors(
-        loop, params, state.plant, references, arriving_drive, measurements
-    )
+    sensor_inputs = measurements_for_sensors(loop, params, state.plant, references, arriving_drive, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -351,7 +349,7 @@ def step(
     for i, channel in enumerate(state.channels):
         reference = references[i]
         next_channel, controlled = control_channel(
-            loop, params, key, channel, i, estimated_measurements[i], signals, reference, k
+            loop, params, key, channel, i, sensor_inputs[i], signals, reference, k
         )
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
