@@ -201,7 +201,7 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
             high = max(high, outer_high[is_decided].max(initial=-math.inf))
             if not is_undecided.any():
                 break
-            lows, highs = halved(lows[is_undecided], highs[is_undecided], (box.high - box.low)[0])
+            lows, highs = halve(lows[is_undecided], highs[is_undecided], (box.high - box.low)[0])
     return Range(float(low), float(high), None)
 
 
@@ -225,8 +225,8 @@ def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
     return float(low.min(initial=math.inf)), float(high.max(initial=-math.inf))
 
 
-def halved(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes halved along their longest sides, relative to the widths of the whole."""
+def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Halve boxes along their longest sides, relative to the widths of the whole."""
     side = np.argmax((highs - lows) / np.where(widths > 0.0, widths, 1.0), axis=1)
     rows = np.arange(len(lows))
     middle = 0.5 * lows[rows, side] + 0.5 * highs[rows, side]

@@ -95,10 +95,10 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
     if id(subject) in ancestors:  # a function that closes over itself: how many levels above
         yield f"above {len(ancestors) - ancestors.index(id(subject))}".encode()
         return
-    yield place(type(subject))
+    yield qualified_name(type(subject))
     match subject:
         case type():
-            yield place(subject)
+            yield qualified_name(subject)
         case Enum():
             yield subject.name.encode()
         case None | bool() | int() | float() | complex() | str() | bytes():
@@ -113,8 +113,8 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
 
 
 @cache
-def place(kind: type) -> bytes:
-    """Where a type is defined.
+def qualified_name(kind: type) -> bytes:
+    """The module and name of a type.
 
     Raises:
         Undescribed: Outside of :data:`DESCRIBED`, or within a function, which may define another at each call.

@@ -221,7 +221,7 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
             results += [vector_of(part_map.memory), vector_of(part_map.signals)]
         return tuple(results)
 
-    def pushed(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+    def slopes_under_pushes(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
         loop, params, maps = lane_maps(numbers, vectors, index)
         results: list[jax.Array] = []
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
@@ -232,7 +232,7 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         return tuple(results)
 
     inputs_of = LaneProgram(inputs)
-    push = LaneProgram(pushed)
+    push = LaneProgram(slopes_under_pushes)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
         count = len(indices)

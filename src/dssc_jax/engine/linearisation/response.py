@@ -181,7 +181,7 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
     low = np.take_along_axis(angles, places, 1)
     high = np.take_along_axis(angles, places + 2, 1)
     sign = np.sign(np.take_along_axis(values, places + 1, 1))
-    closest = golden(lambda theta: -sign * function(theta), low, high)[0]
+    closest = golden_section_peak(lambda theta: -sign * function(theta), low, high)[0]
     fresh = np.where(nearest, closest, np.take_along_axis(angles, places + 1, 1))
     all_angles = np.concatenate([angles, fresh], axis=1)
     all_values = np.concatenate([values, function(fresh)], axis=1)
@@ -229,7 +229,7 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
     return high, is_root
 
 
-def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def golden_section_peak(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest value of a real function with one peak in [low, high], and its place; any one shape."""
     left = high - GOLDEN * (high - low)
     right = low + GOLDEN * (high - low)
@@ -256,7 +256,7 @@ def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> 
     top = np.argmax(values, axis=1)[:, None]
     low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
     high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
-    return np.maximum(np.max(values, axis=1), golden(function, low, high)[1][:, 0])
+    return np.maximum(np.max(values, axis=1), golden_section_peak(function, low, high)[1][:, 0])
 
 
 def classical_margins(respond: Response, angles: np.ndarray, sample_time: float) -> ClassicalMargins:

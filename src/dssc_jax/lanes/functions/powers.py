@@ -14,7 +14,15 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.lanes.functions.approximations import polynomial
-from dssc_jax.lanes.functions.exponentials import EXPONENTS, LN_2, is_negative, less_one, normalised, reduced, scaled
+from dssc_jax.lanes.functions.exponentials import (
+    EXPONENTS,
+    LN_2,
+    is_negative,
+    less_one,
+    normalised_mantissa,
+    reduce_exponent,
+    scaled_by_power,
+)
 
 SPLITTER = 2.0**27 + 1.0
 LARGEST_EXPONENT = 2.0**70
@@ -65,7 +73,7 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
 
     With x = 2^k (1 + f) and s = f/(2 + f), it is k ln 2 + 2 atanh s.
     """
-    fraction, k = normalised(x)
+    fraction, k = normalised_mantissa(x)
     f = fraction - 1.0
     denominator = exact_sum(jnp.full_like(f, 2.0), f)
     s_high = f / denominator.high
@@ -87,11 +95,11 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
-    n, r, correction = reduced(exponent.high)
+    n, r, correction = reduce_exponent(exponent.high)
     is_out_of_range = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
     correction = jnp.where(is_out_of_range, 0.0, correction + (exponent.low + limited * log.low))
     remainder = less_one(r)
-    return scaled(1.0 + (remainder + correction * (1.0 + remainder)), n)
+    return scaled_by_power(1.0 + (remainder + correction * (1.0 + remainder)), n)
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:

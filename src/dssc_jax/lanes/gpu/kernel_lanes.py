@@ -71,7 +71,7 @@ class LoadedKernel:
         batch = KernelBatch(self._gpu)
         try:
             input_table = batch.table([batch.copy_to_gpu(column) for column in inputs])
-            output_addresses = [batch.reserved(column.nbytes) for column in outputs]
+            output_addresses = [batch.reserve(column.nbytes) for column in outputs]
             output_table = batch.table(output_addresses)
             arguments = [ctypes.c_uint64(number) for number in (input_table, output_table, lanes)]
             self._gpu.launch(self._kernel, -(-lanes // THREADS), THREADS, arguments, batch.stream)
@@ -104,7 +104,7 @@ class KernelBatch:
         self._arrays: list[np.ndarray] = []
         self.stream = gpu.stream()
 
-    def reserved(self, size: int) -> int:
+    def reserve(self, size: int) -> int:
         """The address of so many bytes."""
         address = self._gpu.reserve(size)
         self._addresses.append(address)
@@ -112,7 +112,7 @@ class KernelBatch:
 
     def copy_to_gpu(self, array: np.ndarray) -> int:
         """Copy an array to the GPU; the address of the copy."""
-        address = self.reserved(array.nbytes)
+        address = self.reserve(array.nbytes)
         self._arrays.append(array)
         self._gpu.send(address, array, self.stream)
         return address

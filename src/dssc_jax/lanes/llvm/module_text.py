@@ -15,7 +15,7 @@ from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, ahead_plan
-from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
@@ -36,7 +36,7 @@ class Emitter(Instructions):
         program: The program.
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
-        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
         stored_constants: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
     """
 
@@ -100,7 +100,7 @@ class Emitter(Instructions):
 
     def block(self, block: CodeBlock) -> None:
         """Write the nodes of a block that are needed."""
-        for node in ordered([node for node in block.nodes if self.is_needed(node)], self.window):
+        for node in schedule([node for node in block.nodes if self.is_needed(node)], self.window):
             if isinstance(node, Record):
                 self.record(node)
             elif isinstance(node, Value):
@@ -203,7 +203,7 @@ class Emitter(Instructions):
         sides = []
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if any(id(node) in self.alive for node in block.nodes):
-                mask = self.inverted(condition, varying) if number else condition
+                mask = self.invert(condition, varying) if number else condition
                 side_values = {i: (values[i], result.varying) for i, result in alive.items()}
                 sides.append(self.side(self.any_lane(mask) if varying else mask, block, side_values))
             else:  # its values are known before
@@ -255,8 +255,8 @@ class Emitter(Instructions):
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
-    def inverted(self, condition: str, wide: bool) -> str:
-        """Where a condition does not hold."""
+    def invert(self, condition: str, wide: bool) -> str:
+        """Negate a condition; the register of the result."""
         return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
 
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:

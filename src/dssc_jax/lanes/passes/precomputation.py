@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
-from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
 
 TURNS = 8
@@ -75,7 +75,7 @@ class Ahead(Instructions):
     Args:
         lanes: Where the instructions of the lanes are written; both go to the same lines.
         plan: What to compute.
-        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
     def __init__(self, lanes: Instructions, plan: AheadPlan, window: int) -> None:
@@ -120,7 +120,7 @@ class Ahead(Instructions):
             offsets = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
             start = self.splat(state.dtype, self.lanes.read(state, False))
             self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{offsets}>")
-        for value in ordered(self.plan.values, self.window):
+        for value in schedule(self.plan.values, self.window):
             assert isinstance(value, Value)
             self.name(value, self.value(value))
         for value in self.plan.outputs:

@@ -18,8 +18,8 @@ OTHER_CYCLES = 2
 AT_A_TIME = 3  # operations that begin in a cycle
 
 
-def ordered(nodes: Sequence[Node], window: int) -> list[Node]:
-    """The nodes of a block in the order in which to emit them.
+def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
+    """Order the nodes of a block for emission.
 
     Args:
         nodes: Nodes in an order in which operands precede what reads them.

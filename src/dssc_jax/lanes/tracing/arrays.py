@@ -179,13 +179,13 @@ def reduction(operation: str) -> Callable[..., Any]:
         rows = np.transpose(tensor, [*remaining_axes, *axes]).reshape(*remaining_shape, -1)
         if not rows.shape[-1]:
             raise Unsupported("a reduction of nothing")
-        return combined(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
+        return reduce_rows(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
 
     return rule
 
 
-def combined(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
-    """A function of the last axis."""
+def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
+    """Apply a function to each row along the last axis."""
     result = np.empty(rows.shape[:-1], object)
     for position in np.ndindex(result.shape):
         result[position] = function(list(rows[position]))

@@ -22,7 +22,7 @@ from dssc_jax.lanes.tracing.memory import Memory, kept_in_memory
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.tracing.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
-from dssc_jax.lanes.tracing.states import assembled, components, flat, is_varying, refuse_recordings
+from dssc_jax.lanes.tracing.states import assemble, components, flatten, is_varying, refuse_recordings
 from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -233,15 +233,15 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
     if lanes_differ and any(isinstance(value, Memory) for value in initial_state):
         raise Unsupported("an array in memory in a loop that lanes leave at different times")
     enter = translator.run(head, [*head_constants, *initial_state])[0]
-    scalars = flat(initial_state, build)
+    scalars = flatten(initial_state, build)
     differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
     loop = build.loop(
         [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
     )
     states = loop.states[: len(scalars)]
-    next_state = translator.run(body, [*constants, *assembled(initial_state, states)])
-    next_scalars = flat(next_state, build)
+    next_state = translator.run(body, [*constants, *assemble(initial_state, states)])
+    next_scalars = flatten(next_state, build)
     proceed = translator.run(head, [*head_constants, *next_state])[0]
     if lanes_differ:
         is_running = loop.states[-1]
@@ -250,7 +250,7 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
         proceed = build.add("and", is_running, proceed)
         next_scalars.append(proceed)
         proceed = build.add("any", proceed)
-    return assembled(initial_state, build.end_loop(loop, next_scalars, proceed)[: len(scalars)])
+    return assemble(initial_state, build.end_loop(loop, next_scalars, proceed)[: len(scalars)])
 
 
 def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -273,19 +273,19 @@ def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -
     flags = translator.varying_results.of_scan(
         body.jaxpr, [is_varying(value) for value in (*constants, *initial_state, *rows)], first, second
     )
-    scalars, index = flat(initial_state, build), np.dtype(np.int32)
+    scalars, index = flatten(initial_state, build), np.dtype(np.int32)
     differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
     slices = [indexing.row(build, table, at) for table in rows]
-    results = translator.run(body, [*constants, *assembled(initial_state, states), *slices])
+    results = translator.run(body, [*constants, *assemble(initial_state, states), *slices])
     for recording, value in zip(recordings, results[state_count:], strict=True):
         build.record(recording, turn, *components(value, build))
     next_turn = build.add("add", turn, build.constant(1, index))
     proceed = build.add("lt", next_turn, build.constant(length, index))
-    loop_results = build.end_loop(loop, [next_turn, *flat(results[:state_count], build)], proceed)
-    return [*assembled(initial_state, loop_results[1:]), *recordings]
+    loop_results = build.end_loop(loop, [next_turn, *flatten(results[:state_count], build)], proceed)
+    return [*assemble(initial_state, loop_results[1:]), *recordings]
 
 
 def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -307,13 +307,13 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
         def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
             def scalars() -> list[Value]:
                 kinds.append(results())
-                return flat(kinds[-1], build)
+                return flatten(kinds[-1], build)
 
             return scalars
 
         sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: case(number + 1))
         scalars = build.branch(predicate, sides)
-        return assembled(kinds[0], scalars)
+        return assemble(kinds[0], scalars)
 
     return case(0)
 

@@ -20,8 +20,8 @@ from dssc_jax.models.uav.airframe_rotors import (
     are_ratios,
     flying_vehicle,
     geometry_of,
+    in_metres,
     placed_rotors,
-    scaled,
 )
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4_parameters import GAIN_PARAMETERS, gains_from
@@ -115,23 +115,23 @@ def require_finite(values: Mapping[str, float]) -> None:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
 
 
-def left_out(parameters: Mapping[str, float], used_gains: tuple[str, ...], notes: list[str]) -> None:
-    """Add a note that names the gains which the file sets and the model has no counterpart of."""
+def note_unmatched_gains(parameters: Mapping[str, float], used_gains: tuple[str, ...], notes: list[str]) -> None:
+    """Add a note that names the gains of the file for which the model has no counterpart."""
     gains = [name for name in parameters if GAIN.fullmatch(name) and name not in used_gains]
     if gains:
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
 
-def unused(parameters: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
-    """Add a note of the limits that the file sets and the table does not take, with their values."""
+def note_unused_limits(parameters: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
+    """Add a note of the limits in the file that the table does not use, with their values."""
     names = LIMITS if cascade else LIMITS + CASCADE_LIMITS
     settings = [f"{name} = {parameters[name]:g}" for name in names if name in parameters]
     if settings:
         notes.append(f"not used: {', '.join(settings)}")
 
 
-def missing_places(parameters: Mapping[str, float]) -> list[str]:
-    """A warning of the coordinates that only some rotors lack in the file; they count as 0, PX4's default."""
+def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
+    """A warning of coordinates that the file gives for some rotors only; the others count as 0, PX4's default."""
     missing = []
     count = int(parameters["CA_ROTOR_COUNT"])
     for axis in "XYZ":
@@ -279,7 +279,7 @@ def read_airframe(
     relative = arm is not None or are_ratios(rotors)
     require_sizes(rotors, parameters)
     if relative:
-        rotors = scaled(rotors, parameters)
+        rotors = in_metres(rotors, parameters)
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
@@ -288,7 +288,7 @@ def read_airframe(
             entry.pop("torque_coefficient")
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
     control = control_of(parameters, notes, cascade)
-    left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
-    unused(parameters, cascade, notes)
-    warnings += missing_places(parameters)
+    note_unmatched_gains(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
+    note_unused_limits(parameters, cascade, notes)
+    warnings += missing_coordinates(parameters)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))

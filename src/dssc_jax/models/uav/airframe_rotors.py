@@ -152,7 +152,7 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
     return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
 
 
-def scaled(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
+def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
     forward, lateral = parameters["SIH_L_PITCH"], parameters["SIH_L_ROLL"]
     return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * lateral, 0.0)) for rotor in rotors]

@@ -43,7 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def nearer(_: Scalar, guess: Guess) -> Guess:
-        return as_arrays(balanced(params, wind, guess))
+        return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
     first = Guess(Vec3(0.0, 0.0, 1.0), weight, Vec3(0.0, 0.0, 0.0))
@@ -57,8 +57,8 @@ def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
     return tuple(dot(row, (guess.thrust, *guess.moment)) for row in params.allocation)
 
 
-def balanced(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
-    """A guess that is nearer to the balance."""
+def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
+    """The next guess of a fixed-point iteration, nearer to the balance of forces and moments."""
     vehicle = params.vehicle
     rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
     speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
