@@ -81,7 +81,7 @@ class FmuPorts:
 class Instance:
     """An instance: its address, how many steps it has made, and how many its flight has."""
 
-    __slots__ = ("address", "made", "steps")
+    __slots__ = ("address", "step_count", "steps")
 
     def __init__(self, address: int, steps: int) -> None:
         self.address = address
