@@ -9,7 +9,7 @@ import numpy as np
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.cli.fmu_library import built_library
-from dssc_jax.engine.batching import Engine, drawn, lanes_of
+from dssc_jax.engine.batching import Engine, lanes_of, values_of_draws
 from dssc_jax.flight_code.folder import FlightFolder
 from tests import fmus
 
@@ -25,7 +25,7 @@ INPUTS |= {"y_ref_dot": "reference.y_dot", "y_ref_ddot": "reference.y_ddot"}
 def rate(study: dj.Study, draws: int, kernel: str = "lanes") -> float:
     """Samples per second on one core; the best of several runs."""
     engine = Engine(study.override({"draws": draws}), draws, devices=1, kernel=kernel)
-    values, indices = lanes_of(engine.study, (slice(0, draws),), drawn(engine.study, slice(0, draws)))
+    values, indices = lanes_of(engine.study, (slice(0, draws),), values_of_draws(engine.study, slice(0, draws)))
     engine(values, indices)()
     seconds = []
     for _ in range(REPEATS):

@@ -24,7 +24,7 @@ import xarray as xr
 import dssc_jax as dj
 from benchmarks.page import put
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import Engine, drawn, evaluate, lane_of_study
+from dssc_jax.engine.batching import Engine, evaluate, lane_of_study, values_of_draws
 from dssc_jax.engine.reference import agreement, recompute
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.passes.liveness import reachable
@@ -80,7 +80,7 @@ class Deviation(NamedTuple):
 def compared(study: dj.Study) -> Deviation:
     """Compare a study's lanes with plain XLA."""
     count = study.config.draws
-    numbers = drawn(study, slice(0, count))
+    numbers = values_of_draws(study, slice(0, count))
     results = evaluate(Engine(study, count), numbers, np.arange(count))
     plain = recompute(study, (np.arange(count),))
     dataset = xr.Dataset({name: ("draw", column) for name, column in {**numbers, **results}.items()})
@@ -182,7 +182,7 @@ def compiling() -> str:
 def noisy_share() -> float:
     """Rate of the vehicle with noise over that without, interleaved, median of :data:`ROUNDS`."""
     quiet = dj.Study.load(VEHICLE).override({"draws": 1024, "loop.duration": 10.0})
-    values, index = drawn(quiet, slice(0, 1024)), np.arange(1024)
+    values, index = values_of_draws(quiet, slice(0, 1024)), np.arange(1024)
     engines = [Engine(study, 1024) for study in (quiet, quiet.override({"sensor": SENSOR}))]
     seconds: list[list[float]] = [[], []]
     for turn in range(1 + ROUNDS):

@@ -16,7 +16,7 @@ from dssc_jax.cli.native_build import build_library
 from dssc_jax.closed_loop.sample import held_between_samples, initial_state, step
 from dssc_jax.core.native.libraries import NativeLibrary
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.engine.batching import Engine, drawn, lanes_of
+from dssc_jax.engine.batching import Engine, lanes_of, values_of_draws
 from dssc_jax.engine.sampling import draw, draw_key
 from dssc_jax.flight_code.controller import study_values
 from dssc_jax.flight_code.folder import FlightFolder
@@ -118,7 +118,7 @@ def rate(study: dj.Study, kernel: str, draws: int) -> float:
     """Samples of all channels that a second of processor time advances, without compilation."""
     engine = Engine(study, draws, kernel=kernel)
     block = (slice(0, draws),)
-    values = drawn(study, block[-1])
+    values = values_of_draws(study, block[-1])
     engine(*lanes_of(study, block, values))()
     began = time.process_time()
     engine(*lanes_of(study, block, values))()

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.page import put
 from benchmarks.speed.workloads import CASES, Case, study_of
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.engine.batching import drawn, lane_of_study
+from dssc_jax.engine.batching import lane_of_study, values_of_draws
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.traced_lanes import TracedLanes
@@ -138,7 +138,7 @@ def limit(case: Case, clock: Clock) -> Limit:
     """Bounds and cycles of a case, on one core."""
     draws, duration = SIZES[case.loop]
     study = study_of(case, draws, duration)
-    numbers = drawn(study, slice(0, draws))
+    numbers = values_of_draws(study, slice(0, draws))
     with arithmetic(case.precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         arguments = dict.fromkeys(study.laws, number), jax.ShapeDtypeStruct((), jnp.uint32)

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.answers.studies import study_of
 from dssc_jax.closed_loop.requirements import worst_slack
 from dssc_jax.engine.batching import Engine, evaluate
-from dssc_jax.engine.sampling import inside, values_at
+from dssc_jax.engine.sampling import inside_cube, values_at
 
 LANES = 2048
 
@@ -28,7 +28,7 @@ def main(model: str, bound: str) -> None:
     while header := source.read(8):
         count = int(np.frombuffer(header, np.int64)[0])
         points = np.frombuffer(source.read(8 * count * numbers)).reshape(count, numbers)
-        results = evaluate(engine, values_at(study, inside(points)), np.arange(done, done + count))
+        results = evaluate(engine, values_at(study, inside_cube(points)), np.arange(done, done + count))
         slacks = np.maximum(worst_slack(study.requirements, results), -1e6)
         done += count
         target.write(np.asarray(slacks, float).tobytes())

@@ -17,7 +17,7 @@ import dssc_jax as dj  # noqa: E402
 from benchmarks.answers.studies import study_of  # noqa: E402
 from dssc_jax.closed_loop.requirements import worst_slack  # noqa: E402
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate, is_noisy  # noqa: E402
-from dssc_jax.engine.sampling import inside, values_at  # noqa: E402
+from dssc_jax.engine.sampling import inside_cube, values_at  # noqa: E402
 
 WIDE, NARROW = 0.02, 0.002  # of intervals of +-1 % and +-0.1 %
 VARIATION = 0.13  # leaves a factor of 1.3 in 95 % of the cases
@@ -101,7 +101,7 @@ def plain_sobol(study: dj.Study) -> int:
         draws = np.arange(PLAIN_ROWS)
         if noisy:
             draws = np.where(sample[:, -1] == base[0, :, -1], draws, draws + PLAIN_ROWS)
-        results = evaluate(engine, values_at(study, inside(sample[:, : len(study.laws)])), draws)
+        results = evaluate(engine, values_at(study, inside_cube(sample[:, : len(study.laws)])), draws)
         outputs.append(worst_slack(study.requirements, results))
     f_a, f_b = (outputs[k] - np.mean(outputs[:2]) for k in (0, 1))
     f_ab = np.stack(outputs[2:]) - np.mean(outputs[:2])

@@ -14,7 +14,7 @@ from benchmarks.page import put
 from benchmarks.speed.contest import Contender, Measured, contest
 from benchmarks.speed.others import Other, parsed
 from benchmarks.speed.workloads import CASES, Case, study_of
-from dssc_jax.engine.batching import Engine, drawn
+from dssc_jax.engine.batching import Engine, values_of_draws
 from dssc_jax.engine.kernels import KERNEL_VARIABLE, Form, gpu_name
 
 PAGE = Path(__file__).parents[2] / "docs" / "performance.md"
@@ -44,7 +44,7 @@ class Bits(NamedTuple):
 def bits(case: Case) -> Bits:
     """Compare all results of a case, bit by bit."""
     study = study_of(case, COMPARED, SIZES[case.loop][1])
-    values, index = drawn(study, slice(0, COMPARED)), np.arange(COMPARED)
+    values, index = values_of_draws(study, slice(0, COMPARED)), np.arange(COMPARED)
     kernel, processor = (
         Engine(study, COMPARED, kernel=form)(values, index)() for form in (Form.GPU_STRICT, Form.STRICT)
     )

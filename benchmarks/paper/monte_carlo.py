@@ -19,7 +19,7 @@ from benchmarks.paper.signals import SETTLED, SMOOTH, moving_average
 from dssc_jax.closed_loop.draw import simulate_recorded
 from dssc_jax.core.numerics import stream
 from dssc_jax.engine.plain import plain_options
-from dssc_jax.engine.sampling import draw_key, inside, uniform
+from dssc_jax.engine.sampling import draw_key, inside_cube, uniform
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study.laws import parse_law
 
@@ -65,7 +65,7 @@ class Flights(NamedTuple):
 
 def drawn(count: int = DRAWS) -> Columns:
     """Values of every law, one a draw."""
-    points = inside(uniform(SEED, tuple(map(stream, LAWS)), np.arange(count)))
+    points = inside_cube(uniform(SEED, tuple(map(stream, LAWS)), np.arange(count)))
     return {name: parse_law(table).quantile(points[:, i]) for i, (name, table) in enumerate(LAWS.items())}
 
 

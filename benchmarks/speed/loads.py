@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.page import put
 from benchmarks.speed.workloads import Case, study_of
 from dssc_jax.core.numerics import arithmetic
-from dssc_jax.engine.batching import drawn, lane_of_study
+from dssc_jax.engine.batching import lane_of_study, values_of_draws
 from dssc_jax.lanes.interface import ENTRY_POINT, stored_type
 from dssc_jax.lanes.llvm import machine
 from dssc_jax.lanes.traced_lanes import TracedLanes
@@ -63,7 +63,7 @@ def loop_of(case: Case) -> Loop:
     """The machine code of a case, and the draws that it runs."""
     study = study_of(case, DRAWS, DURATION)
     with arithmetic(study.config.loop.precision):
-        values = {name: jnp.asarray(column) for name, column in drawn(study, slice(0, DRAWS)).items()}
+        values = {name: jnp.asarray(column) for name, column in values_of_draws(study, slice(0, DRAWS)).items()}
         arguments = (values, jnp.arange(DRAWS, dtype=jnp.uint32))
         scalars = jax.tree.map(lambda column: column[0], arguments)
         lanes = TracedLanes(lane_of_study(study, axis_name=None), scalars, None, strict=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 import dssc_jax as dj
 from dssc_jax.core.integrators import Integrator
-from dssc_jax.engine.batching import drawn, medians
+from dssc_jax.engine.batching import medians, values_of_draws
 from dssc_jax.models.references.sine import MISSION, Axis, SineParams
 
 HERE = Path(__file__).parent
@@ -201,7 +201,7 @@ class Task(NamedTuple):
 def task(case: Case, draws: int, duration: float) -> Task:
     """A case with so many draws of so many seconds."""
     study = study_of(case, draws, duration)
-    values = drawn(study, slice(0, draws))
+    values = values_of_draws(study, slice(0, draws))
     return Task(case, study, np.stack([values[name] for name in DRAWN[case.loop]]), numbers(study))
 
 

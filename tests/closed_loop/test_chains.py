@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 import dssc_jax as dj
 from dssc_jax.core.contracts import Unmodelled
-from dssc_jax.engine.batching import Engine, drawn, lane_of_study
+from dssc_jax.engine.batching import Engine, lane_of_study, values_of_draws
 from dssc_jax.engine.integration import integration_error
 from tests.closed_loop.test_hold import Pendulum
 from tests.tolerances import COMPILER
@@ -251,7 +251,7 @@ def test_machine_code_has_the_numbers_of_plain_xla():
         {"kind": "rational", "numerator": [1.0], "denominator": [{"uniform": [0.01, 0.02]}, 1.0]},
     ]
     study = loop(actuators, draws=24)
-    values = drawn(study, slice(0, 24))
+    values = values_of_draws(study, slice(0, 24))
     results = [Engine(study, 24, kernel=kernel)(values, np.arange(24))() for kernel in ("scan", "strict", "lanes")]
     scan, strict, fast = results
     for name, column in scan.items():

@@ -155,11 +155,11 @@ def test_a_run_judges_the_formula_and_tells_what_fails_first():
 
 
 def test_strict_machine_code_has_the_bits_of_plain_xla_on_the_loop_with_a_formula():
-    from dssc_jax.engine.batching import Engine, drawn, evaluate
+    from dssc_jax.engine.batching import Engine, evaluate, values_of_draws
     from dssc_jax.engine.reference import plain_results
 
     nested = study("always[0,1] eventually[0,1] abs(e) < 0.5")
-    values = drawn(nested, slice(0, 16))
+    values = values_of_draws(nested, slice(0, 16))
     strict = evaluate(Engine(nested, 16, kernel="strict"), values, np.arange(16))
     plain = plain_results(nested, values, np.arange(16))
     np.testing.assert_allclose(strict["formula_1"], plain["formula_1"], rtol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.engine.batching import drawn, lane_of_study
+from dssc_jax.engine.batching import lane_of_study, values_of_draws
 from dssc_jax.lanes.lanes import CompiledLanes
 from tests.lanes.lanes_on_arm import ArmLanes, needs_arm
 
@@ -21,7 +21,7 @@ def test_vehicles_have_the_same_bits(precision, width, tmp_path):
     study = dj.Study.load("studies/uav_robustness.toml").override(changes).without_sweep()
     with jax.enable_x64(precision == 64):
         real = jnp.result_type(float)
-        values = {name: np.asarray(column, real) for name, column in drawn(study, slice(0, COUNT)).items()}
+        values = {name: np.asarray(column, real) for name, column in values_of_draws(study, slice(0, COUNT)).items()}
         index = np.arange(COUNT, dtype=np.uint32)
         types = jax.tree.map(lambda column: jax.ShapeDtypeStruct((), column.dtype), (values, index))
         program = lane_of_study(study, axis_name=None)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import dssc_jax as dj
-from dssc_jax.engine.batching import Engine, Layout, drawn
+from dssc_jax.engine.batching import Engine, Layout, values_of_draws
 from tests.tolerances import COMPILER, SINGLE
 
 
@@ -112,7 +112,7 @@ def test_machine_code_and_plain_xla_agree(case_2, uncertain):
     for study in (case_2.override({"loop.duration": 10.0, "requirement": []}), uncertain.without_sweep()):
         draws = study.config.draws
         fast, plain = (
-            Engine(study, draws, kernel=form)(drawn(study, slice(0, draws)), np.arange(draws))()
+            Engine(study, draws, kernel=form)(values_of_draws(study, slice(0, draws)), np.arange(draws))()
             for form in ("lanes", "scan")
         )
         for measure in study.measures:

@@ -8,7 +8,7 @@ import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine import kernels
-from dssc_jax.engine.batching import Engine, computing, drawn
+from dssc_jax.engine.batching import Engine, computing, values_of_draws
 from tests.conftest import UNCERTAIN
 from tests.lanes.test_exactness import REFUSED
 from tests.lanes.test_translation import sorts
@@ -24,7 +24,7 @@ def axis(**changes):
 
 def batch(study, kernel):
     draws = study.config.draws
-    return Engine(study, draws, kernel=kernel)(drawn(study, slice(0, draws)), np.arange(draws))()
+    return Engine(study, draws, kernel=kernel)(values_of_draws(study, slice(0, draws)), np.arange(draws))()
 
 
 def test_a_diverged_draw_ends_alike():
@@ -38,7 +38,7 @@ def test_a_diverged_draw_ends_alike():
 
 def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
     monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
-    assert kernels.requested() == "lanes"
+    assert kernels.requested_form() == "lanes"
     assert not any(kernels.KERNEL_VARIABLE in flag for flag in computing()["compiler"])
     monkeypatch.setenv(kernels.KERNEL_VARIABLE, "strict")
     assert Engine(axis(), 8).kernel == "strict"
@@ -53,7 +53,7 @@ def test_the_form_is_chosen_by_argument_or_environment(monkeypatch):
 def test_a_gpu_advances_sample_by_sample(monkeypatch):
     monkeypatch.delenv(kernels.KERNEL_VARIABLE, raising=False)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert kernels.requested() == "scan"
+    assert kernels.requested_form() == "scan"
 
 
 @pytest.mark.parametrize("name", [name for name in REFUSED if name != "algorithm"])  # XLA refuses that here, too

@@ -178,7 +178,7 @@ def test_a_cache_that_cannot_be_used_costs_one_warning(tmp_path, monkeypatch, ca
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
     unusable(tmp_path / "home", kind)
     for name in "abc":
-        assert program_cache.kept(name, lambda: b"program") == b"program"
+        assert program_cache.cached(name, lambda: b"program") == b"program"
         assert remembered(name, lambda: [1, 2], name) == [1, 2]
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
@@ -189,8 +189,8 @@ def test_a_cache_that_cannot_be_used_costs_one_warning(tmp_path, monkeypatch, ca
 def test_a_cache_that_is_only_read(tmp_path, monkeypatch, capsys, error):
     """What is whole in it is used; what is damaged stays and is passed over."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    program_cache.kept("good", lambda: b"program")
-    program_cache.kept("bad", lambda: b"program")
+    program_cache.cached("good", lambda: b"program")
+    program_cache.cached("bad", lambda: b"program")
     (tmp_path / "dssc_jax" / "bad.program").write_bytes(b"damaged")
 
     def refuse(*arguments, **options):
@@ -199,9 +199,9 @@ def test_a_cache_that_is_only_read(tmp_path, monkeypatch, capsys, error):
     monkeypatch.setattr(os, "utime", refuse)
     monkeypatch.setattr(Path, "unlink", refuse)
     monkeypatch.setattr(program_cache, "write_file", refuse)
-    assert program_cache.kept("good", lambda: b"other") == b"program"
-    assert program_cache.kept("bad", lambda: b"program") == b"program"
-    assert program_cache.kept("new", lambda: b"program") == b"program"
+    assert program_cache.cached("good", lambda: b"other") == b"program"
+    assert program_cache.cached("bad", lambda: b"program") == b"program"
+    assert program_cache.cached("new", lambda: b"program") == b"program"
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 2, said
     assert said[0].startswith(f"could not delete ({error.strerror})")
@@ -212,7 +212,7 @@ def test_a_pipe_among_the_programs_is_not_waited_for(tmp_path, monkeypatch, caps
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (tmp_path / "dssc_jax").mkdir()
     os.mkfifo(tmp_path / "dssc_jax" / "a.program")
-    assert program_cache.kept("a", lambda: b"program") == b"program"
+    assert program_cache.cached("a", lambda: b"program") == b"program"
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
@@ -240,7 +240,7 @@ def test_none_is_kept_on_request(tmp_path):
 def test_a_program_that_cannot_be_kept_is_used(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("No space left on device")))
-    assert program_cache.kept("a", lambda: b"program") == b"program"
+    assert program_cache.cached("a", lambda: b"program") == b"program"
     assert not list(tmp_path.rglob("*.program"))
 
 

@@ -181,7 +181,7 @@ def test_names_are_those_of_the_model():
 
     number = jax.ShapeDtypeStruct((), np.float32)
     program, _, origins = translate_with_origins(lane, number, number)
-    text = CText(program, origins, ["x", "y"], np.dtype(np.float32), taken=["doubled"])
+    text = CText(program, origins, ["x", "y"], np.dtype(np.float32), reserved_names=["doubled"])
     text.compute(program.outputs)
     assert [line.strip() for line in text.lines if line] == [
         "/* slope: Rise over run. */",

@@ -88,7 +88,7 @@ class ArmLanes(CompiledLanes):
         """An object file for ARM."""
         return target_machine().emit_object(self.module())
 
-    def loaded(self, code):
+    def load(self, code):
         """The program that runs the object file."""
         (self.folder / "lanes.o").write_bytes(code)
         (self.folder / "caller.c").write_text(CALLER)

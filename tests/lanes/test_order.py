@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from dssc_jax.lanes.passes.scheduling import ordered, users_of
+from dssc_jax.lanes.passes.scheduling import schedule, users_of
 from dssc_jax.lanes.traced_lanes import PACKINGS, Packing
 from dssc_jax.lanes.tracing.translate import translate
 from tests.lanes.against_plain import X, Y, both
@@ -29,9 +29,9 @@ def chains(x, y):
 def test_the_order_of_nodes_keeps_operands_first(window):
     scalar = jax.ShapeDtypeStruct((), np.float64)
     nodes = translate(chains, scalar, scalar)[0].body.nodes
-    order = ordered(nodes, window)
+    order = schedule(nodes, window)
     assert sorted(map(id, order)) == sorted(map(id, nodes))
-    assert [id(node) for node in ordered(nodes, 0)] == [id(node) for node in nodes]
+    assert [id(node) for node in schedule(nodes, 0)] == [id(node) for node in nodes]
     place = {id(node): i for i, node in enumerate(order)}
     for i, several in enumerate(users_of(nodes)):
         assert all(place[id(nodes[i])] < place[id(nodes[user])] for user in several)
@@ -61,4 +61,4 @@ def test_chains_that_do_not_wait_for_each_other_alternate():
         return sum(one != other for one, other in itertools.pairwise(chains))
 
     assert turns(nodes) == 1
-    assert turns(ordered(nodes, 1000)) > 70
+    assert turns(schedule(nodes, 1000)) > 70

@@ -70,12 +70,12 @@ def uniform_of_varying(program):
 
 
 def incomplete_state(program):
-    loop_of(program).following.pop()
+    loop_of(program).next_states.pop()
 
 
 def state_of_another_type(program):
     loop = loop_of(program)
-    loop.begin[0] = Value(Operation.CONSTANT, np.dtype(np.float32), detail=np.float32(1.0))
+    loop.initial_states[0] = Value(Operation.CONSTANT, np.dtype(np.float32), detail=np.float32(1.0))
 
 
 def varying_condition(program):

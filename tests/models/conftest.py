@@ -2,7 +2,7 @@
 
 import pytest
 
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from tests import fmus
 from tests.flight_code.compiling import require
 from tests.fmu_loops import DRAWS, controller_of, loop_of, plant_of
@@ -37,4 +37,4 @@ def study(mass, pid):
 
 @pytest.fixture(scope="module")
 def values(study):
-    return drawn(study, slice(0, DRAWS))
+    return values_of_draws(study, slice(0, DRAWS))

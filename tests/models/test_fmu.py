@@ -12,7 +12,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native import fmu_instances
 from dssc_jax.core.native.fmu_instances import FmuPorts, Instances, require_no_faults
 from dssc_jax.core.signals import Outcome
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.flight_code.folder import FlightFolder
 from tests import fmus
 from tests.fmu_loops import (
@@ -42,7 +42,7 @@ def test_a_loop_of_fmus_is_that_of_the_own_models(place, version):
     file = fmus.built(place, fmus.renamed(fmus.MASS, "mass" + version[0], **source))
     controller = fmus.built(place, fmus.renamed(fmus.PID, "pid" + version[0], **source))
     study = loop_of(plant_of(file), controller_of(controller))
-    found = drawn(study, slice(0, DRAWS))
+    found = values_of_draws(study, slice(0, DRAWS))
     assert_same_verdicts(results(study, found), own_results(OWN_PLANT, OWN_PID, found))
 
 
@@ -103,7 +103,7 @@ def test_a_generated_controller_flies_as_an_fmu(place):
     inputs |= {"y_ref_dot": "reference.y_dot", "y_ref_ddot": "reference.y_ddot"}
     table = {"kind": "fmu", "file": str(file), "sha256": dj.allow_native(file).sha256, "inputs": inputs}
     study = loop_of(OWN_PLANT, {**table, "command": "command.u_p", "parameters": {"controller_k_p": K_P}})
-    numbers = drawn(original, slice(0, DRAWS))
+    numbers = values_of_draws(original, slice(0, DRAWS))
     expected = results(original, numbers)
     moved = {name.replace("controller.k_p", "controller.parameters.controller_k_p"): x for name, x in numbers.items()}
     assert_same(results(study, moved), expected)
@@ -229,7 +229,7 @@ def test_a_draw_that_cannot_start_has_diverged(place):
     file = fmus.built(place, fmus.renamed(fmus.MASS, "fussy", start=start))
     plant = plant_of(file, parameters={"drag": {"uniform": [0.5, 1.5]}})
     study = loop_of(plant, OWN_PID)
-    numbers = drawn(study, slice(0, DRAWS))
+    numbers = values_of_draws(study, slice(0, DRAWS))
     found = results(study, numbers)
     heavy = numbers["plant.parameters.drag"] > 1.0
     assert 0 < heavy.sum() < DRAWS
@@ -239,7 +239,7 @@ def test_a_draw_that_cannot_start_has_diverged(place):
 def test_an_unstable_loop_ends_as_one_that_diverges(mass, pid):
     """The FMU gets no input that is not finite, and is freed."""
     study = loop_of(plant_of(mass), controller_of(pid, parameters={"k_p": 1e7}))
-    assert set(results(study, drawn(study, slice(0, DRAWS)))["outcome"].tolist()) == {Outcome.NON_FINITE}
+    assert set(results(study, values_of_draws(study, slice(0, DRAWS)))["outcome"].tolist()) == {Outcome.NON_FINITE}
 
 
 def memory_of(head, numbers):

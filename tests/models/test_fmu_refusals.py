@@ -11,7 +11,7 @@ import dssc_jax as dj
 from dssc_jax.cli.main import guarded
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.native.allowed import LOADED
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.evaluation import GradientEvaluator
 from dssc_jax.flight_code.folder import FlightFolder
 from tests import fmus
@@ -127,7 +127,7 @@ def test_what_needs_more_than_steps_is_refused_by_name(study, mass):
     with pytest.raises(ConfigError, match=r"plant: is native code .* no derivative passes"):
         steep(np.zeros(1, int), {name: np.ones(1) for name in study.laws})
     with pytest.raises(ConfigError, match=r"loop.precision: must be 64, the precision of FMUs"):
-        results(study.override({"loop.precision": 32}), drawn(study, slice(0, DRAWS)))
+        results(study.override({"loop.precision": 32}), values_of_draws(study, slice(0, DRAWS)))
 
 
 def test_searches_do_without_derivatives(study):

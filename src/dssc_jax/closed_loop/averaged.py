@@ -23,8 +23,8 @@ class Averaged(NamedTuple):
     def over(self, state: State, terms: tuple[Scalar, ...]) -> tuple[State, Moments]:
         """The state after a step with the terms of an input, and the output's moments over it."""
         leaves, structure = jax.tree.flatten(state)
-        *after, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), (terms,))
-        return structure.unflatten(after), Moments(mean, 6.0 * mean - 12.0 * double)
+        *next_leaves, mean, double = self.held.full.apply((*leaves, 0.0, 0.0), (terms,))
+        return structure.unflatten(next_leaves), Moments(mean, 6.0 * mean - 12.0 * double)
 
 
 def average_output(system: LinearSystem, terms: int, h: float) -> Averaged:

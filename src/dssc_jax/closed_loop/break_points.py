@@ -96,7 +96,7 @@ def without_noise(sensor: Params) -> Params:
 def sample_map(
     loop: Loop, params: LoopParams, key: jax.Array, k: Scalar
 ) -> Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]:
-    """One sample of the loop as a function of its state and of what is added at the break points.
+    """One sample of the loop as a function of its state and of the additions at the break points.
 
     Args:
         loop: The models and the clock.
@@ -105,32 +105,32 @@ def sample_map(
         k: Index of the sample.
 
     Returns:
-        ``(state, added) -> (state after the sample, signals before the sums)``; the state is a vector, see
+        ``(state, additions) -> (state after the sample, signals before the sums)``; the state is a vector, see
         :func:`start_state`; break points are in the order of :func:`break_points`.
     """
     _, unravel = ravel_pytree(initial_state(loop, params, key))
-    opened = replace(
+    loop_with_inputs = replace(
         loop,
         sensor=tuple(map(with_added_measurement, loop.sensor)),
         signal_sensor=tuple(map(with_added_measurement, loop.signal_sensor)),
     )
     places = measured_places(loop.channels)
 
-    def sample(state: jax.Array, added: jax.Array) -> tuple[jax.Array, jax.Array]:
-        signals = added.reshape(len(loop.channels), len(BreakPoint))
+    def sample(state: jax.Array, additions: jax.Array) -> tuple[jax.Array, jax.Array]:
+        signals = additions.reshape(len(loop.channels), len(BreakPoint))
         sensors = []
         for i, sensor in enumerate(params.sensor):
             sensors.append(WithAdded(sensor, Measurement(signals[i, 1], signals[i, 2])))
         signal_sensors = []
         for signal, sensor in zip(loop.measures, params.signal_sensor, strict=True):
-            addition = added[places[signal.name]] if signal.name in places else 0.0
+            addition = additions[places[signal.name]] if signal.name in places else 0.0
             signal_sensors.append(WithAdded(sensor, Measurement(addition, 0.0)))
         with_inputs = params._replace(sensor=tuple(sensors), signal_sensor=tuple(signal_sensors))
-        after, recorded = step(opened, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
-        read = []
+        next_state, recorded = step(loop_with_inputs, with_inputs, key, unravel(state), k, added=tuple(signals[:, 0]))
+        break_point_signals = []
         for sample, measurement in zip(recorded.instant.channels, recorded.measurements, strict=True):
-            read.append((sample.u_total, measurement.y, measurement.y_dot))
-        return ravel_pytree(after)[0], jnp.asarray(read).reshape(-1)
+            break_point_signals.append((sample.u_total, measurement.y, measurement.y_dot))
+        return ravel_pytree(next_state)[0], jnp.asarray(break_point_signals).reshape(-1)
 
     return sample
 

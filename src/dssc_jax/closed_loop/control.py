@@ -123,21 +123,21 @@ def initial_control(
 def first_signals(
     loop: Loop, params: LoopParams, i: int, reading: Measurement, reference: ReferencePoint
 ) -> tuple[State, Measurement, ReferencePoint]:
-    """State of channel i's differentiator before its first step; what the controller will see in that step."""
+    """State of channel i's differentiator before its first step, and the controller's inputs in that step."""
     of_channel = reading._replace(signals=())
     differentiator = loop.differentiator[i].init(params.differentiator[i], of_channel)
     _, sensed = loop.differentiator[i].step(params.differentiator[i], differentiator, of_channel, loop.sample_time)
-    sensed = sensed._replace(signals=taken_signals(loop, i, reading.signals))
+    sensed = sensed._replace(signals=required_signals(loop, i, reading.signals))
     return differentiator, sensed, nearest_reference(loop, i, reference, sensed)
 
 
-def taken_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
+def required_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
     """Of the measured signals, those that the controller of channel i takes, in its order."""
-    taken = loop.controller[i].signals
-    if not taken:
+    signals_of_controller = loop.controller[i].signals
+    if not signals_of_controller:
         return signals
     places = [signal.name for signal in loop.measures]
-    return tuple(signals[places.index(signal.name)] for signal in taken)
+    return tuple(signals[places.index(signal.name)] for signal in signals_of_controller)
 
 
 def nearest_reference(loop: Loop, i: int, reference: ReferencePoint, sensed: Measurement) -> ReferencePoint:
@@ -175,11 +175,11 @@ def control(
     seen = unwrap(loop, i, reading, state.reading)
     of_channel = seen._replace(signals=())
     differentiator, sensed = loop.differentiator[i].step(params.differentiator[i], state.differentiator, of_channel, dt)
-    sensed = sensed._replace(signals=taken_signals(loop, i, reading.signals))
+    sensed = sensed._replace(signals=required_signals(loop, i, reading.signals))
     desired = nearest_reference(loop, i, reference, sensed)
     controller, command, info = loop.controller[i].step(params.controller[i], state.controller, sensed, desired, dt)
-    after = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
-    return after, Controlled(reading, sensed, desired, command, info)
+    next_state = ControlState(differentiator, controller, seen.y if is_angle(loop, i) else ())
+    return next_state, Controlled(reading, sensed, desired, command, info)
 
 
 def transfer_control(

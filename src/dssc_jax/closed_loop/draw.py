@@ -75,8 +75,10 @@ def initial_progress(
     no_samples = jnp.zeros((), dtype=integer_type())
     in_band = () if loop.settled is None else zero
     state = initial_state(loop, params, key)
-    watched = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
-    return Progress(zero, state, as_arrays(starts(measures, margins)), no_samples, no_samples, in_band, watched)
+    first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
+    return Progress(
+        zero, state, as_arrays(starts(measures, margins)), no_samples, no_samples, in_band, first_violations
+    )
 
 
 def integer_type() -> type[np.integer]:
@@ -127,24 +129,24 @@ def sampler(
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         integer = integer_type()
         code = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
-        ended = recorded.broken
+        is_ended = recorded.broken
         if recorded.grounded is not False:
             code = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), code)
-            ended = jnp.logical_or(ended, recorded.grounded)
+            is_ended = jnp.logical_or(is_ended, recorded.grounded)
         code = jnp.where(recorded.finite, code, integer(Outcome.NON_FINITE))
-        running = is_running(loop, at)
-        outcome = jnp.where(running, code, at.outcome)
-        completed = running & jnp.logical_and(recorded.finite, jnp.logical_not(ended))
+        is_active = is_running(loop, at)
+        outcome = jnp.where(is_active, code, at.outcome)
+        is_completed = is_active & jnp.logical_and(recorded.finite, jnp.logical_not(is_ended))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
         if freeze:
             state, in_band, violations = jax.tree.map(
-                partial(jnp.where, completed),
+                partial(jnp.where, is_completed),
                 (state, in_band, violations),
                 (at.state, at.in_band, at.violations),
             )
-            accumulators = jax.tree.map(partial(kept_number, completed), accumulators, at.accumulators)
-        return Progress(at.k + 1, state, accumulators, outcome, at.steps + completed, in_band, violations), recorded
+            accumulators = jax.tree.map(partial(kept_number, is_completed), accumulators, at.accumulators)
+        return Progress(at.k + 1, state, accumulators, outcome, at.steps + is_completed, in_band, violations), recorded
 
     return sample
 
@@ -213,12 +215,12 @@ def simulate_recorded(
     advance = sampler(loop, params, key, measures, requirements, freeze=True)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
-        after, recorded = advance(at)
-        return after, recorded._replace(controlled=(), grounded=())  # the trajectory has it all, by other names
+        next_progress, recorded = advance(at)
+        return next_progress, recorded._replace(controlled=(), grounded=())  # the trajectory has it all, by other names
 
-    begin = initial_progress(loop, params, key, measures, requirements, margins)
-    end, recorded = scan_recorded(sample, begin, loop.steps, stride)
-    return conclude(loop, measures, requirements, end), recorded
+    first_progress = initial_progress(loop, params, key, measures, requirements, margins)
+    last_progress, recorded = scan_recorded(sample, first_progress, loop.steps, stride)
+    return conclude(loop, measures, requirements, last_progress), recorded
 
 
 def conclude(loop: Loop, measures: tuple[Measure, ...], requirements: tuple[Requirement, ...], end: Progress) -> Run:

@@ -12,7 +12,7 @@ from dssc_jax.core.signals import Measurements, PlantInput, ReferencePoints, Sca
 def estimation_of(loop: Loop, params: LoopParams) -> Estimation | None:
     """The estimation that the plant's parameters choose; None: the controllers see the true state."""
     estimation = loop.mimo_plant.estimation
-    return estimation if estimation is not None and estimation.chosen(params.plant) else None
+    return estimation if estimation is not None and estimation.is_enabled(params.plant) else None
 
 
 def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State) -> tuple[State, State]:
@@ -26,8 +26,8 @@ def start_estimate(loop: Loop, params: LoopParams, key: jax.Array, plant: State)
     plant, memory = estimation.start(params.plant, plant, jax.random.fold_in(loop.key(key, "estimator"), 0))
     software = loop.mimo_plant.software
     if software is not None and software.period(params.plant) is not None:
-        seen = estimation.seen(params.plant, plant)
-        plant = software.holding(plant, software.start(params.plant, seen, first_wind(loop, params)))
+        estimated_plant = estimation.estimated_state(params.plant, plant)
+        plant = software.holding(plant, software.start(params.plant, estimated_plant, first_wind(loop, params)))
     return plant, memory
 
 
@@ -42,7 +42,7 @@ def renewed_estimate(
     return estimation.step(params.plant, plant, memory, fresh, k, loop.sample_time)
 
 
-def seen_measurements(
+def measurements_for_sensors(
     loop: Loop,
     params: LoopParams,
     plant: State,
@@ -50,8 +50,8 @@ def seen_measurements(
     drive: PlantInput[Signals],
     exact: Measurements,
 ) -> Measurements:
-    """What the sensors of the channels see: the estimate, or the exact measurements without an estimator."""
+    """The inputs of the channels' sensors: the estimate, or the exact measurements without an estimator."""
     estimation = estimation_of(loop, params)
     if estimation is None:
         return exact
-    return measure(loop, params, estimation.seen(params.plant, plant), references, drive)
+    return measure(loop, params, estimation.estimated_state(params.plant, plant), references, drive)

@@ -83,5 +83,5 @@ def parts_of(formula: Formula) -> tuple[Formula, ...]:
 
 def horizon(formula: Formula) -> int:
     """How many samples after an instant the value of a formula at that instant depends on."""
-    inside = max((horizon(part) for part in parts_of(formula)), default=0)
-    return inside + formula.end if isinstance(formula, Timed) else inside
+    horizon_of_parts = max((horizon(part) for part in parts_of(formula)), default=0)
+    return horizon_of_parts + formula.end if isinstance(formula, Timed) else horizon_of_parts

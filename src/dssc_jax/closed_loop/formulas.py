@@ -154,17 +154,17 @@ class Stream:
     def until(self, formula: Until) -> Scalar:
         """The robustness of ``until``: over a window, the pair of its value and the smallest value of ``before``."""
         minimum, maximum = self.extremes
-        before, goal = self.aligned(parts_of(formula))
+        condition, goal = self.aligned(parts_of(formula))
 
         def combine(old: Aggregate, new: Aggregate) -> Aggregate:
             return maximum(old[0], minimum(old[1], new[0])), minimum(old[1], new[1])
 
         width = formula.end - formula.begin + 1
-        value, _ = self.window((goal, before), width, combine)
+        value, _ = self.window((goal, condition), width, combine)
         if not formula.begin:
             return value
-        (held,) = self.window((before,), formula.begin, lambda old, new: (minimum(old[0], new[0]),))
-        return minimum(self.lines.delayed(held, width), value)
+        (smallest_before,) = self.window((condition,), formula.begin, lambda old, new: (minimum(old[0], new[0]),))
+        return minimum(self.lines.delayed(smallest_before, width), value)
 
 
 class Latch(NamedTuple):
@@ -215,19 +215,19 @@ def next_latch(latched: LatchedFormula, latch: Latch, stream: Stream, k: Scalar)
     parts = parts_of(formula)
     instant = k - max(map(horizon, parts))
     *operands, value = stream.aligned(parts)
-    inside = (instant >= latched.at + formula.begin) & (instant <= latched.at + formula.end)
-    held = latch.held
+    is_in_window = (instant >= latched.at + formula.begin) & (instant <= latched.at + formula.end)
+    smallest_operand = latch.held
     if operands:
-        value = minimum(held, value)
-        waits = (instant >= latched.at) & (instant < latched.at + formula.end)
-        held = jnp.where(waits, minimum(held, operands[0]), held)
+        value = minimum(smallest_operand, value)
+        is_waiting = (instant >= latched.at) & (instant < latched.at + formula.end)
+        smallest_operand = jnp.where(is_waiting, minimum(smallest_operand, operands[0]), smallest_operand)
     combine = minimum if isinstance(formula, Always) else maximum
-    value = jnp.where(inside, combine(latch.value, value), latch.value)
+    value = jnp.where(is_in_window, combine(latch.value, value), latch.value)
     is_certain = value < 0.0 if isinstance(formula, Always) else value >= 0.0
     if operands:
-        is_certain = is_certain | (held < 0.0)
+        is_certain = is_certain | (smallest_operand < 0.0)
     samples = jnp.asarray(k + 1, jnp.result_type(float))
-    return Latch(value, held, jnp.where(is_certain & (latch.decision == 0.0), samples, latch.decision))
+    return Latch(value, smallest_operand, jnp.where(is_certain & (latch.decision == 0.0), samples, latch.decision))
 
 
 class Judgement(NamedTuple):

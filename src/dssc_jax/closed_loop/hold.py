@@ -162,15 +162,15 @@ def remainder_rows(plant: Plant[Measurements, Signals], params: Params, channels
         return ()
     remainder = plant.remainder
     zeros = (0.0,) * channels
-    known: list[bool] = []
+    is_zero_entry: list[bool] = []
 
-    def traced(state: State) -> State:
+    def record_zeros(state: State) -> State:
         slope = remainder(params, state, PlantInput(zeros, zeros, None, quiet_inputs(plant, params)), 0.0)
-        known.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
+        is_zero_entry.extend(is_zero(entry) for entry in jax.tree.leaves(slope))
         return slope
 
-    jax.eval_shape(traced, as_arrays(plant.init(params)))
-    return tuple(row for row, zero in enumerate(known) if not zero)
+    jax.eval_shape(record_zeros, as_arrays(plant.init(params)))
+    return tuple(row for row, is_zero_row in enumerate(is_zero_entry) if not is_zero_row)
 
 
 def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scalar]:
@@ -185,13 +185,13 @@ def gather_state(assembly: Assembly, plant: State, states: States) -> list[Scala
 def scatter_state(assembly: Assembly, x: Sequence[Scalar], plant: State, states: States) -> tuple[State, States]:
     """The inverse of :func:`gather_state`; states of other unmodelled dynamics are those of ``states``."""
     leaves, structure = jax.tree.flatten(plant)
-    found = []
+    scattered = []
     for offset, state in zip(assembly.offsets, states, strict=True):
         if offset is not None:
-            known, kind = jax.tree.flatten(state)
-            state = kind.unflatten(x[offset : offset + len(known)])
-        found.append(state)
-    return structure.unflatten(x[: len(leaves)]), tuple(found)
+            state_leaves, kind = jax.tree.flatten(state)
+            state = kind.unflatten(x[offset : offset + len(state_leaves)])
+        scattered.append(state)
+    return structure.unflatten(x[: len(leaves)]), tuple(scattered)
 
 
 def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, unmodelled: States) -> Advance:
@@ -202,16 +202,16 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
     for row in rows:
         column = tuple(1.0 if i == row else 0.0 for i in range(len(assembly.a)))
         forcings.append(Forcing(column, VARYING))
-    constant = all(forcing.terms == 1 for forcing in forcings)
-    count = 1 if constant else parts.substeps
+    is_constant = all(forcing.terms == 1 for forcing in forcings)
+    count = 1 if is_constant else parts.substeps
     h = parts.sample_time / count
-    held = hold(assembly.a, forcings, h)
+    held_system = hold(assembly.a, forcings, h)
     movers = movers_of(parts, unmodelled, h)
 
     def advance(drive_at: DriveAt, plant: State, states: States, commands: Signals, t: Scalar) -> tuple[State, States]:
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             plant, states = carry
-            states, lines = moved(movers, states, commands)
+            states, lines = apply_movers(movers, states, commands)
 
             def signals(x: Sequence[Scalar], fraction: float) -> list[Scalar]:
                 """Disturbances and remainder at a stage."""
@@ -226,10 +226,10 @@ def advance_exactly(parts: HeldParts, dynamics: LinearDynamics, params: Params, 
 
             inputs = [terms_of(model, line) for model, line in zip(parts.unmodelled, lines, strict=True)]
             x = gather_state(assembly, plant, states)
-            if constant or parts.integrator == Integrator.EULER:
-                x = held.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
+            if is_constant or parts.integrator == Integrator.EULER:
+                x = held_system.full.apply(x, [*inputs, *((signal,) for signal in signals(x, 0.0))])
             else:
-                x = etd_step(held, parts, x, inputs, forcings, signals)
+                x = etd_step(held_system, parts, x, inputs, forcings, signals)
             plant, states = scatter_state(assembly, x, plant, states)
             return parts.plant.project(params, plant), states
 
@@ -244,12 +244,12 @@ def terms_of(model: Unmodelled, line: Moments) -> tuple[Scalar, ...]:
 
 
 def movers_of(parts: HeldParts, unmodelled: States, h: float) -> list[Mover]:
-    """What advances the unmodelled dynamics of each channel over a step, but for their linear part."""
+    """The functions that advance each channel's unmodelled dynamics over a step, but for their linear part."""
     return [mover(model, params, h) for model, params in zip(parts.unmodelled, unmodelled, strict=True)]
 
 
 def mover(model: Unmodelled, params: Params, h: float) -> Mover:
-    """What advances unmodelled dynamics over a step, but for their linear part, and gives its input.
+    """The function that advances unmodelled dynamics over a step, but for their linear part, and gives its input.
 
     If they do not give moments, those of their output follow by Simpson's rule.
     """
@@ -259,32 +259,32 @@ def mover(model: Unmodelled, params: Params, h: float) -> Mover:
     def move(state: State, command: Scalar) -> tuple[State, Moments]:
         if model.linear is not None:
             return state, Moments(command, 0.0)
-        after = model.step(params, state, command, h)
+        next_state = model.step(params, state, command, h)
         if model.held:
-            return after, Moments(model.output(params, state, command), 0.0)
+            return next_state, Moments(model.output(params, state, command), 0.0)
         if model.moments is not None:
-            return after, model.moments(params, state, command, h)
+            return next_state, model.moments(params, state, command, h)
         middle = model.step(params, state, command, 0.5 * h)
         end = model.step(params, middle, command, 0.5 * h)
         start, half, final = (model.output(params, z, command) for z in (state, middle, end))
-        return after, Moments((start + 4.0 * half + final) / 6.0, final - start)
+        return next_state, Moments((start + 4.0 * half + final) / 6.0, final - start)
 
     return move
 
 
-def moved(movers: Sequence[Mover], states: States, commands: Signals) -> tuple[States, tuple[Moments, ...]]:
-    """The states of all channels after their movers, and the moments that these give."""
-    after = []
+def apply_movers(movers: Sequence[Mover], states: States, commands: Signals) -> tuple[States, tuple[Moments, ...]]:
+    """Apply the movers of all channels: their next states, and the moments of their outputs."""
+    next_states = []
     lines = []
     for move, state, command in zip(movers, states, commands, strict=True):
         state, line = move(state, command)
-        after.append(state)
+        next_states.append(state)
         lines.append(line)
-    return tuple(after), tuple(lines)
+    return tuple(next_states), tuple(lines)
 
 
 def etd_step(
-    held: HeldSystem,
+    held_system: HeldSystem,
     parts: HeldParts,
     x: Sequence[Scalar],
     inputs: Sequence[Sequence[Scalar]],
@@ -294,7 +294,7 @@ def etd_step(
     """One step of ETDRK4-B.
 
     Args:
-        held: The exact solution over the step and over half of it.
+        held_system: The exact solution over the step and over half of it.
         parts: The models.
         x: State of the linear system, length n.
         inputs: Terms of the input of each channel's command.
@@ -306,20 +306,20 @@ def etd_step(
         varying = zip(polynomials, forcings[len(inputs) :], strict=True)
         return [*inputs, *(terms[: forcing.terms] for terms, forcing in varying)]
 
-    time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
+    depends_on_time_alone = parts.plant.remainder is None and Variation.STATE not in parts.variations
     start = signals(x, 0.0)
-    middle = signals(held.half.apply(x, forced([(a,) for a in start])), 0.5)
-    corrected = middle
-    if not time_alone:
+    middle = signals(held_system.half.apply(x, forced([(a,) for a in start])), 0.5)
+    corrected_middle = middle
+    if not depends_on_time_alone:
         pairs = zip(start, middle, strict=True)
-        corrected = signals(held.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
-    pairs = zip(start, corrected, strict=True)
-    end = signals(held.full.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
+        corrected_middle = signals(held_system.half.apply(x, forced([(a, 4.0 * (b - a)) for a, b in pairs])), 0.5)
+    pairs = zip(start, corrected_middle, strict=True)
+    end = signals(held_system.full.apply(x, forced([(a, 2.0 * (b - a)) for a, b in pairs])), 1.0)
     polynomials = []
-    for a, b, c, d in zip(start, middle, corrected, end, strict=True):
-        twice = 2.0 * (b + c)
-        polynomials.append((a, twice - 3.0 * a - d, 4.0 * (a + d) - 2.0 * twice))
-    return held.full.apply(x, forced(polynomials))
+    for a, b, c, d in zip(start, middle, corrected_middle, end, strict=True):
+        double_sum = 2.0 * (b + c)
+        polynomials.append((a, double_sum - 3.0 * a - d, 4.0 * (a + d) - 2.0 * double_sum))
+    return held_system.full.apply(x, forced(polynomials))
 
 
 def actuation_at(assembly: Assembly, states: States, lines: tuple[Moments, ...], fraction: float) -> Signals:
@@ -353,12 +353,12 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
 
         def substep(index: Scalar, carry: tuple[State, States]) -> tuple[State, States]:
             plant, states = carry
-            states, entering = moved(movers, states, commands)
-            after = list(states)
-            lines = list(entering)
+            states, input_lines = apply_movers(movers, states, commands)
+            next_states = list(states)
+            lines = list(input_lines)
             for i, (model, system) in enumerate(zip(parts.unmodelled, systems, strict=True)):
                 if system is not None:
-                    after[i], lines[i] = system.over(states[i], terms_of(model, lines[i]))
+                    next_states[i], lines[i] = system.over(states[i], terms_of(model, lines[i]))
 
             def derivative(plant: State, half_steps: int) -> State:
                 fraction = 0.5 * half_steps
@@ -369,23 +369,23 @@ def advance_by_steps(parts: HeldParts, params: Params, unmodelled: States, obser
             if parts.plant.advance is not None:
                 start = t + index * h
                 drive = drive_at(plant, tuple(line.mean for line in lines), start)
-                return parts.plant.advance(params, plant, drive, start, h), tuple(after)
+                return parts.plant.advance(params, plant, drive, start, h), tuple(next_states)
             plant = integrate(derivative, plant, h, parts.plant.velocities)
-            return parts.plant.project(params, plant), tuple(after)
+            return parts.plant.project(params, plant), tuple(next_states)
 
         if software is None or period is None:
             return repeat_substeps(substep, (plant, states), parts.substeps)
 
         on_board: Onboard = software
         tick_time: float = period
-        received = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
-        drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in received), t)
+        channels = zip(parts.unmodelled, unmodelled, states, commands, strict=True)
+        drive = drive_at(plant, tuple(model.output(p, z, u) for model, p, z, u in channels), t)
 
         def between_ticks(tick: Scalar, at: tuple[State, States]) -> tuple[State, States]:
-            earlier, states = at
-            ticked = on_board.tick(params, earlier, tick_time)
+            previous_plant, states = at
+            ticked = on_board.tick(params, previous_plant, tick_time)
             if observe is not None:
-                observe(earlier, drive, ticked)
+                observe(previous_plant, drive, ticked)
             first = tick * steps_per_tick
             plant, states = repeat_substeps(lambda i, at: substep(first + i, at), (ticked, states), steps_per_tick)
             return on_board.holding(plant, on_board.held(ticked)), states  # to the bit: x + 0 changes the sign of -0

@@ -147,12 +147,12 @@ def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 def mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Mean over the window."""
-    return acc / span.inside
+    return acc / span.sample_count
 
 
 def root_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """Root of the mean over the window."""
-    return root_abs(acc / span.inside)
+    return root_abs(acc / span.sample_count)
 
 
 class Stretch(NamedTuple):
@@ -304,7 +304,7 @@ class Measure:
         custom: The streaming form, for a kind that is not in :data:`METRICS`.
         units: Units and meanings of the channel's output and command.
         channel_name: The channel's name; empty for the vehicle and for the single channel of a SISO plant.
-        usual: The window of the study's ``[metrics]``.
+        default_window: The window of the study's ``[metrics]``.
     """
 
     name: str
@@ -314,12 +314,12 @@ class Measure:
     custom: Metric | None = None
     units: ChannelUnits = UNNAMED_UNITS
     channel_name: str = ""
-    usual: Window = WHOLE_RUN
+    default_window: Window = WHOLE_RUN
 
     @property
     def window_text(self) -> str:
-        """The window in words, empty if it is the usual one from the start on."""
-        return self.window.words(self.usual)
+        """The window in words, empty if it is the default one from the start on."""
+        return self.window.words(self.default_window)
 
     @property
     def metric(self) -> Metric:
@@ -363,10 +363,10 @@ def update_all(
     updated = []
     for measure, acc in zip(measures, accumulators, strict=True):
         with errors_in_code(f"metric '{measure.kind}'", measure.metric.update):
-            new = measure.metric.update(acc, measure.of(instant), measure.window)
-            require_like(new, acc)
-        inside = in_window(measure.window, k, t_s)
-        updated.append(new if inside is None else jax.tree.map(partial(jnp.where, inside), new, acc))
+            new_acc = measure.metric.update(acc, measure.of(instant), measure.window)
+            require_like(new_acc, acc)
+        is_inside = in_window(measure.window, k, t_s)
+        updated.append(new_acc if is_inside is None else jax.tree.map(partial(jnp.where, is_inside), new_acc, acc))
     return tuple(updated)
 
 

@@ -33,7 +33,7 @@ def integral(acc: Scalar, window: Window, span: Span) -> Scalar:
 
 def magnitude_of_mean(acc: Scalar, window: Window, span: Span) -> Scalar:
     """|mean over the window|."""
-    return jnp.abs(acc) / span.inside
+    return jnp.abs(acc) / span.sample_count
 
 
 def timed_error(acc: Scalar, sample: Sample, window: Window) -> Scalar:
@@ -75,7 +75,7 @@ def bands(acc: Bands, sample: Sample, window: Window) -> Bands:
 
 def fast_share(acc: Bands, window: Window, span: Span) -> Scalar:
     """Energy of the fast part over that of both parts, the slow one about its mean; 0 for a constant command."""
-    about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.inside, 0.0)
+    about_mean = jnp.maximum(acc.squares - acc.total * acc.total / span.sample_count, 0.0)
     energy = acc.fast + about_mean
     return jnp.where(energy > 0.0, acc.fast / jnp.where(energy > 0.0, energy, 1.0), 0.0)
 
@@ -115,7 +115,7 @@ def drift_sum(acc: DriftSum, sample: Sample, window: Window) -> DriftSum:
 
 def drift_rate(acc: DriftSum, window: Window, span: Span) -> Scalar:
     """|sum| per time."""
-    return jnp.abs(acc.total) / (span.inside * span.sample_time)
+    return jnp.abs(acc.total) / (span.sample_count * span.sample_time)
 
 
 class Path(NamedTuple):
@@ -147,7 +147,7 @@ def trend(acc: Trend, sample: Sample, window: Window) -> Trend:
 
 def slope(acc: Trend, window: Window, span: Span) -> Scalar:
     """Least-squares slope of ln |sigma| over time."""
-    n = 1.0 * span.inside  # a count of samples that the draw decides may be traced
+    n = 1.0 * span.sample_count  # a count of samples that the draw decides may be traced
     centre = span.steps - n + 0.5 * (n - 1.0)
     spread = at_least(n * (n**2 - 1.0) / 12.0, 1.0)
     return (acc.moment - centre * acc.total) / (spread * span.sample_time)

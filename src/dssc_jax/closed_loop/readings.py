@@ -49,12 +49,12 @@ def read_signals(
 ) -> tuple[tuple[State, ...], Signals]:
     """States of the sensors after sample k, and what they show at it."""
     dt = loop.sample_time
-    after = []
+    next_states = []
     readings = []
     for i, signal in enumerate(loop.measures):
-        fresh = jax.random.fold_in(loop.key(key, "signal", signal.name), k + 1)
+        stream = jax.random.fold_in(loop.key(key, "signal", signal.name), k + 1)
         true = Measurement(values[i], 0.0)
-        state, shown = loop.signal_sensor[i].step(params.signal_sensor[i], states[i], true, fresh, k * dt, dt)
-        after.append(state)
-        readings.append(shown.y)
-    return tuple(after), tuple(readings)
+        state, reading = loop.signal_sensor[i].step(params.signal_sensor[i], states[i], true, stream, k * dt, dt)
+        next_states.append(state)
+        readings.append(reading.y)
+    return tuple(next_states), tuple(readings)

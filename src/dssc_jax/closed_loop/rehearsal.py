@@ -63,8 +63,8 @@ def rehearse(loop: Loop, params: LoopParams) -> None:
     for channel, name in enumerate(loop.channels):
         for slot in SLOTS_OF_CHANNELS:
             initial = getattr(state.channels[channel], slot)
-            following = getattr(next_state.channels[channel], slot)
-            require_form(place_of(slot, name), "step", "the state", initial, following)
+            next_part_state = getattr(next_state.channels[channel], slot)
+            require_form(place_of(slot, name), "step", "the state", initial, next_part_state)
     require_form("wind", "step", "the state", state.wind, next_state.wind)
 
 
@@ -87,9 +87,13 @@ def require_repeatable(loop: Loop, params: LoopParams) -> None:
     if codes is None:
         return
     functions = user_functions(loop)
-    called = [functions[code] for code in codes if code in functions]
-    parts = called[-1].part if called else " and ".join(sorted({function.part for function in functions.values()}))
-    subject = f"`{called[-1].field}` gives" if called else "gives"
+    impure_functions = [functions[code] for code in codes if code in functions]
+    parts = (
+        impure_functions[-1].part
+        if impure_functions
+        else " and ".join(sorted({function.part for function in functions.values()}))
+    )
+    subject = f"`{impure_functions[-1].field}` gives" if impure_functions else "gives"
     raise ConfigError(
         parts,
         f"{subject} other values when the same call is repeated, as with numpy.random, a clock or a counter. A part is "
@@ -110,10 +114,10 @@ def check_results(loop: Loop, params: LoopParams) -> None:
     references = loop.mimo_reference.at(params.reference, 0.0)
     for channel, name in enumerate(loop.channels):
         require_form("plant", "measure", "the measurement", Measurement(0.0, 0.0), measurements[channel])
-        seen = measurements[channel]._replace(signals=(0.0,) * len(loop.measures))
+        measurement = measurements[channel]._replace(signals=(0.0,) * len(loop.measures))
         model, gains = loop.controller[channel], params.controller[channel]
-        state = as_arrays(model.init(gains, seen, references[channel]))
-        result = model.step(gains, state, seen, references[channel], loop.sample_time)
+        state = as_arrays(model.init(gains, measurement, references[channel]))
+        result = model.step(gains, state, measurement, references[channel], loop.sample_time)
         place = place_of("controller", name)
         if not isinstance(result, tuple) or len(result) != RESULTS_OF_STEP:
             raise ConfigError(place, f"`step` must return (state, command, info), got {form(result)}")

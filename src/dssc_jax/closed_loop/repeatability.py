@@ -36,11 +36,13 @@ def different_equation(first: ClosedJaxpr, second: ClosedJaxpr) -> JaxprEqn | No
     changed = {id(variable) for variable, value, other in pairs if not same_values([value], [other])}
     for equation, other in zip(first.jaxpr.eqns, second.jaxpr.eqns, strict=False):
         for inner, other_inner in zip(inner_programs(equation), inner_programs(other), strict=False):
-            if (found := different_equation(inner, other_inner)) is not None:
-                return found
-        reads = any(id(variable) in changed for variable in equation.invars if not isinstance(variable, Literal))
+            if (inner_difference := different_equation(inner, other_inner)) is not None:
+                return inner_difference
+        reads_changed = any(
+            id(variable) in changed for variable in equation.invars if not isinstance(variable, Literal)
+        )
         literals = ([x.val for x in e.invars if isinstance(x, Literal)] for e in (equation, other))
-        if reads or text_of(equation) != text_of(other) or not same_values(*literals):
+        if reads_changed or text_of(equation) != text_of(other) or not same_values(*literals):
             return equation
     return None
 

@@ -80,9 +80,9 @@ class Requirement:
     def shown(self, value: float) -> tuple[float, str]:
         """A value of the metric, and its unit: that in which the bound was written, if it was written with one."""
         margin = self.measure.metric.margin
-        written = self.written.split(" ")[-1]
-        if margin is not None and written in margin.kind.units:
-            return margin.kind.in_unit(value, written), written
+        written_unit = self.written.split(" ")[-1]
+        if margin is not None and written_unit in margin.kind.units:
+            return margin.kind.in_unit(value, written_unit), written_unit
         return value, self.measure.unit
 
     def slack(self, value: Scalar) -> Scalar:
@@ -159,8 +159,8 @@ def watch(
     """
     states = {measure.name: acc for measure, acc in zip(measures, accumulators, strict=True)}
     updates = []
-    watched = (requirement for requirement in requirements if requirement.is_watched)
-    for requirement, times in zip(watched, violations, strict=True):
+    watched_requirements = (requirement for requirement in requirements if requirement.is_watched)
+    for requirement, times in zip(watched_requirements, violations, strict=True):
         measure = requirement.measure
         value = measure.metric.value(states[measure.name], measure.window, span_of(measure.window, steps, sample_time))
         is_first = (times == 0.0) & (requirement.slack(value) < 0.0)
@@ -206,14 +206,14 @@ def judge(
         values: Every measure's value by name.
         ended: The code of the run itself: OK, or why it ended early.
     """
-    alive = ended == Outcome.OK
+    is_complete = ended == Outcome.OK
     outcome = jnp.full((), Outcome.OK, dtype=jnp.int32)
     slacks: dict[str, Scalar] = {}
     for index, requirement in reversed(list(enumerate(requirements))):
         slack = requirement.slack(values[requirement.measure.name])
         outcome = jnp.where(violated(slack), Outcome.REQUIREMENT + index, outcome)
-        slacks[requirement.name] = jnp.where(alive, slack, -jnp.inf)
-    return jnp.where(alive, outcome, ended).astype(jnp.int32), slacks
+        slacks[requirement.name] = jnp.where(is_complete, slack, -jnp.inf)
+    return jnp.where(is_complete, outcome, ended).astype(jnp.int32), slacks
 
 
 def binding_requirement(requirements: Sequence[Requirement], results: Mapping[str, np.ndarray]) -> np.ndarray:

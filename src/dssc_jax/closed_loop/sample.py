@@ -17,7 +17,7 @@ from dssc_jax.closed_loop.control import (
     principal_value,
     unwrap,
 )
-from dssc_jax.closed_loop.estimates import renewed_estimate, seen_measurements, start_estimate
+from dssc_jax.closed_loop.estimates import measurements_for_sensors, renewed_estimate, start_estimate
 from dssc_jax.closed_loop.hold import Advance, HeldParts, between_samples
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.closed_loop.metrics import Instant, Sample
@@ -129,7 +129,7 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
     exact = measure(loop, params, plant, references, drive)
     signal_sensors, signals = first_readings(loop, params, key, signal_values(loop, params, plant, exact, drive))
     plant, estimate = start_estimate(loop, params, key, plant)
-    measurements = seen_measurements(loop, params, plant, references, drive, exact)
+    measurements = measurements_for_sensors(loop, params, plant, references, drive, exact)
     channels = []
     for i, name in enumerate(loop.channels):
         stream_key = loop.key(key, "sensor", name)
@@ -137,8 +137,8 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
         # the controller starts from what it will measure at the first sample, not from the plant's own output
         first = jax.random.fold_in(stream_key, 1)
         _, reading = loop.sensor[i].step(params.sensor[i], sensor, measurements[i], first, 0.0, loop.sample_time)
-        seen = principal_value(loop, i, reading)._replace(signals=signals)
-        control = initial_control(loop, params, i, seen, references[i])
+        wrapped_reading = principal_value(loop, i, reading)._replace(signals=signals)
+        control = initial_control(loop, params, i, wrapped_reading, references[i])
         channels.append(
             ChannelState(
                 controller=begin_controller(loop, params, key, i, control.controller),
@@ -168,7 +168,7 @@ def held_parts(loop: Loop) -> HeldParts:
 
 
 def held_between_samples(loop: Loop, params: LoopParams) -> Advance:
-    """What happens between two samples of one draw; to be called before the time loop."""
+    """The function that advances a draw between two samples; to be called before the time loop."""
     return between_samples(held_parts(loop), params.plant, params.unmodelled)
 
 
@@ -189,7 +189,7 @@ def sampled_command(
 def plant_input(
     loop: Loop,
     params: LoopParams,
-    held: tuple[State, ...],
+    input_states: tuple[State, ...],
     wind: State,
     plant: State,
     actuation: Signals,
@@ -201,7 +201,7 @@ def plant_input(
     Args:
         loop: The models and the clock.
         params: Their parameters.
-        held: State of the disturbance of each channel, then of each named input.
+        input_states: State of the disturbance of each channel, then of each named input.
         wind: State of the wind.
         plant: State of the plant.
         actuation: The commands that reach it.
@@ -213,10 +213,10 @@ def plant_input(
     disturbances = []
     for i, model in enumerate(loop.disturbance):
         sigma = tracking_error(measurements[i], references[i], params.controller[i].l0).sigma
-        disturbances.append(model.value(params.disturbance[i], held[i], measurements[i], sigma, t))
+        disturbances.append(model.value(params.disturbance[i], input_states[i], measurements[i], sigma, t))
     first = tracking_error(measurements[0], references[0], params.controller[0].l0).sigma
     inputs = []
-    for model, p, state in zip(loop.inputs, params.inputs, held[len(loop.disturbance) :], strict=True):
+    for model, p, state in zip(loop.inputs, params.inputs, input_states[len(loop.disturbance) :], strict=True):
         inputs.append(model.value(p, state, measurements[0], first, t))
     return PlantInput(actuation, tuple(disturbances), loop.wind.value(params.wind, wind, t), tuple(inputs), condition)
 
@@ -259,8 +259,8 @@ def control_channel(
         t,
         dt,
     )
-    seen = principal_value(loop, i, reading)._replace(signals=signals)
-    state, controlled = control(loop, params, i, channel.control, seen, reference)
+    wrapped_reading = principal_value(loop, i, reading)._replace(signals=signals)
+    state, controlled = control(loop, params, i, channel.control, wrapped_reading, reference)
     disturbance = loop.disturbance[i].step(
         params.disturbance[i],
         channel.disturbance,
@@ -268,7 +268,7 @@ def control_channel(
         t,
         dt,
     )
-    after = channel._replace(
+    next_channel = channel._replace(
         controller=state.controller,
         sensor=sensor,
         differentiator=state.differentiator,
@@ -277,7 +277,7 @@ def control_channel(
         angle=measurement.y if is_angle(loop, i) else (),
         reading=state.reading,
     )
-    return after, controlled
+    return next_channel, controlled
 
 
 def metric_sample(
@@ -340,7 +340,7 @@ def step(
     measurements = measure(loop, params, state.plant, references, arriving_drive)
     values = signal_values(loop, params, state.plant, measurements, arriving_drive)
     signal_sensors, signals = read_signals(loop, params, key, state.signals, values, k)
-    seen = seen_measurements(loop, params, state.plant, references, arriving_drive, measurements)
+    sensor_inputs = measurements_for_sensors(loop, params, state.plant, references, arriving_drive, measurements)
     gains = loop.mimo_plant.input_gain(params.plant)
     channels = []
     samples = []
@@ -348,36 +348,40 @@ def step(
     outputs = []
     for i, channel in enumerate(state.channels):
         reference = references[i]
-        after, controlled = control_channel(loop, params, key, channel, i, seen[i], signals, reference, k)
+        next_channel, controlled = control_channel(
+            loop, params, key, channel, i, sensor_inputs[i], signals, reference, k
+        )
         l0 = params.controller[i].l0
         error = tracking_error(measurements[i], reference, l0)
         samples.append(metric_sample(loop, k, error, reference, controlled, channel.u, gains[i], l0))
         command = controlled.command
         total = command.total if added is None else command.total + added[i]
         sampled = sampled_command(loop, params, key, channel.unmodelled, i, total, k)
-        channels.append(after._replace(unmodelled=sampled))
+        channels.append(next_channel._replace(unmodelled=sampled))
         commands.append(total)
         outputs.append(controlled)
     wind = loop.wind.step(params.wind, state.wind, jax.random.fold_in(loop.key(key, "wind"), k + 1), t, dt)
-    held = as_arrays(tuple(commands))
+    held_commands = as_arrays(tuple(commands))
     sampled = tuple(channel.unmodelled for channel in channels)
     held_inputs = []
     for model, p, previous, name in zip(loop.inputs, params.inputs, state.inputs, loop.input_names, strict=True):
         held_inputs.append(model.step(p, previous, jax.random.fold_in(loop.key(key, "input", name), k + 1), t, dt))
-    following = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
+    intermediate_state = LoopState(state.plant, wind, tuple(channels), tuple(held_inputs))
 
     def drive_at(plant: State, actuation: Signals, time: Scalar) -> PlantInput[Signals]:
-        return plant_input(loop, params, following.disturbances, wind, plant, actuation, time, condition)
+        return plant_input(loop, params, intermediate_state.disturbances, wind, plant, actuation, time, condition)
 
-    plant, unmodelled = advance(drive_at, state.plant, sampled, held, t)
+    plant, unmodelled = advance(drive_at, state.plant, sampled, held_commands, t)
     plant, estimate = renewed_estimate(loop, params, key, plant, state.estimate, k + 1)
-    drive = drive_at(state.plant, actuate(loop, params, sampled, held), t)
+    drive = drive_at(state.plant, actuate(loop, params, sampled, held_commands), t)
     info = loop.mimo_plant.monitor(params.plant, state.plant, drive)
-    arriving = actuate(loop, params, unmodelled, held)
+    arriving = actuate(loop, params, unmodelled, held_commands)
     for i, channel in enumerate(channels):
         channels[i] = channel._replace(unmodelled=unmodelled[i], reaching=arriving[i])
-    after = as_arrays(LoopState(plant, wind, tuple(channels), following.inputs, signal_sensors, estimate))
-    broken = loop.plant.broken(params.plant, after.plant)
-    grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
+    next_state = as_arrays(LoopState(plant, wind, tuple(channels), intermediate_state.inputs, signal_sensors, estimate))
+    is_broken = loop.plant.broken(params.plant, next_state.plant)
+    is_grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
     instant = Instant(t, dt, tuple(samples), info, signals)
-    return after, Recorded(instant, measurements, references, all_finite(after), broken, grounded, tuple(outputs))
+    return next_state, Recorded(
+        instant, measurements, references, all_finite(next_state), is_broken, is_grounded, tuple(outputs)
+    )

@@ -64,12 +64,12 @@ def of_desired_output(index: int) -> Callable[[Instant], Scalar]:
 
 
 def of_controller(index: int, field: str) -> Callable[[Instant], Scalar]:
-    """What a channel's controller reports."""
+    """A signal that a channel's controller reports."""
     return lambda instant: signals_in(instant.channels[index].info)[field]
 
 
 def of_plant(field: str) -> Callable[[Instant], Scalar]:
-    """What the plant reports: one of its named outputs."""
+    """A named output that the plant reports."""
     return lambda instant: signals_in(instant.plant)[field]
 
 

@@ -13,7 +13,7 @@ class Span(NamedTuple):
     """Data for the final value of an accumulator: samples up to the end of the window, samples in it, and T_s [s]."""
 
     steps: Scalar
-    inside: Scalar
+    sample_count: Scalar
     sample_time: float
 
 

@@ -37,7 +37,7 @@ class StepSize(NamedTuple):
     goal: Scalar = 0.0
     moved: Scalar = 0.0
 
-    def after(self, sample: Sample) -> "StepSize":
+    def next(self, sample: Sample) -> "StepSize":
         """The step after one more sample; the first one defines it."""
         first = self.samples == 0.0
         desired = sample.reference.y
@@ -46,13 +46,13 @@ class StepSize(NamedTuple):
         return StepSize(self.samples + 1.0, start, goal, jnp.maximum(self.moved, jnp.abs(desired - goal)))
 
     def progress(self, sample: Sample) -> Scalar:
-        """The share p of the step that is done; 0 where there is no step."""
+        """The share p of the step that the output has covered; 0 where there is no step."""
         size = self.goal - self.start
-        done = sample.e + sample.reference.y - self.start
-        return jnp.where(size == 0.0, 0.0, done / jnp.where(size == 0.0, 1.0, size))
+        travelled = sample.e + sample.reference.y - self.start
+        return jnp.where(size == 0.0, 0.0, travelled / jnp.where(size == 0.0, 1.0, size))
 
-    def judged(self, value: Scalar) -> Scalar:
-        """The value of a metric of this step; NaN where there is no step, or where its goal moves."""
+    def result(self, value: Scalar) -> Scalar:
+        """The value of a metric of this step, or NaN where there is no step or its goal moves."""
         size = jnp.abs(self.goal - self.start)
         return jnp.where((size > 0.0) & (self.moved <= STILL * size), value, jnp.nan)
 
@@ -68,21 +68,21 @@ class Rise(NamedTuple):
 
 def rise(acc: Rise, sample: Sample, window: Window) -> Rise:
     """Note when the progress first passes 10 % and 90 %, between two samples by a straight line."""
-    step = acc.step.after(sample)
+    step = acc.step.next(sample)
     p = step.progress(sample)
     gain = p - acc.previous
 
-    def passed(passed_at: Scalar, level: float) -> Scalar:
+    def passing_time(passed_at: Scalar, level: float) -> Scalar:
         passes = (passed_at < 0.0) & (p >= level)
         share = (level - acc.previous) / jnp.where(gain > 0.0, gain, 1.0)
         return jnp.where(passes, jnp.maximum(acc.step.samples - 1.0 + share, 0.0), passed_at)
 
-    return Rise(step, p, passed(acc.low, LOW), passed(acc.high, HIGH))
+    return Rise(step, p, passing_time(acc.low, LOW), passing_time(acc.high, HIGH))
 
 
 def rise_time(acc: Rise, window: Window, span: Span) -> Scalar:
     """Time from 10 % to 90 %; infinite if 90 % is not reached."""
-    return acc.step.judged(jnp.where(acc.high < 0.0, jnp.inf, (acc.high - acc.low) * span.sample_time))
+    return acc.step.result(jnp.where(acc.high < 0.0, jnp.inf, (acc.high - acc.low) * span.sample_time))
 
 
 class Peak(NamedTuple):
@@ -94,13 +94,13 @@ class Peak(NamedTuple):
 
 def largest(acc: Peak, sample: Sample, window: Window) -> Peak:
     """The largest progress so far."""
-    step = acc.step.after(sample)
+    step = acc.step.next(sample)
     return Peak(step, jnp.maximum(acc.largest, step.progress(sample)))
 
 
 def overshoot(acc: Peak, window: Window, span: Span) -> Scalar:
     """How far the largest progress exceeds 1, in per cent."""
-    return acc.step.judged(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
+    return acc.step.result(100.0 * jnp.maximum(acc.largest - 1.0, 0.0))
 
 
 class Outside(NamedTuple):
@@ -110,9 +110,9 @@ class Outside(NamedTuple):
     last_sample: Scalar = 0.0
 
 
-def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
+def update_outside(acc: Outside, sample: Sample, window: Window) -> Outside:
     """Note a sample whose distance from the goal exceeds the band."""
-    step = acc.step.after(sample)
+    step = acc.step.next(sample)
     is_outside = jnp.abs(step.progress(sample) - 1.0) > 0.01 * window.percent
     return Outside(step, jnp.where(is_outside, step.samples, acc.last_sample))
 
@@ -120,7 +120,7 @@ def outside(acc: Outside, sample: Sample, window: Window) -> Outside:
 def step_settling(acc: Outside, window: Window, span: Span) -> Scalar:
     """Time from the window's start to the first sample after which all lie in the band; infinite if none do."""
     time = acc.last_sample * span.sample_time
-    return acc.step.judged(jnp.where(acc.last_sample >= span.inside, jnp.inf, time))
+    return acc.step.result(jnp.where(acc.last_sample >= span.sample_count, jnp.inf, time))
 
 
 class Following(NamedTuple):
@@ -135,13 +135,13 @@ class Following(NamedTuple):
     yd: Scalar = 0.0
 
 
-def following(acc: Following, sample: Sample, window: Window) -> Following:
+def update_following(acc: Following, sample: Sample, window: Window) -> Following:
     """Add a sample."""
     r = sample.reference.y
     d = sample.reference.y_dot
     y = sample.e + r
-    new = Following(y, r, d, r * r, d * d, y * r, y * d)
-    return Following(*(total + value for total, value in zip(acc, new, strict=True)))
+    moments = Following(y, r, d, r * r, d * d, y * r, y * d)
+    return Following(*(total + value for total, value in zip(acc, moments, strict=True)))
 
 
 def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
@@ -150,25 +150,25 @@ def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
     They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
     and the frequency squared is var r'/var r. Both are NaN if r does not move.
     """
-    n = span.inside
+    n = span.sample_count
     rr = acc.rr - acc.r * acc.r / n
     dd = acc.dd - acc.r_dot * acc.r_dot / n
-    moves = (rr > 0.0) & (dd > 0.0)
-    ahead = (acc.yd - acc.y * acc.r_dot / n) / jnp.sqrt(jnp.where(moves, rr * dd, 1.0))
-    level = (acc.yr - acc.y * acc.r / n) / jnp.where(moves, rr, 1.0)
-    return jnp.where(moves, level, jnp.nan), jnp.where(moves, ahead, jnp.nan)
+    is_moving = (rr > 0.0) & (dd > 0.0)
+    quadrature_gain = (acc.yd - acc.y * acc.r_dot / n) / jnp.sqrt(jnp.where(is_moving, rr * dd, 1.0))
+    in_phase_gain = (acc.yr - acc.y * acc.r / n) / jnp.where(is_moving, rr, 1.0)
+    return jnp.where(is_moving, in_phase_gain, jnp.nan), jnp.where(is_moving, quadrature_gain, jnp.nan)
 
 
 def following_gain(acc: Following, window: Window, span: Span) -> Scalar:
     """Amplitude of y over that of r."""
-    level, ahead = in_phase(acc, span)
-    return root_abs(level * level + ahead * ahead)
+    in_phase_gain, quadrature_gain = in_phase(acc, span)
+    return root_abs(in_phase_gain * in_phase_gain + quadrature_gain * quadrature_gain)
 
 
 def following_lag(acc: Following, window: Window, span: Span) -> Scalar:
     """Phase of r less that of y, in (-pi, pi] [rad]."""
-    level, ahead = in_phase(acc, span)
-    return atan2(-ahead, level)
+    in_phase_gain, quadrature_gain = in_phase(acc, span)
+    return atan2(-quadrature_gain, in_phase_gain)
 
 
 STEP_RESPONSE: dict[str, Metric] = {
@@ -181,15 +181,15 @@ STEP_RESPONSE: dict[str, Metric] = {
         defined_if=BEGINS_WITH_STEP,
     ),
     "settling_time_percent": Metric(
-        "s", "time after which a step response stays within a per-cent band", outside, step_settling, start=Outside(),
-        counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
+        "s", "time after which a step response stays within a per-cent band", update_outside, step_settling,
+        start=Outside(), counted=True, course=RISES, least=0.0, defined_if=BEGINS_WITH_STEP,
     ),
     "following_gain": Metric(
-        "1", "amplitude of the output over that of a sine reference", following, following_gain,
+        "1", "amplitude of the output over that of a sine reference", update_following, following_gain,
         start=Following(), least=0.0, defined_if=MOVES,
     ),
     "following_lag": Metric(
-        "rad", "phase by which the output lags a sine reference", following, following_lag, start=Following(),
+        "rad", "phase by which the output lags a sine reference", update_following, following_lag, start=Following(),
         defined_if=MOVES,
     ),
 }  # fmt: skip

@@ -28,7 +28,7 @@ R = TypeVar("R")
 
 
 def until_all_ended(
-    sample: Callable[[C], C], running: Callable[[C], Scalar], begin: C, steps: int, axis_name: str
+    sample: Callable[[C], C], is_active: Callable[[C], Scalar], first_carry: C, steps: int, axis_name: str
 ) -> C:
     """Advance sample by sample until ``steps`` are done, or no draw of the mapped axis ``axis_name`` is running.
 
@@ -36,38 +36,38 @@ def until_all_ended(
     """
 
     def any_running(at: C) -> Scalar:
-        return jax.lax.pmax(jnp.where(running(at), 1, 0), axis_name)
+        return jax.lax.pmax(jnp.where(is_active(at), 1, 0), axis_name)
 
     def block(carry: tuple[C, Scalar]) -> tuple[C, Scalar]:
         end = jnp.minimum(carry[0].k + CHECK_INTERVAL, steps)
-        after = jax.lax.while_loop(lambda at: at.k < end, sample, carry[0])
-        return after, any_running(after)
+        next_carry = jax.lax.while_loop(lambda at: at.k < end, sample, carry[0])
+        return next_carry, any_running(next_carry)
 
     def goes_on(carry: tuple[C, Scalar]) -> Scalar:
         return (carry[0].k < steps) & (carry[1] > 0)
 
-    return jax.lax.while_loop(goes_on, block, (begin, any_running(begin)))[0]
+    return jax.lax.while_loop(goes_on, block, (first_carry, any_running(first_carry)))[0]
 
 
-def scan_segments(sample: Callable[[C], C], begin: C, steps: int, segment: int | None = None) -> C:
+def scan_segments(sample: Callable[[C], C], first_carry: C, steps: int, segment: int | None = None) -> C:
     """Advance sample by sample to the end, so that derivatives can be taken.
 
     Args:
         sample: Advances the carry by one sample.
-        begin: The carry at the start.
+        first_carry: The carry at the start.
         steps: Total number of samples.
         segment: Samples of a segment. Reverse mode stores the carry at the start of each segment and recomputes the
             samples within it. None: it stores every carry.
     """
 
-    def ahead(at: C, count: int) -> C:
+    def advance(at: C, count: int) -> C:
         return jax.lax.scan(lambda at, _: (sample(at), None), at, length=count)[0]
 
     if segment is None:
-        return ahead(begin, steps)
-    checkpointed = jax.checkpoint(lambda at: ahead(at, segment))
-    at = jax.lax.scan(lambda at, _: (checkpointed(at), None), begin, length=steps // segment)[0]
-    return ahead(at, steps % segment)
+        return advance(first_carry, steps)
+    checkpointed = jax.checkpoint(lambda at: advance(at, segment))
+    at = jax.lax.scan(lambda at, _: (checkpointed(at), None), first_carry, length=steps // segment)[0]
+    return advance(at, steps % segment)
 
 
 def scan_recorded(sample: Callable[[C], tuple[C, R]], begin: C, steps: int, stride: int) -> tuple[C, R]:

@@ -32,7 +32,7 @@ class WindowEntry(NamedTuple):
     absent: str = ""
 
 
-def declared(default: float, entry: WindowEntry) -> Any:
+def entry_field(default: float, entry: WindowEntry) -> Any:
     """A field of a window with its entry in a study."""
     return field(default=default, metadata={"entry": entry})
 
@@ -44,11 +44,11 @@ class Window:
     The error that counts as settled is ``band``, in the output's unit; for a step response, ``percent`` of the step.
     """
 
-    after: float = declared(
+    after: float = entry_field(
         0.0,
         WindowEntry("after", "start of the window [s]", "_after_{:.12g}", " after {:g} s", {"ge": 0.0}, relative=False),
     )
-    band: float = declared(
+    band: float = entry_field(
         0.05,
         WindowEntry(
             "settling_band",
@@ -58,7 +58,7 @@ class Window:
             {"gt": 0.0},
         ),
     )
-    percent: float = declared(
+    percent: float = entry_field(
         2.0,
         WindowEntry(
             "settling_percent",
@@ -68,13 +68,13 @@ class Window:
             {"gt": 0.0, "lt": 100.0},
         ),
     )
-    until: float = declared(
+    until: float = entry_field(
         math.inf,
         WindowEntry(
             "until", "end of the window [s]", "_until_{:.12g}", " up to {:g} s", {"ge": 0.0}, False, "the flight's end"
         ),
     )
-    chattering: float = declared(
+    chattering: float = entry_field(
         0.0,
         WindowEntry(
             "chattering_frequency",
@@ -87,14 +87,14 @@ class Window:
     )
 
     @classmethod
-    def of(cls, entries: Mapping[str, Any], usual: "Window | None" = None) -> "Window":
+    def of(cls, entries: Mapping[str, Any], default_window: "Window | None" = None) -> "Window":
         """The window that entries of a study give.
 
         Args:
             entries: Values by the names of the study file; others are ignored.
-            usual: Its values stand for entries that are absent or None.
+            default_window: Its values stand for entries that are absent or None.
         """
-        defaults = vars(usual or cls())
+        defaults = vars(default_window or cls())
         values = {name: entries.get(entry.key) for name, entry in window_entries().items()}
         return cls(**{name: defaults[name] if value is None else float(value) for name, value in values.items()})
 
@@ -107,23 +107,23 @@ class Window:
                 written[entry.key] = value
         return written
 
-    def suffix(self, usual: "Window") -> str:
-        """What distinguishes a measure's name from that over the study's usual window: the start, and what differs."""
-        if self == usual:
+    def suffix(self, default_window: "Window") -> str:
+        """The suffix of a measure's name over another window than the study's default: the start, and what differs."""
+        if self == default_window:
             return ""
         parts = []
         for name, entry in window_entries().items():
             value = getattr(self, name)
-            if name == "after" or value != getattr(usual, name):
+            if name == "after" or value != getattr(default_window, name):
                 parts.append(entry.suffix.format(value))
         return "".join(parts)
 
-    def words(self, usual: "Window") -> str:
+    def words(self, default_window: "Window") -> str:
         """The window in words, as far as a requirement needs them."""
         parts = []
         for name, entry in window_entries().items():
             value = getattr(self, name)
-            if value != getattr(usual if entry.relative else WHOLE_RUN, name):
+            if value != getattr(default_window if entry.relative else WHOLE_RUN, name):
                 parts.append(entry.words.format(value))
         return "".join(parts)
 
@@ -134,7 +134,7 @@ WHOLE_RUN = Window()
 
 def window_entries() -> dict[str, WindowEntry]:
     """The entries in a study by the window's fields."""
-    return {described.name: described.metadata["entry"] for described in fields(Window)}
+    return {window_field.name: window_field.metadata["entry"] for window_field in fields(Window)}
 
 
 def window_defaults() -> dict[str, float]:

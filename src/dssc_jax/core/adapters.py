@@ -241,8 +241,8 @@ def linear_unmodelled(
     def step(values: Params, state: State, command: Scalar, dt: Scalar) -> State:
         system = linear(values)
         x, structure = jax.tree.flatten(state)
-        held = hold(system.a, (Forcing(system.b, terms=1),), dt)
-        return structure.unflatten(held.full.apply(x, ((command,),)))
+        held_system = hold(system.a, (Forcing(system.b, terms=1),), dt)
+        return structure.unflatten(held_system.full.apply(x, ((command,),)))
 
     def output(values: Params, state: State, command: Scalar) -> Scalar:
         system = linear(values)

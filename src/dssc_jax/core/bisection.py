@@ -31,7 +31,7 @@ def bisect(
     failed_at = np.asarray(outside)
     for _ in range(halvings):
         middle = 0.5 * (passed_at + failed_at)
-        passed = holds(middle)
-        passed_at = np.where(passed, middle, passed_at)
-        failed_at = np.where(passed, failed_at, middle)
+        is_passed = holds(middle)
+        passed_at = np.where(is_passed, middle, passed_at)
+        failed_at = np.where(is_passed, failed_at, middle)
     return passed_at, failed_at

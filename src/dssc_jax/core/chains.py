@@ -82,7 +82,7 @@ class Arrangement(NamedTuple):
 
     @property
     def head(self) -> tuple[int, ...]:
-        """All elements but the linear ones directly before the plant."""
+        """The elements before the linear ones that lie directly before the plant."""
         return self.sampled + self.integrated
 
 

@@ -160,10 +160,10 @@ class Plant(NamedTuple, Generic[Output, Signal]):
     settle: Callable[[Params, State, Vec3], State] | None = None
 
     def reported(self, params: Params) -> tuple[NamedSignal, ...]:
-        """What ``monitor`` reports with these parameters, as far as it is declared with unit and meaning."""
+        """The signals that ``monitor`` reports with these parameters, if they are declared with unit and meaning."""
         outputs = self.outputs(params) if self.outputs else ()
-        declared = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
-        return outputs or tuple(declared)
+        declared_signals = (NamedSignal(name, q.unit, q.meaning) for name, q in quantities_of(self.info).items())
+        return outputs or tuple(declared_signals)
 
 
 class Preset(NamedTuple):
@@ -254,7 +254,7 @@ class Reference(NamedTuple, Generic[Desired]):
 
 
 class Variation(StrEnum):
-    """What a disturbance varies with within a sample, from which the loop chooses how it integrates it."""
+    """The kind of a disturbance's variation within a sample, by which the loop selects the integration."""
 
     HELD = "held"  # nothing: it is constant from one sample to the next
     TIME = "time"  # time alone

@@ -70,11 +70,11 @@ def errors_in_code(subject: str, function: Callable[..., object]) -> Iterator[No
     except Exception as error:
         text = str(error).strip().partition("\n")[0]
         frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
+        own_frames = [frame for frame in frames if not any(part in frame.filename for part in LIBRARIES)]
         code = getattr(function, "__code__", None)
-        place = f", in line {code.co_firstlineno} of {code.co_filename}" if code is not None else ""
-        place = f", in line {lines[-1].lineno} of {lines[-1].filename}" if lines else place
-        raise ConfigError(subject, f"{type(error).__name__}: {text}{place}") from error
+        location = f", in line {code.co_firstlineno} of {code.co_filename}" if code is not None else ""
+        location = f", in line {own_frames[-1].lineno} of {own_frames[-1].filename}" if own_frames else location
+        raise ConfigError(subject, f"{type(error).__name__}: {text}{location}") from error
 
 
 def folded(name: str) -> str:
@@ -85,8 +85,8 @@ def folded(name: str) -> str:
 def close_names(name: str, valid: Iterable[str]) -> list[str]:
     """The valid name that a misspelt one stands for; empty if none is near."""
     names = sorted(map(str, valid))
-    alike = [known for known in names if folded(known) == folded(name)]
-    return alike[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    equal_names = [valid_name for valid_name in names if folded(valid_name) == folded(name)]
+    return equal_names[:1] or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

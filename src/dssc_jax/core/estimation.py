@@ -15,13 +15,13 @@ class Estimation(NamedTuple):
     samples the software on board sees the true state with this error.
 
     Args:
-        chosen: ``(params) -> bool``: whether the parameters choose an estimator.
+        is_enabled: ``(params) -> bool``: whether the parameters select an estimator.
         start: ``(params, state, key) -> (state, memory)`` at t = 0.
         step: ``(params, state, memory, key, k, dt) -> (state, memory)`` at sample k > 0.
-        seen: ``(params, state) -> state``: the state as the controllers see it.
+        estimated_state: ``(params, state) -> state``: the state as the controllers see it.
     """
 
-    chosen: Callable[[Params], bool]
+    is_enabled: Callable[[Params], bool]
     start: Callable[[Params, State, jax.Array], tuple[State, State]]
     step: Callable[[Params, State, State, jax.Array, Scalar, float], tuple[State, State]]
-    seen: Callable[[Params, State], State]
+    estimated_state: Callable[[Params, State], State]

@@ -107,8 +107,8 @@ def ramp_integral(x: Scalar, rise: Scalar | None) -> Scalar:
     """Integral up to x of a ramp from 0 at x = 0 to 1 at x = rise; None: of a step."""
     if rise is None:
         return jnp.maximum(x, 0.0)
-    inside = jnp.clip(x, 0.0, rise)
-    return 0.5 * inside * inside / rise + jnp.maximum(x - rise, 0.0)
+    ramp_time = jnp.clip(x, 0.0, rise)
+    return 0.5 * ramp_time * ramp_time / rise + jnp.maximum(x - rise, 0.0)
 
 
 def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
@@ -125,7 +125,7 @@ def share_of(params: Params, t: Scalar, dt: Scalar) -> Scalar:
 def condition_at(
     events: tuple[VehicleEvent, ...], params: tuple[Params, ...], t: Scalar, dt: Scalar, rotors: int
 ) -> Condition | None:
-    """What the events have made of the vehicle in the sample at t; None where there are none."""
+    """The condition of the vehicle after the events up to the sample at t; None where there are none."""
     if not events:
         return None
     condition = Condition()

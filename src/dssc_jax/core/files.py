@@ -47,10 +47,10 @@ class UnsafeFileError(OSError):
 
 
 def file_type(mode: int) -> str:
-    """What a file that is not regular is, in words."""
-    for matches, words in FILE_TYPES:
+    """The type of a file that is not regular, in words."""
+    for matches, description in FILE_TYPES:
         if matches(mode):
-            return words
+            return description
     return "no regular file"
 
 
@@ -63,8 +63,8 @@ def mode_of(path: Path) -> int | None:
 
 
 @contextmanager
-def opened(path: str | Path) -> Iterator[BinaryIO]:
-    """A regular file to read, piece by piece; a symbolic link is followed.
+def open_regular_file(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a regular file to read it piece by piece; a symbolic link is followed.
 
     Args:
         path: The file.
@@ -81,13 +81,13 @@ def opened(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | Path, size: int = -1) -> bytes:
-    """The content of a regular file, as of :func:`opened`.
+    """The content of a regular file, as of :func:`open_regular_file`.
 
     Args:
         path: The file.
         size: Bytes to read at most; -1: all.
     """
-    with opened(path) as file:
+    with open_regular_file(path) as file:
         return file.read(size)
 
 

@@ -3,16 +3,16 @@
 import numpy as np
 
 
-def closure(begin: np.ndarray, influences: np.ndarray) -> np.ndarray:
-    """The states in ``begin`` and those that influence them, directly or not.
+def closure(states: np.ndarray, influences: np.ndarray) -> np.ndarray:
+    """Extend sets of states by all states that influence them, directly or not.
 
     Args:
-        begin: Masks of states, shape (..., states).
+        states: Masks of states, shape (..., states).
         influences: Whether the state of each row depends on that of each column, shape (..., states, states).
     """
-    reached = begin
+    influencing = states
     while True:
-        wider = reached | np.any(reached[..., :, None] & influences, axis=-2)
-        if np.array_equal(wider, reached):
-            return reached
-        reached = wider
+        extended = influencing | np.any(influencing[..., :, None] & influences, axis=-2)
+        if np.array_equal(extended, influencing):
+            return influencing
+        influencing = extended

@@ -189,19 +189,19 @@ def range_of(function: Function, sides: Sequence[tuple[float, float]]) -> Range:
             outer_low, outer_high, defined = (np.broadcast_to(part, shape) for part in enclosures)
             inner = values_at(function, 0.5 * lows + 0.5 * highs)
             lowest, greatest = min(lowest, inner[0]), max(greatest, inner[1])
-            slack = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
-            unsettled = ~defined | (outer_low < lowest - slack) | (outer_high > greatest + slack)
-            if not remaining or 2 * np.count_nonzero(unsettled) > MOST_BOXES:
-                unsettled = np.zeros(shape, bool)
-            settled = ~unsettled
-            if np.any(settled & ~defined):
-                centre = 0.5 * lows[settled & ~defined][0] + 0.5 * highs[settled & ~defined][0]
+            tolerance = TOLERANCE * (greatest - lowest) if greatest > lowest else 0.0
+            is_undecided = ~defined | (outer_low < lowest - tolerance) | (outer_high > greatest + tolerance)
+            if not remaining or 2 * np.count_nonzero(is_undecided) > MOST_BOXES:
+                is_undecided = np.zeros(shape, bool)
+            is_decided = ~is_undecided
+            if np.any(is_decided & ~defined):
+                centre = 0.5 * lows[is_decided & ~defined][0] + 0.5 * highs[is_decided & ~defined][0]
                 return Range(-math.inf, math.inf, tuple(centre.tolist()))
-            low = min(low, outer_low[settled].min(initial=math.inf))
-            high = max(high, outer_high[settled].max(initial=-math.inf))
-            if not unsettled.any():
+            low = min(low, outer_low[is_decided].min(initial=math.inf))
+            high = max(high, outer_high[is_decided].max(initial=-math.inf))
+            if not is_undecided.any():
                 break
-            lows, highs = halved(lows[unsettled], highs[unsettled], (box.high - box.low)[0])
+            lows, highs = halve(lows[is_undecided], highs[is_undecided], (box.high - box.low)[0])
     return Range(float(low), float(high), None)
 
 
@@ -225,8 +225,8 @@ def values_at(function: Function, points: np.ndarray) -> tuple[float, float]:
     return float(low.min(initial=math.inf)), float(high.max(initial=-math.inf))
 
 
-def halved(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes halved along their longest sides, relative to the widths of the whole."""
+def halve(lows: np.ndarray, highs: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Halve boxes along their longest sides, relative to the widths of the whole."""
     side = np.argmax((highs - lows) / np.where(widths > 0.0, widths, 1.0), axis=1)
     rows = np.arange(len(lows))
     middle = 0.5 * lows[rows, side] + 0.5 * highs[rows, side]

@@ -73,13 +73,13 @@ def signals_in(info: Info) -> dict[str, Any]:
 
     A part that is () is left out, and an info that is () has no signal.
     """
-    found = {}
+    signals = {}
     for name, value in zip(getattr(info, "_fields", ()), info, strict=True):
         if hasattr(value, "_fields") and quantities_of(type(value)):
-            found |= signals_in(value)
+            signals |= signals_in(value)
         elif not isinstance(value, tuple) or value:
-            found[name] = value
-    return found
+            signals[name] = value
+    return signals
 
 
 def by_names(items: Mapping[str, Item] | None) -> list[tuple[str, Item]]:

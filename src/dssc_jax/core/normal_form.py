@@ -128,7 +128,7 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
     if n[-1] == 0.0:  # a zero at the origin: not minimum phase, and no static gain
         return NormalForm(degree, gain, zeros, float(quotient[1]), np.nan, tuple(map(float, n[:0:-1])), ())
     static = remainder[-1] / n[-1]
-    driven = np.concatenate([[0.0], remainder]) - static * n  # divisible by s
+    driving_numerator = np.concatenate([[0.0], remainder]) - static * n  # divisible by s
     return NormalForm(
         degree,
         gain,
@@ -136,5 +136,5 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
         damping=float(quotient[1]),
         stiffness=float(quotient[2] + static),
         zero_a=tuple(map(float, n[:0:-1])),
-        zero_c=tuple(map(float, driven[-2::-1])),
+        zero_c=tuple(map(float, driving_numerator[-2::-1])),
     )

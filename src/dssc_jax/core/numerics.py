@@ -52,14 +52,16 @@ def root_abs_slope(floor: float, at: tuple[Scalar], tangent: tuple[Scalar]) -> t
 def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
     """k and 2^-k with 2^-k x in [2^(-1/2), 2^(1/2)), for x >= 1; read from the bits of x, which vectorises."""
     x = jax.lax.stop_gradient(jnp.asarray(x))
-    wide = x.dtype == jnp.float64
-    integer, digits, bias = (jnp.int64, 52, 1023) if wide else (jnp.int32, 23, 127)
-    root = 0x3FE6A09E667F3BCD if wide else 0x3F3504F3  # 2^(-1/2)
+    is_double = x.dtype == jnp.float64
+    integer, digits, bias = (jnp.int64, 52, 1023) if is_double else (jnp.int32, 23, 127)
+    root = 0x3FE6A09E667F3BCD if is_double else 0x3F3504F3  # 2^(-1/2)
     bits = jax.lax.bitcast_convert_type(x, integer)
     exponent = (bits - integer(root)) >> integer(digits)
-    raised = jax.lax.bitcast_convert_type(exponent | integer((bias + digits) << digits), x.dtype)  # 2^digits + k
+    shifted_exponent = jax.lax.bitcast_convert_type(
+        exponent | integer((bias + digits) << digits), x.dtype
+    )  # 2^digits + k
     scale = jax.lax.bitcast_convert_type((integer(bias) - exponent) << integer(digits), x.dtype)
-    return raised - 2.0**digits, scale
+    return shifted_exponent - 2.0**digits, scale
 
 
 def log_defect(x: Scalar) -> Scalar:
@@ -82,10 +84,12 @@ def log_defect(x: Scalar) -> Scalar:
 
 def root_of(excess: Scalar, slope: Scalar) -> Scalar:
     """The non-negative s with s^2 + slope s = excess, for excess >= 0; 0 otherwise."""
-    positive = excess > 0.0
-    inside = jnp.where(positive, excess, 1.0)
+    is_positive = excess > 0.0
+    positive_excess = jnp.where(is_positive, excess, 1.0)
     # 2 c/(b + sqrt(b^2 + 4 c)): the difference of the textbook form cancels for small excess
-    return jnp.where(positive, 2.0 * inside / (slope + jnp.sqrt(slope * slope + 4.0 * inside)), 0.0)
+    return jnp.where(
+        is_positive, 2.0 * positive_excess / (slope + jnp.sqrt(slope * slope + 4.0 * positive_excess)), 0.0
+    )
 
 
 def sign(x: Scalar) -> Scalar:

@@ -57,12 +57,12 @@ class Quantity:
 
 def quantities_of(kind: type | None) -> dict[str, Quantity]:
     """The quantity of each field of a NamedTuple type that declares one, by name; empty for None."""
-    found = {}
+    quantities = {}
     for name, hint in get_type_hints(kind, include_extras=True).items() if kind else ():
         for mark in getattr(hint, "__metadata__", ()):
             if isinstance(mark, Quantity):
-                found[name] = mark
-    return found
+                quantities[name] = mark
+    return quantities
 
 
 def extent(value: Any) -> tuple[float, float]:

@@ -94,8 +94,8 @@ def piece_at(pieces: Pieces, t: Scalar) -> ReferencePoint:
     """The value at t with its derivatives; a piece begins at its time, up to the rounding of t = k T_s."""
     t = jnp.asarray(t, jnp.result_type(float))
     begins = jnp.asarray(pieces.begins, t.dtype)
-    rounded = t + 4.0 * jnp.finfo(t.dtype).eps * jnp.abs(t)
-    after = jnp.searchsorted(begins, rounded, side="right", method="scan_unrolled")
-    a, b, c, d = jnp.asarray(pieces.coefficients, t.dtype)[after]
-    x = jnp.maximum(t - begins[jnp.maximum(after - 1, 0)], 0.0)
+    rounded_time = t + 4.0 * jnp.finfo(t.dtype).eps * jnp.abs(t)
+    index = jnp.searchsorted(begins, rounded_time, side="right", method="scan_unrolled")
+    a, b, c, d = jnp.asarray(pieces.coefficients, t.dtype)[index]
+    x = jnp.maximum(t - begins[jnp.maximum(index - 1, 0)], 0.0)
     return ReferencePoint(a + x * (b + x * (c + x * d)), b + x * (2.0 * c + 3.0 * x * d), 2.0 * c + 6.0 * x * d)

@@ -28,7 +28,7 @@ class NominalPlant(NamedTuple):
 
 
 class LoopSetting(NamedTuple):
-    """What a controller is fitted to when a study is built.
+    """The loop to which a controller is fitted when a study is built.
 
     Args:
         sample_time: T_s [s].

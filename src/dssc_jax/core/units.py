@@ -62,8 +62,8 @@ class ChannelUnits(NamedTuple):
 
     def named(self, meaning: str) -> str:
         """The meaning with this channel's own words in place of ``output`` and ``command``."""
-        words = {"output": self.output_meaning, "command": self.command_meaning}
-        return re.sub(r"\b(output|command)\b", lambda word: words[word[0]], meaning)
+        replacements = {"output": self.output_meaning, "command": self.command_meaning}
+        return re.sub(r"\b(output|command)\b", lambda match: replacements[match[0]], meaning)
 
 
 UNNAMED_UNITS = ChannelUnits()
@@ -101,14 +101,14 @@ def parse_unit(text: str) -> Powers:
         ValueError: the text is not a product of powers.
     """
     with_powers = re.sub(r"(?<=[^\W\d_])(?=\d)", "^", text)
-    meant = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
-    wrong = f"must be a product of powers such as rad/s, N m or kg m^2, got {text!r}{meant}"
+    hint = f"; exponents are written as in {with_powers!r}" if with_powers != text else ""
+    message = f"must be a product of powers such as rad/s, N m or kg m^2, got {text!r}{hint}"
     try:
         powers, end = product(text, 0)
     except (StopIteration, ZeroDivisionError):
-        raise ValueError(wrong) from None
+        raise ValueError(message) from None
     if end != len(text):
-        raise ValueError(wrong)
+        raise ValueError(message)
     return powers
 
 
@@ -119,13 +119,13 @@ def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
         >>> scaled_symbols("uH/ohm"), scaled_symbols("kg m^2")
         ({'uH': (1e-06, 'H')}, {})
     """
-    found = {}
+    symbols = {}
     for symbol in parse_unit(text):
         if symbol in OTHER_UNITS:
-            found[symbol] = OTHER_UNITS[symbol]
+            symbols[symbol] = OTHER_UNITS[symbol]
         elif symbol[0] in PREFIXES and symbol[1:] in PREFIXED:
-            found[symbol] = (PREFIXES[symbol[0]], symbol[1:])
-    return found
+            symbols[symbol] = (PREFIXES[symbol[0]], symbol[1:])
+    return symbols
 
 
 def product(text: str, position: int) -> tuple[Powers, int]:

@@ -59,9 +59,9 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
         key = draw_key(study.config.seed, index)
         loop = study.loop
         params = study.params(values)
-        judged = study.measures, study.requirements
+        judgement = study.measures, study.requirements
         margins = {name: values[name] for name in margins_of(study.measures)}
-        run = simulate_draw(loop, params, key, *judged, axis_name=axis_name, segment=segment, margins=margins)
+        run = simulate_draw(loop, params, key, *judgement, axis_name=axis_name, segment=segment, margins=margins)
         return results_of(study, run)
 
     return lane
@@ -103,9 +103,9 @@ class Layout:
         return cls(shape, tuple(reversed(block)))
 
     @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> "Layout":
+    def from_dict(cls, entries: Mapping[str, Any]) -> "Layout":
         """The layout from the result of :meth:`to_dict`."""
-        return cls(tuple(stored["shape"]), tuple(stored["block"]))
+        return cls(tuple(entries["shape"]), tuple(entries["block"]))
 
     def to_dict(self) -> dict[str, list[int]]:
         """For JSON."""
@@ -165,7 +165,7 @@ class Engine:
         tile: Lanes of a tile, for the forms of XLA; None: chosen from the size of the batch.
         devices: Cores of a CPU, or GPUs, that share a batch; None: all.
         program: The program to run for each lane.
-        kernel: The form, see :func:`dssc_jax.engine.kernels.requested`.
+        kernel: The form, see :func:`dssc_jax.engine.kernels.requested_form`.
         extra: Numbers of each lane that the program needs in addition to those of the study.
     """
 
@@ -179,7 +179,7 @@ class Engine:
     extra: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self.kernel = kernels.requested(self.kernel)
+        self.kernel = kernels.requested_form(self.kernel)
         self._start: kernels.Start | None = None
         self._margins: MarginValues | None = None
         self._ended = 0.0
@@ -203,20 +203,20 @@ class Engine:
         if margins.keys() <= values.keys():
             columns |= {name: values[name] for name in margins}
         else:
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             columns |= self.margins(columns, np.asarray(indices))
-            self.clock.margin_seconds += time.perf_counter() - began
+            self.clock.margin_seconds += time.perf_counter() - start_time
         with arithmetic(self.study.config.loop.precision):
             start = self.compiled()
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             results = start(columns, np.asarray(indices))
 
         def finish() -> Arrays:
-            arrays, ended = results()
+            arrays, end_time = results()
             require_no_faults()
-            ended = max(ended, self._ended)
-            self.clock.run_seconds += ended - max(began, self._ended)
-            self._ended = ended
+            end_time = max(end_time, self._ended)
+            self.clock.run_seconds += end_time - max(start_time, self._ended)
+            self._ended = end_time
             self.clock.lanes += count
             return arrays
 
@@ -225,12 +225,12 @@ class Engine:
     def compiled(self) -> kernels.Start:
         """The compiled program of a batch; compiled once, on first use."""
         if self._start is None:
-            began = time.perf_counter()
+            start_time = time.perf_counter()
             lane = CountedLane(self.program(self.study), self.clock)
             names = [*self.names, *margins_of(self.study.measures)]
             with arithmetic(self.study.config.loop.precision):
                 self._start = kernels.compiled(self.kernel, lane, names, self.lanes, self.tile, self.devices)
-            self.clock.compile_seconds += time.perf_counter() - began
+            self.clock.compile_seconds += time.perf_counter() - start_time
         return self._start
 
     @property
@@ -245,10 +245,10 @@ class Engine:
         """Draws times samples per second, without compilation."""
         return self.clock.lanes * self.study.loop.steps / self.clock.run_seconds if self.clock.run_seconds else 0.0
 
-    def times(self, began: float) -> dict[str, float]:
-        """Times for the manifest, since ``began`` of ``time.perf_counter``."""
+    def times(self, start_time: float) -> dict[str, float]:
+        """Times for the manifest, since ``start_time`` of ``time.perf_counter``."""
         return {
-            "seconds": time.perf_counter() - began,
+            "seconds": time.perf_counter() - start_time,
             "compile_seconds": self.clock.compile_seconds,
             "margin_seconds": self.clock.margin_seconds,
             "run_seconds": self.clock.run_seconds,
@@ -262,7 +262,7 @@ def medians(study: Study) -> dict[str, float]:
     return {name: law.median for name, law in study.laws.items()}
 
 
-def drawn(study: Study, draws: slice) -> Arrays:
+def values_of_draws(study: Study, draws: slice) -> Arrays:
     """Values of the study's laws for a range of draws."""
     return draw(study, np.arange(draws.start, draws.stop))
 
@@ -273,8 +273,8 @@ def lanes_of(study: Study, block: Block, values: Arrays) -> tuple[Arrays, np.nda
     shape = tuple(part.stop - part.start for part in block)
     flat = {}
     for position, ((name, axis), part) in enumerate(zip(study.axes.items(), points, strict=True)):
-        along = np.asarray(axis[part]).reshape([-1 if i == position else 1 for i in range(len(shape))])
-        flat[name] = np.broadcast_to(along, shape).reshape(-1)
+        column_along_axis = np.asarray(axis[part]).reshape([-1 if i == position else 1 for i in range(len(shape))])
+        flat[name] = np.broadcast_to(column_along_axis, shape).reshape(-1)
     for name, column in values.items():
         flat[name] = np.broadcast_to(column, shape).reshape(-1)
     indices = np.broadcast_to(np.arange(draws.start, draws.stop), shape).reshape(-1)
@@ -314,22 +314,22 @@ def execute(engine: Engine, blocks: Sequence[Block]) -> Iterator[tuple[Block, Ar
     """
     engine.compiled()  # a program that cannot be compiled fails here, before anything is drawn
 
-    def start(block: Block) -> BlockRun:
+    def start_block(block: Block) -> BlockRun:
         *_, draws = block
-        values = drawn(engine.study, draws)
+        values = values_of_draws(engine.study, draws)
         return block, engine(*lanes_of(engine.study, block, values)), values
 
     def collect_all(first: BlockRun) -> Iterator[tuple[Block, Arrays, Arrays]]:
-        current = first
+        current_run = first
         for block in blocks[1:]:
-            following = start(block)
-            yield collect(*current)
-            current = following
-        yield collect(*current)
+            next_run = start_block(block)
+            yield collect(*current_run)
+            current_run = next_run
+        yield collect(*current_run)
 
     if not blocks:
         return iter(())
-    return collect_all(start(blocks[0]))
+    return collect_all(start_block(blocks[0]))
 
 
 def evaluate(engine: Engine, values: Arrays, indices: np.ndarray) -> Arrays:
@@ -356,8 +356,8 @@ def is_noisy(engine: Engine) -> bool:
     """Whether a draw's result depends on its index apart from its values: noise of sensors, wind or disturbances."""
     values = draw(engine.study, np.arange(PROBES) % engine.study.config.draws)
     results = evaluate(engine, values, np.arange(PROBES))
-    shifted = evaluate(engine, values, np.arange(PROBES, 2 * PROBES))
-    return any(not np.array_equal(results[name], shifted[name], equal_nan=True) for name in results)
+    results_of_other_draws = evaluate(engine, values, np.arange(PROBES, 2 * PROBES))
+    return any(not np.array_equal(results[name], results_of_other_draws[name], equal_nan=True) for name in results)
 
 
 def collect(block: Block, finish: Callable[[], Arrays], values: Arrays) -> tuple[Block, Arrays, Arrays]:

@@ -17,7 +17,7 @@ from dssc_jax.core.contracts import Controller, Plant
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.signals import Outcome, Scalar
-from dssc_jax.engine.batching import BLOCK, Engine, Lane, drawn, evaluate, lane_of_study
+from dssc_jax.engine.batching import BLOCK, Engine, Lane, evaluate, lane_of_study, values_of_draws
 from dssc_jax.engine.kernels import Form
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
@@ -66,9 +66,9 @@ class Evaluator:
         """The program that all batches share."""
         return Engine(self.swept, self.lanes)
 
-    def drawn(self, draws: slice) -> Arrays:
+    def values_of_draws(self, draws: slice) -> Arrays:
         """Values of the remaining laws, for a range of draws."""
-        return drawn(self.swept, draws)
+        return values_of_draws(self.swept, draws)
 
     def __call__(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> Arrays:
         """Metrics, slacks and outcome of each lane.
@@ -77,8 +77,9 @@ class Evaluator:
             indices: Draw of each lane, shape (n,).
             values: Every law's and every chosen number's value, each of shape (n,).
         """
-        known = {*self.engine.names, *margins_of(self.swept.measures)}
-        return evaluate(self.engine, {name: column for name, column in values.items() if name in known}, indices)
+        accepted_names = {*self.engine.names, *margins_of(self.swept.measures)}
+        accepted = {name: column for name, column in values.items() if name in accepted_names}
+        return evaluate(self.engine, accepted, indices)
 
     def fails(self, indices: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether each lane fails, shape (n,).
@@ -99,15 +100,15 @@ class Evaluator:
         placeholders |= {rule.measure.name: np.full(len(indices), rule.bound) for rule in required}
         flights = self(indices, {**values, **placeholders})
         candidates = np.flatnonzero(flights["outcome"] == Outcome.OK)
-        failed = np.ones(len(indices), bool)
+        is_failed = np.ones(len(indices), bool)
         if candidates.size:
             numbers = {name: column[candidates] for name, column in values.items()}
             margin_values = self.engine.margins(numbers, indices[candidates])
             with arithmetic(self.swept.config.loop.precision):
                 slacks = [rule.slack(jnp.asarray(margin_values[rule.measure.name])) for rule in required]
             violations = [violated(np.asarray(slack)) for slack in slacks]
-            failed[candidates] = np.any(violations, axis=0)
-        return failed
+            is_failed[candidates] = np.any(violations, axis=0)
+        return is_failed
 
 
 def driven_parts(study: Study) -> list[tuple[str, Plant | Controller]]:
@@ -131,12 +132,12 @@ def require_derivatives(study: Study) -> None:
             raise ConfigError(slot, f"is native code ({part.native}), through which no derivative passes")
 
 
-def require_steps_in_any_order(study: Study, subject: str) -> None:
+def require_steps_in_any_order(study: Study, feature: str) -> None:
     """Require that the steps of a study's loop may be made in any order, and any of them again.
 
     Args:
         study: The study.
-        subject: What makes them so, for the message.
+        feature: The feature that makes them so, for the message.
 
     Raises:
         ConfigError: The plant or a controller keeps its state outside of JAX.
@@ -144,7 +145,7 @@ def require_steps_in_any_order(study: Study, subject: str) -> None:
     for slot, part in driven_parts(study):
         if part.begin is not None:
             rule = f"keeps its state outside of JAX ({part.native}), so its steps are made once and in order"
-            raise ConfigError(slot, f"{rule}; {subject} is not offered for it: use `run` or `simulate`")
+            raise ConfigError(slot, f"{rule}; {feature} is not offered for it: use `run` or `simulate`")
 
 
 @dataclass

@@ -110,20 +110,21 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
         return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order, averaged)
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = int(np.prod(shape))
-    picked = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
-    lanes = np.unravel_index(picked, shape)
+    lane_indices = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
+    count = len(lane_indices)
+    lanes = np.unravel_index(lane_indices, shape)
     values = lane_numbers(study, lanes)
     results = []
     for substeps in (loop.substeps, 2 * loop.substeps):
-        engine = Engine(replace(study, loop=replace(loop, substeps=substeps)), len(picked))
+        engine = Engine(replace(study, loop=replace(loop, substeps=substeps)), count)
         results.append(evaluate(engine, {name: values[name] for name in engine.names}, lanes[-1]))
     change, metric = largest_change(study, *results)
     verdicts = int(np.count_nonzero(results[0]["outcome"] != results[1]["outcome"]))
     scale = "bound" if study.requirements else "median size"
-    excess = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
-    doublings = int(np.ceil(np.log2(excess) / order))
+    error_ratio = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
+    doublings = int(np.ceil(np.log2(error_ratio) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
-    return IntegrationError(False, len(picked), loop.substeps, change, metric, scale, verdicts, remedy, order, averaged)
+    return IntegrationError(False, count, loop.substeps, change, metric, scale, verdicts, remedy, order, averaged)
 
 
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:
@@ -138,11 +139,12 @@ def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, s
     for metric, scale in scales.items():
         coarse_values = coarse[metric]
         fine_values = fine[metric]
-        finite = np.isfinite(coarse_values) & np.isfinite(fine_values)
-        gaps = np.abs(np.where(finite, coarse_values, 0.0) - np.where(finite, fine_values, 0.0)) / scale
-        change = float(np.max(gaps, initial=0.0))
-        ended = [ended_early(arrays["outcome"]) for arrays in (coarse, fine)]
-        if np.any(ended[0] != ended[1]):
+        is_finite = np.isfinite(coarse_values) & np.isfinite(fine_values)
+        differences = np.where(is_finite, coarse_values, 0.0) - np.where(is_finite, fine_values, 0.0)
+        relative_changes = np.abs(differences) / scale
+        change = float(np.max(relative_changes, initial=0.0))
+        is_ended = [ended_early(arrays["outcome"]) for arrays in (coarse, fine)]
+        if np.any(is_ended[0] != is_ended[1]):
             change = float("inf")
         if change > worst:
             worst = change

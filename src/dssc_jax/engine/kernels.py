@@ -53,7 +53,7 @@ class KernelWarning(UserWarning):
     """A study runs in a slower form than its machine could."""
 
 
-def requested(choice: str = "") -> str:
+def requested_form(choice: str = "") -> str:
     """The requested form, from the argument or the environment.
 
     Without a request it is ``lanes`` on a CPU and ``scan`` on a GPU.
@@ -90,7 +90,7 @@ def gpu_name(choice: str) -> str:
 
 def compiler_settings() -> list[str]:
     """Settings beside the versions that affect the last digits of a result: the compiler, the processor, a request."""
-    form = requested()
+    form = requested_form()
     requests = [f"{KERNEL_VARIABLE}={form}"] if os.environ.get(KERNEL_VARIABLE) else []
     gpus = [f"gpu {gpu_name(form)}"] if form in GPU_FORMS else []
     return [*machine.code_settings(), *gpus, *requests]
@@ -102,7 +102,7 @@ def compiled(
     """Compile the program of a lane for batches.
 
     Args:
-        choice: The result of :func:`requested`.
+        choice: The result of :func:`requested_form`.
         lane: (numbers by name, draw index) -> results of one lane.
         names: Names of the numbers.
         lanes: Most lanes of a batch.

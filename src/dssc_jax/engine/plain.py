@@ -64,14 +64,14 @@ class PlainBatch:
         """Begin to run a batch; see :data:`dssc_jax.engine.kernels.Start`."""
         count, shape = len(index), (self._tiles, self._tile)
 
-        def tiled(column: np.ndarray, dtype: Any) -> np.ndarray:
+        def as_tiles(column: np.ndarray, dtype: Any) -> np.ndarray:
             return np.pad(column, (0, self._tiles * self._tile - count), mode="edge").astype(dtype).reshape(shape)
 
-        columns = {name: tiled(column, self._real) for name, column in values.items()}
-        out = self._run(columns, tiled(index, np.uint32))
+        columns = {name: as_tiles(column, self._real) for name, column in values.items()}
+        tiled_results = self._run(columns, as_tiles(index, np.uint32))
 
         def flat() -> tuple[Any, float]:
-            inside = jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], out)
-            return inside, time.perf_counter()  # at the latest: XLA does not tell
+            results = jax.tree.map(lambda array: np.asarray(array).reshape(-1, *array.shape[2:])[:count], tiled_results)
+            return results, time.perf_counter()  # at the latest: XLA does not tell
 
         return flat

@@ -159,8 +159,8 @@ class Stepper:
             whether the state is still finite and the model valid.
         """
         params = self.study.params(state.values)
-        after, info = step(self.study.loop, params, state.key, state.loop, state.k)
-        return StepState(state.k + 1, after, state.values, state.key), info
+        next_state, info = step(self.study.loop, params, state.key, state.loop, state.k)
+        return StepState(state.k + 1, next_state, state.values, state.key), info
 
 
 def lane(study: Study, segment: int | None = None) -> LaneFunction:

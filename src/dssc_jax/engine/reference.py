@@ -123,20 +123,20 @@ def agreement(study: Study, dataset: xr.Dataset, lanes: Lanes, computed: Mapping
         lanes: The lanes.
         computed: Variables of the result as another program computed them, shape (n,) each.
     """
-    stored = stored_lanes(dataset, computed, lanes)
+    stored_values = stored_lanes(dataset, computed, lanes)
     sizes = {name: typical_size(dataset[name].values) for name in computed}
-    gaps = deviations(study, sizes, stored, computed)
-    names = np.array(list(gaps))
-    table = np.stack(list(gaps.values()))
+    deviations_of = deviations(study, sizes, stored_values, computed)
+    names = np.array(list(deviations_of))
+    table = np.stack(list(deviations_of.values()))
     deviation = table.max(0)
     rounding = TOLERANCE[study.config.loop.precision]
     allowed = np.full(deviation.shape, rounding)
-    doubtful = deviation > rounding
-    if doubtful.any():
-        copies = perturbed_copies(study, tuple(part[doubtful] for part in lanes))
-        doubtful_values = {name: column[doubtful] for name, column in computed.items() if name in copies[0]}
+    is_doubtful = deviation > rounding
+    if is_doubtful.any():
+        copies = perturbed_copies(study, tuple(part[is_doubtful] for part in lanes))
+        doubtful_values = {name: column[is_doubtful] for name, column in computed.items() if name in copies[0]}
         spread = [list(deviations(study, sizes, doubtful_values, copy).values()) for copy in copies]
-        allowed[doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))
+        allowed[is_doubtful] = np.maximum(rounding, ROUNDING_FACTOR * np.max(spread, axis=(0, 1)))
     return Agreement(deviation, names[table.argmax(0)], allowed)
 
 
@@ -150,20 +150,20 @@ def deviations(
     one. An outcome is either equal or not.
     """
     counts = sample_counts(study)
-    gaps = {}
+    deviations_by_name = {}
     for name, stored_values in stored.items():
         computed_values = np.asarray(computed[name], dtype=stored_values.dtype)
         if name == "outcome":
-            gaps[name] = np.where(stored_values == computed_values, 0.0, np.inf)
+            deviations_by_name[name] = np.where(stored_values == computed_values, 0.0, np.inf)
             continue
-        equal = (stored_values == computed_values) | (np.isnan(stored_values) & np.isnan(computed_values))
+        is_equal = (stored_values == computed_values) | (np.isnan(stored_values) & np.isnan(computed_values))
         with np.errstate(invalid="ignore", over="ignore"):
             gap = np.maximum(np.abs(stored_values.astype(float) - computed_values) - counts.get(name, 0.0), 0.0)
             relative = gap / np.maximum(np.abs(stored_values), sizes[name])
-        gaps[name] = np.where(
-            equal, 0.0, np.where(np.isfinite(stored_values) & np.isfinite(computed_values), relative, np.inf)
+        deviations_by_name[name] = np.where(
+            is_equal, 0.0, np.where(np.isfinite(stored_values) & np.isfinite(computed_values), relative, np.inf)
         )
-    return gaps
+    return deviations_by_name
 
 
 def sample_counts(study: Study) -> dict[str, float]:

@@ -131,10 +131,10 @@ def unit_points(study: Study, indices: np.ndarray) -> np.ndarray:
     streams = tuple(stream(name) for name in names)
     if len(set(streams)) != len(streams):
         raise ValueError(f"two factors share a random stream; rename one of {names}")
-    return inside(SAMPLING_DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
+    return inside_cube(SAMPLING_DESIGNS[study.config.sampling](study, streams, np.asarray(indices)))
 
 
-def inside(points: np.ndarray) -> np.ndarray:
+def inside_cube(points: np.ndarray) -> np.ndarray:
     """Points moved away from the faces of the unit cube, where quantiles may be infinite."""
     return np.clip(points, OUTERMOST_LEVEL, 1.0 - OUTERMOST_LEVEL)
 
@@ -154,7 +154,7 @@ def values_at(study: Study, points: np.ndarray) -> dict[str, np.ndarray]:
     coupled = [names.index(name) for name in study.correlated]
     if coupled:
         normal = scipy.special.ndtri(points[:, coupled]) @ np.linalg.cholesky(study.correlation).T
-        points[:, coupled] = inside(scipy.special.ndtr(normal))
+        points[:, coupled] = inside_cube(scipy.special.ndtr(normal))
     return values_at_levels(study, points)
 
 

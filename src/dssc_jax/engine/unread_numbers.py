@@ -26,31 +26,32 @@ def unread_numbers(study: Study) -> list[str]:
     slots = {function.part.partition(".")[0] for function in user_functions(study.loop).values()}
     if not slots or not study.laws:
         return []
-    read: dict[str, bool] = {}
+    is_read_by_name: dict[str, bool] = {}
 
     def trace(values: dict[str, jax.Array], index: jax.Array) -> jax.Array:
         numbers, structure = jax.tree.flatten(study.params(values))
-        uncertain = [place for place, number in enumerate(numbers) if not is_known(number)]
+        uncertain = [position for position, number in enumerate(numbers) if not is_known(number)]
         margins = {name: values[name] for name in margins_of(study.measures)}
 
-        def results(chosen: list[jax.Array]) -> dict[str, Scalar]:
-            filled = list(numbers)
-            for place, number in zip(uncertain, chosen, strict=True):
-                filled[place] = number
-            params = jax.tree.unflatten(structure, filled)
+        def results(traced_numbers: list[jax.Array]) -> dict[str, Scalar]:
+            all_numbers = list(numbers)
+            for position, number in zip(uncertain, traced_numbers, strict=True):
+                all_numbers[position] = number
+            params = jax.tree.unflatten(structure, all_numbers)
             key = draw_key(study.config.seed, index)
-            judged = study.measures, study.requirements
-            return results_of(study, simulate_draw(study.loop, params, key, *judged, axis_name=None, margins=margins))
+            judgement = study.measures, study.requirements
+            run = simulate_draw(study.loop, params, key, *judgement, axis_name=None, margins=margins)
+            return results_of(study, run)
 
-        program = jax.make_jaxpr(results)([numbers[place] for place in uncertain]).jaxpr
-        _, used = dce_jaxpr(program, [True] * len(program.outvars))
+        program = jax.make_jaxpr(results)([numbers[position] for position in uncertain]).jaxpr
+        _, is_used_list = dce_jaxpr(program, [True] * len(program.outvars))
         names = study.leaf_names()
-        for place, is_used in zip(uncertain, used, strict=True):
-            read[names[place]] = read.get(names[place], False) or is_used
+        for position, is_used in zip(uncertain, is_used_list, strict=True):
+            is_read_by_name[names[position]] = is_read_by_name.get(names[position], False) or is_used
         return index
 
     values = [*study.laws, *study.axes, *margins_of(study.measures)]
     with arithmetic(study.config.loop.precision):
         number = jax.ShapeDtypeStruct((), jnp.result_type(float))
         jax.eval_shape(trace, dict.fromkeys(values, number), jax.ShapeDtypeStruct((), jnp.uint32))
-    return [name for name, is_read in read.items() if not is_read and name.partition(".")[0] in slots]
+    return [name for name, is_read in is_read_by_name.items() if not is_read and name.partition(".")[0] in slots]

@@ -6,7 +6,7 @@ from bokeh.models import Div
 from markupsafe import escape
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.exploration.flight_view import FlightView
 from dssc_jax.exploration.interactive_report import standalone
 from dssc_jax.exploration.live import VEHICLE_BATCH, LiveRun, flies, recorded_signals
@@ -37,7 +37,8 @@ def flight_html(study: Study, draw: int = 0, ghosts: int = GHOSTS) -> str:
     indices = np.concatenate([[draw], companions])
     program = RecordedDraws(fixed, {}, recorded_signals(fixed), lanes=VEHICLE_BATCH)
     results = all_draws(list(program.batches(fixed, indices)))
-    values = {name: column[indices] for name, column in drawn(fixed, slice(0, int(indices.max()) + 1)).items()}
+    values_of_all = values_of_draws(fixed, slice(0, int(indices.max()) + 1))
+    values = {name: column[indices] for name, column in values_of_all.items()}
     run = LiveRun(fixed, results, values, program.times)
     view = FlightView()
     view.show(run, 0, name=str(draw))

@@ -13,7 +13,7 @@ import numpy as np
 from dssc_jax.closed_loop.requirements import violated, worst_slack
 from dssc_jax.core.signals import Outcome
 from dssc_jax.design import certification
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.exploration.sliders import (
     CLOCK_SLIDER,
@@ -206,7 +206,7 @@ class LiveStudy:
                 return None
             if time.monotonic() - start > QUIET_SECONDS:
                 progress(f"{done:,} of {count:,} draws")
-        return LiveRun(study, all_draws(batches), drawn(study, slice(0, count)), program.times)
+        return LiveRun(study, all_draws(batches), values_of_draws(study, slice(0, count)), program.times)
 
     @cached_property
     def first(self) -> LiveRun:

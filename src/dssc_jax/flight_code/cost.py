@@ -59,8 +59,8 @@ class OperationCount:
                     counts[node.operation] += 1
             elif isinstance(node, CodeLoop):
                 self.loops += 1
-                counts += self.block(node.body, self.deepest(node.begin, start))
-                self.finish(node.results, self.deepest([*node.begin, *node.following], start))
+                counts += self.block(node.body, self.deepest(node.initial_states, start))
+                self.finish(node.results, self.deepest([*node.initial_states, *node.next_states], start))
             elif isinstance(node, Branch):
                 depth = self.deepest([node.condition], start)
                 counts += max((self.block(side, depth) for side in node.sides), key=Counter.total)

@@ -129,9 +129,9 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             values = (number,) * (len(keys) + len(laws))
             plant_state = jax.eval_shape(lambda at: as_arrays(loop.plant.init(params_of(at))), values)
             estimation = loop.mimo_plant.estimation
-            if estimation is not None and estimation.chosen(study.template.plant):
+            if estimation is not None and estimation.is_enabled(study.template.plant):
                 plant_state = jax.eval_shape(
-                    lambda at: as_arrays(estimation.seen(study.template.plant, at)), plant_state
+                    lambda at: as_arrays(estimation.estimated_state(study.template.plant, at)), plant_state
                 )
             readings = jax.tree.map(lambda leaf: number, without_held(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))

@@ -40,7 +40,7 @@ def recording_lane(
 
         def seen(state: State) -> State:
             """What the software measures."""
-            known = state if estimation is None else estimation.seen(params.plant, state)
+            known = state if estimation is None else estimation.estimated_state(params.plant, state)
             return without_held(software, known)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], list[Row]]:

@@ -149,7 +149,7 @@ def prediction_by_lanes(
             predicted, slopes = jax.jvp(lambda x: outputs(x, jnp.asarray(commands), 0), (numbers,), (tangent,))
             return (*predicted, *slopes)
 
-        return kernels.compiled(kernels.requested(), lane, [*names, DIRECTION], len(names), None, None)
+        return kernels.compiled(kernels.requested_form(), lane, [*names, DIRECTION], len(names), None, None)
 
     def predict(values: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with arithmetic(study.config.loop.precision):
@@ -184,7 +184,7 @@ def study_noise(
 
     with arithmetic(study.config.loop.precision):
         columns = {name: np.full(replicates, value) for name, value in zip(names, values, strict=True)}
-        start = kernels.compiled(kernels.requested(), lane, list(names), replicates, None, None)
+        start = kernels.compiled(kernels.requested_form(), lane, list(names), replicates, None, None)
         results, _ = start(columns, np.arange(replicates, dtype=np.uint32))()
     channels = len(study.loop.channels)
     readings = np.stack([np.asarray(result, float) for result in results], axis=1)

@@ -16,7 +16,7 @@ from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import Measurement, Outcome, ReferencePoint, Scalar
 from dssc_jax.engine import kernels
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import draw_key
 from dssc_jax.flight_logs.attitudes import attitude_hints
@@ -313,7 +313,7 @@ def curves_of_draws(study: Study, samples: int, stride: int = 1) -> Iterator[Dra
     """
     program = recorded_lane(study, samples, stride)
     draws = study.config.draws
-    values = drawn(study, slice(0, draws))
+    values = values_of_draws(study, slice(0, draws))
     with arithmetic(study.config.loop.precision):
         compiled = kernels.compiled_single(program, list(study.laws))
     for index in range(draws):

@@ -105,7 +105,7 @@ def opened_log(path: Path) -> Iterator[OpenedLog]:
     except ImportError as error:
         raise ConfigError("file", "a log of PX4 needs pyulog: pip install 'dssc_jax[ulog]'") from error
     try:
-        with files.opened(path) as file, redirect_stdout(StringIO()):  # pyulog prints warnings
+        with files.open_regular_file(path) as file, redirect_stdout(StringIO()):  # pyulog prints warnings
             yield OpenedLog(file, ULog)
     except ConfigError:
         raise

@@ -85,24 +85,24 @@ class Builder:
         call = self._placed(Operation.FOREIGN, types[0], tuple(operands), function, True, home)
         return [self._placed(Operation.PART, t, (call,), position, True, home) for position, t in enumerate(types)]
 
-    def loop(self, begin: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
+    def loop(self, initial_states: Sequence[Value], varying: Sequence[bool], guard: Value | None) -> CodeLoop:
         """Enter a loop; :meth:`end_loop` leaves it."""
-        loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(begin))
-        for position, (value, varies) in enumerate(zip(begin, varying, strict=True)):
+        loop = CodeLoop(CodeBlock(self.here, depth=self.here.depth + 1), guard, list(initial_states))
+        for position, (value, varies) in enumerate(zip(initial_states, varying, strict=True)):
             state = Value(Operation.STATE, value.dtype, (), (loop, position), varies or value.varying, loop.body)
             loop.states.append(state)
         self.here = loop.body
         return loop
 
-    def end_loop(self, loop: CodeLoop, following: Sequence[Value], proceed: Value) -> list[Value]:
+    def end_loop(self, loop: CodeLoop, next_states: Sequence[Value], proceed: Value) -> list[Value]:
         """End a loop and return its state after it.
 
         Args:
             loop: The loop that was entered.
-            following: Its state after a turn.
+            next_states: Its state after a turn.
             proceed: The condition for another turn.
         """
-        loop.following, loop.proceed = list(following), proceed
+        loop.next_states, loop.proceed = list(next_states), proceed
         self.here = loop.body.parent or loop.body
         self.here.nodes.append(loop)
         loop.results = [
@@ -118,19 +118,21 @@ class Builder:
             condition: Whether the first side does.
             sides: For each side the function that builds it and returns its results.
         """
-        outside = self.here
+        surrounding_block = self.here
         blocks = []
         values = []
         for side in sides:
-            self.here = CodeBlock(outside, keeps=True, depth=outside.depth + 1)
+            self.here = CodeBlock(surrounding_block, keeps_operations=True, depth=surrounding_block.depth + 1)
             values.append(side())
             blocks.append(self.here)
-        self.here = outside
+        self.here = surrounding_block
         branch = Branch(condition, (blocks[0], blocks[1]), (values[0], values[1]))
-        outside.nodes.append(branch)
+        surrounding_block.nodes.append(branch)
         for position, pair in enumerate(zip(*values, strict=True)):
             varying = condition.varying or any(value.varying for value in pair)
-            branch.results.append(Value(Operation.JOINED, pair[0].dtype, (), (branch, position), varying, outside))
+            branch.results.append(
+                Value(Operation.JOINED, pair[0].dtype, (), (branch, position), varying, surrounding_block)
+            )
         return branch.results
 
     def record(self, recording: Recording, position: Value, value: Value) -> None:
@@ -138,12 +140,12 @@ class Builder:
         self.here.nodes.append(Record(recording, position, value))
 
     def _regrouped(self, operation: str, operands: Sequence[Value]) -> Value | None:
-        """The same product or quotient with fewer operations here, by what is known before; None if there is none.
+        """The same product or quotient with fewer operations in this block; None if there is none.
 
         A divisor that is known before a loop is inverted there. Two factors that are known before the third are
         multiplied before it. Sums keep their order, on which cancellation depends.
         """
-        if operation == "div" and self._known(operands[1]) < self._known(operands[0]):
+        if operation == "div" and self._depth_of(operands[1]) < self._depth_of(operands[0]):
             inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
             if is_usable(inverse):
                 return self.add("mul", operands[0], inverse)
@@ -151,21 +153,21 @@ class Builder:
             for product, factor in (operands, operands[::-1]):
                 if product.operation == "mul":
                     for late, early in (product.operands, product.operands[::-1]):
-                        if max(self._known(early), self._known(factor)) < self._known(late):
+                        if max(self._depth_of(early), self._depth_of(factor)) < self._depth_of(late):
                             factors = self.add("mul", early, factor)
                             if is_usable(factors):
                                 return self.add("mul", late, factors)
         return None
 
-    def _known(self, value: Value) -> int:
-        """How deep an operation on a value alone is computed; -1 for a constant."""
+    def _depth_of(self, value: Value) -> int:
+        """The depth of the block in which an operation on a value alone is computed; -1 for a constant."""
         return -1 if value.operation == "constant" else self._home([value]).depth
 
     def _home(self, operands: Sequence[Value]) -> CodeBlock:
         """The outermost block in which an operation on these operands may be computed."""
         deepest = max((operand.block.depth for operand in operands if operand.block is not None), default=0)
         block = self.here
-        while block.depth > deepest and not block.keeps and block.parent is not None:
+        while block.depth > deepest and not block.keeps_operations and block.parent is not None:
             block = block.parent
         return block
 
@@ -176,11 +178,11 @@ class Builder:
         key = operation, dtype, tuple(map(id, operands)), detail if isinstance(detail, int) else id(detail)
         block: CodeBlock | None = home
         while block is not None:
-            if key in block.known:
-                return block.known[key]
+            if key in block.value_of_key:
+                return block.value_of_key[key]
             block = block.parent
         value = Value(Operation(operation), dtype, operands, detail, varying, home)
-        home.known[key] = value
+        home.value_of_key[key] = value
         home.nodes.append(value)
         return value
 
@@ -194,26 +196,25 @@ def is_usable(factor: Value) -> bool:
 
 def simplified(operation: str, operands: Sequence[Value], dtype: np.dtype) -> Value | None:
     """An operand that equals the result for every value, rounding included; None if there is none."""
-    first = operands[0]
-    if operation in ("convert", "bitcast") and first.dtype == dtype:
-        return first
-    if operation == "any" and first.operation == "constant":
-        return first
-    if operation == "rarely" and first.operation == "constant" and not first.detail:
+    first_operand = operands[0]
+    if operation in ("convert", "bitcast") and first_operand.dtype == dtype:
+        return first_operand
+    if operation == "any" and first_operand.operation == "constant":
+        return first_operand
+    if operation == "rarely" and first_operand.operation == "constant" and not first_operand.detail:
         return operands[1]
     if operation == "select":
         if operands[1] is operands[2]:
             return operands[1]
-        if first.operation == "constant":
-            return operands[1] if first.detail else operands[2]
+        if first_operand.operation == "constant":
+            return operands[1] if first_operand.detail else operands[2]
     if operation in ("and", "or"):
-        for left, right in (operands, operands[::-1]):
-            if left is right or (
-                left.operation == "constant" and left.dtype == BOOL and left.detail == (operation == "and")
-            ):
-                return right
+        for operand, other in (operands, operands[::-1]):
+            is_truth = operand.operation == "constant" and operand.dtype == BOOL
+            if operand is other or (is_truth and operand.detail == (operation == "and")):
+                return other
     if operation == "mul":
-        for left, right in (operands, operands[::-1]):
-            if left.operation == "constant" and left.detail == 1:
-                return right
+        for factor, other in (operands, operands[::-1]):
+            if factor.operation == "constant" and factor.detail == 1:
+                return other
     return None

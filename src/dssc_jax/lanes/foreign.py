@@ -117,14 +117,14 @@ def by_callback(*operands: jax.Array, function: ForeignFunction) -> list[jax.Arr
     shape = operands[0].shape
     operand_words = jnp.concatenate([as_words(operand) for operand in operands], axis=-1)
     count = len(words_of(function.results))
-    words = jax.ShapeDtypeStruct((*shape, count), np.uint32)
-    result_words = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words, operand_words)
+    words_type = jax.ShapeDtypeStruct((*shape, count), np.uint32)
+    result_words = jax.pure_callback(lambda rows: call_batch(function, np.asarray(rows)), words_type, operand_words)
     results = []
     first = 0
-    for place in function.results:
-        size = place.dtype.itemsize // WORD
+    for result_place in function.results:
+        size = result_place.dtype.itemsize // WORD
         part = result_words[..., first] if size == 1 else result_words[..., first : first + size]
-        results.append(jax.lax.bitcast_convert_type(part, place.dtype))
+        results.append(jax.lax.bitcast_convert_type(part, result_place.dtype))
         first += size
     return results
 
@@ -148,8 +148,8 @@ def batched(
     (size, *_) = [operand.shape[axis] for operand, axis in pairs if axis is not None]
     columns = []
     for operand, axis in pairs:
-        along = jnp.broadcast_to(operand, (size, *operand.shape)) if axis is None else jnp.moveaxis(operand, axis, 0)
-        columns.append(along)
+        column = jnp.broadcast_to(operand, (size, *operand.shape)) if axis is None else jnp.moveaxis(operand, axis, 0)
+        columns.append(column)
     results = PRIMITIVE.bind(*columns, function=function)
     return results, [0] * len(results)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from dssc_jax.lanes.interface import Loaded, Signature, stored_type
 from dssc_jax.lanes.llvm import machine
-from dssc_jax.lanes.program_cache import kept
+from dssc_jax.lanes.program_cache import cached
 
 if TYPE_CHECKING:
     from dssc_jax.lanes.traced_lanes import TracedLanes
@@ -51,7 +51,7 @@ class CompiledLanes:
         self._request = (lane, arguments, width, strict)
         self._wide = jnp.result_type(float) == jnp.float64
         self.signature = recall(self._signature) if recall else self._signature()
-        self._code = self.loaded(kept(self.signature.code, self.compiled))
+        self._code = self.load(cached(self.signature.code, self.compiled))
 
     def _signature(self) -> Signature:
         return self.traced.signature
@@ -74,12 +74,12 @@ class CompiledLanes:
         """The machine code of the text."""
         return machine.object_code(self.traced.text)
 
-    def loaded(self, code: bytes) -> Loaded:
+    def load(self, code: bytes) -> Loaded:
         """Machine code that can run."""
         return machine.LoadedCode(code)
 
     def interleaved(self, lanes: int) -> int:
-        """Of how many lanes the recordings lie side by side, in a batch of so many."""
+        """The number of lanes whose recordings lie side by side, in a batch of ``lanes``."""
         return self.signature.width
 
     def start(self, arguments: Any, count: int, threads: int) -> Callable[[], Any]:
@@ -97,24 +97,24 @@ class CompiledLanes:
         return lambda: finish()[0]
 
     def start_timed(self, arguments: Any, count: int, threads: int) -> Callable[[], tuple[Any, float]]:
-        """As :meth:`start`; the function also tells when the lanes ended, by :func:`time.perf_counter`."""
+        """As :meth:`start`; the function also returns when the lanes ended, by :func:`time.perf_counter`."""
         width, inputs, outputs, results, _ = self.signature
         lanes = -(-count // width) * width
-        padded = [
+        padded_columns = [
             np.ascontiguousarray(np.pad(np.asarray(column, dtype), (0, lanes - count), mode="edge"))
             for column, dtype in zip(jax.tree.leaves(arguments), inputs, strict=True)
         ]
         columns = [np.empty(lanes * (1 if length is None else length), stored_type(dtype)) for dtype, length in outputs]
-        finish = self._code.start(padded, columns, lanes, width, threads)
+        finish = self._code.start(padded_columns, columns, lanes, width, threads)
 
-        def unpacked() -> tuple[Any, float]:
-            ended = finish()
+        def results_and_end() -> tuple[Any, float]:
+            end_time = finish()
             pairs = zip(outputs, columns, strict=True)
             group = self.interleaved(lanes)
-            inside = [in_order(column, length, group)[:count].view(dtype) for (dtype, length), column in pairs]
-            return jax.tree.unflatten(jax.tree.structure(results), inside), ended
+            arrays = [in_order(column, length, group)[:count].view(dtype) for (dtype, length), column in pairs]
+            return jax.tree.unflatten(jax.tree.structure(results), arrays), end_time
 
-        return unpacked
+        return results_and_end
 
 
 def in_order(column: np.ndarray, length: int | None, width: int) -> np.ndarray:

@@ -49,14 +49,14 @@ class CodeBlock:
 
     Args:
         parent: The surrounding block.
-        keeps: Whether operations stay although the surrounding block knows their operands: a branch's side.
+        keeps_operations: Whether operations stay although the surrounding block knows their operands: a branch's side.
     """
 
     parent: "CodeBlock | None" = None
-    keeps: bool = False
+    keeps_operations: bool = False
     depth: int = 0
     nodes: "list[Node]" = field(default_factory=list)
-    known: dict[Hashable, Value] = field(default_factory=dict)
+    value_of_key: dict[Hashable, Value] = field(default_factory=dict)
 
 
 @dataclass(eq=False, repr=False, slots=True)
@@ -66,18 +66,18 @@ class CodeLoop:
     Args:
         body: Its block.
         guard: Whether to enter at all; None: always.
-        begin: Values of the state before the first turn.
+        initial_states: Values of the state before the first turn.
         states: The state within the body.
-        following: The state after a turn.
+        next_states: The state after a turn.
         proceed: A uniform condition, known in the body.
         results: The state after the loop.
     """
 
     body: CodeBlock
     guard: Value | None
-    begin: list[Value]
+    initial_states: list[Value]
     states: list[Value] = field(default_factory=list)
-    following: list[Value] = field(default_factory=list)
+    next_states: list[Value] = field(default_factory=list)
     proceed: Value | None = None
     results: list[Value] = field(default_factory=list)
 
@@ -198,5 +198,5 @@ def read_by(node: Node) -> list[Value]:
             return [node.condition, *node.values[0], *node.values[1]]
         case CodeLoop():
             ends = [value for value in (node.guard, node.proceed) if value is not None]
-            return [*node.begin, *node.following, *ends]
+            return [*node.initial_states, *node.next_states, *ends]
     raise TypeError(node)

@@ -53,10 +53,10 @@ class ProgramCache:
             return program
         try:
             file.unlink()
-            done = "deleted"
+            outcome = "deleted"
         except OSError as error:
-            done = f"could not delete ({error.strerror})"
-        print(f"{done} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
+            outcome = f"could not delete ({error.strerror})"
+        print(f"{outcome} {file}: it does not hold what was kept there; the program is compiled again", file=sys.stderr)
         return None
 
     def put(self, key: str, value: bytes) -> None:
@@ -81,14 +81,14 @@ class ProgramCache:
     def _make_room(self) -> None:
         """Delete the files that have not been read for the longest time."""
         with os.scandir(self._path) as entries:
-            present = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
-        known = [(status.st_mtime_ns, max(status.st_size, DISK_BLOCK), path) for status, path in present]
-        excess = sum(size for _, size, _ in known) - self.limit
-        for _, size, path in sorted(known):
-            if excess <= 0:
+            file_entries = [(entry.stat(), entry.path) for entry in entries if entry.is_file(follow_symlinks=False)]
+        files_by_age = [(status.st_mtime_ns, max(status.st_size, DISK_BLOCK), path) for status, path in file_entries]
+        excess_bytes = sum(size for _, size, _ in files_by_age) - self.limit
+        for _, size, path in sorted(files_by_age):
+            if excess_bytes <= 0:
                 return
             Path(path).unlink(missing_ok=True)
-            excess -= size
+            excess_bytes -= size
 
 
 def read_file(path: Path) -> bytes:
@@ -124,7 +124,7 @@ def digest(key: str, program: bytes) -> bytes:
     return hashlib.sha256(key.encode() + b"\n" + program).digest()
 
 
-def kept(name: str, make: Callable[[], bytes]) -> bytes:
+def cached(name: str, make: Callable[[], bytes]) -> bytes:
     """Read an entry of the user's cache by its name; compute and keep it if there is none.
 
     Args:
@@ -135,15 +135,15 @@ def kept(name: str, make: Callable[[], bytes]) -> bytes:
     if folder is None:
         return make()
     cache = ProgramCache(folder)
-    known = cache.get(name)
-    if known is not None:
-        return known
-    made = make()
+    stored_content = cache.get(name)
+    if stored_content is not None:
+        return stored_content
+    content = make()
     try:
-        cache.put(name, made)
+        cache.put(name, content)
     except OSError as error:  # it is made again next time
         warn_of_cache(folder, error.strerror or str(error))
-    return made
+    return content
 
 
 def warn_of_cache(folder: Path, reason: str) -> None:

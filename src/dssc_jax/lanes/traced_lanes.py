@@ -26,7 +26,7 @@ class Packing(NamedTuple):
         operations: The packing is for programs of fewer operations.
         vectors: Hardware vectors that make a vector of lanes: more hide the time that an operation takes, fewer leave
             the state in registers.
-        window: See :func:`dssc_jax.lanes.passes.scheduling.ordered`. A processor looks that far ahead, too; where many
+        window: See :func:`dssc_jax.lanes.passes.scheduling.schedule`. A processor looks that far ahead, too; where many
             vectors share the registers, operations that come early cost more than they gain.
     """
 

@@ -119,7 +119,7 @@ def require_loop(study: Study) -> None:
     if loop.reference is WHOLE_MISSION and study.template.plant.vehicle.motor_lag:
         raise NotCovered("the rotors have a lag, and the reference moves")
     estimation = loop.plant.estimation
-    if estimation is not None and estimation.chosen(study.template.plant):
+    if estimation is not None and estimation.is_enabled(study.template.plant):
         raise NotCovered("the controllers see an estimate; a proof of the vehicle takes plant.estimator.kind = 'none'")
     if any(sensor is not IDEAL for sensor in loop.sensor):
         raise NotCovered("a sensor is not ideal")

@@ -14,7 +14,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.numerics import stream
 from dssc_jax.core.signals import Outcome
 from dssc_jax.engine.batching import PROBES, Engine, evaluate, is_noisy
-from dssc_jax.engine.sampling import inside, sobol_points, values_at
+from dssc_jax.engine.sampling import inside_cube, sobol_points, values_at
 from dssc_jax.results.manifest import MANIFEST, Manifest, read_manifest
 from dssc_jax.study import Study
 
@@ -110,7 +110,7 @@ def pilot_failures(engine: Engine) -> int:
     nets = []
     for net in range(PILOT_NETS):
         nets.append(sobol_points(len(study.laws), 0, size, (study.config.seed, stream("pilot"), net)))
-    values = values_at(study, inside(np.concatenate(nets)))
+    values = values_at(study, inside_cube(np.concatenate(nets)))
     results = evaluate(engine, values, PILOT_INDEX + np.arange(PILOT))
     return int(np.count_nonzero(results["outcome"] != Outcome.OK))
 

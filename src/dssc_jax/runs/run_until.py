@@ -8,7 +8,7 @@ import numpy as np
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.signals import Outcome, ProgressCallback
-from dssc_jax.engine.batching import Engine, Layout, computing, drawn, execute
+from dssc_jax.engine.batching import Engine, Layout, computing, execute, values_of_draws
 from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
@@ -95,7 +95,7 @@ def run_until(
     final = study.override({"draws": draws})
     dataset = in_memory(final)
     joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
-    put(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
+    put(dataset, (slice(0, draws),), joined, values_of_draws(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),

@@ -16,7 +16,7 @@ from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.quantities import Quantity, nominal, quantities_of
 from dssc_jax.engine import kernels
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.linearisation.margin_values import margin_values
 from dssc_jax.engine.reference import Agreement, agreement
 from dssc_jax.engine.sampling import draw_key
@@ -56,7 +56,7 @@ def lane_values(study: Study, draw: int, point: Mapping[str, float]) -> dict[str
     missing = [name for name in study.axes if name not in point]
     if missing:
         raise ConfigError(study.source, f"the point needs a value of {', '.join(missing)}")
-    values = {name: float(column[0]) for name, column in drawn(study, slice(draw, draw + 1)).items()}
+    values = {name: float(column[0]) for name, column in values_of_draws(study, slice(draw, draw + 1)).items()}
     return {**values, **point}
 
 

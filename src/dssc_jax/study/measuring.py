@@ -112,7 +112,7 @@ def measured(
             custom=None if kind in METRICS else known[kind],
             units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
-            usual=config.metrics.window,
+            default_window=config.metrics.window,
         )
 
     base = config.metrics.window

@@ -100,7 +100,7 @@ def disk_margin(loop, points=80):
 
 
 def drawn(study):
-    from dssc_jax.engine.batching import drawn as values
+    from dssc_jax.engine.batching import values_of_draws as values
 
     return values(study, slice(0, study.config.draws))
 

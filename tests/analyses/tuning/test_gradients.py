@@ -69,7 +69,7 @@ ENDS = dict.fromkeys(NUMBERS, (1.0, 1.0))
 
 def eight(evaluator):
     """Results of eight lanes."""
-    return evaluator(np.arange(8), evaluator.drawn(slice(0, 8)) | {name: np.ones(8) for name in NUMBERS})
+    return evaluator(np.arange(8), evaluator.values_of_draws(slice(0, 8)) | {name: np.ones(8) for name in NUMBERS})
 
 
 def test_no_nan_in_a_loop_at_rest():

@@ -197,7 +197,7 @@ def test_plain_xla_finds_the_same_margins(result, monkeypatch):
 def test_derivatives_of_slacks_are_those_of_the_margins():
     steep = GradientEvaluator(study(), {"controller.k_p": (6.0, 6.0)}, 8, names=["controller.k_p"])
     indices = np.arange(4)
-    values = steep.drawn(slice(0, 4)) | {"controller.k_p": np.full(4, 6.0)}
+    values = steep.values_of_draws(slice(0, 4)) | {"controller.k_p": np.full(4, 6.0)}
     found = steep(indices, values)
     ends = [steep.engine.margins(values | {"controller.k_p": np.full(4, k)}, indices) for k in (5.99, 6.01)]
     for margin, sign in {"phase_margin": 1.0, "disk_margin": 1.0, "gain_lower_margin": -1.0}.items():
@@ -332,7 +332,7 @@ def test_who_only_asks_for_failures_gets_those_of_the_whole_evaluation(of):
     asked = of()
     evaluator = Evaluator(asked, {}, 16)
     indices = np.arange(30)
-    values = evaluator.drawn(slice(0, 30))
+    values = evaluator.values_of_draws(slice(0, 30))
     outcome = evaluator(indices, values)["outcome"]
     np.testing.assert_array_equal(evaluator.fails(indices, values), outcome != 0)
     assert 0 < np.count_nonzero(outcome) < 30

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 import dssc_jax as dj
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.smoothness import SMOOTH, declared_smoothness
-from dssc_jax.engine.linearisation.smooth_parts import declared_places, stated
+from dssc_jax.engine.linearisation.smooth_parts import declared_places, substitute_notes
 from dssc_jax.models.actuators import UNMODELLED
 from dssc_jax.models.actuators.lag import LAG, Order
 from dssc_jax.models.controllers import CONTROLLERS
@@ -153,7 +153,7 @@ def test_every_part_of_the_package_declares_where_it_is_smooth(registry):
 def test_stated_values_are_named_once():
     change = {"unmodelled": {"kind": "quantisation", "resolution": 0.02}, "differentiator": {"kind": "levant"}}
     change["differentiator"]["lipschitz"] = 3.0
-    lines = stated(declared_places(dj.Study.from_table(DUTY | change), moving=False))
+    lines = substitute_notes(declared_places(dj.Study.from_table(DUTY | change), moving=False))
     assert [line.partition(" counts")[0] for line in lines] == ["differentiator 'levant'", "unmodelled 'quantisation'"]
 
 

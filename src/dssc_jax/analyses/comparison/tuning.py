@@ -162,7 +162,7 @@ def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np
 
     The smaller score is the better one.
     """
-    laws = evaluator.drawn(slice(int(draws[0]), int(draws[-1]) + 1))
+    laws = evaluator.values_of_draws(slice(int(draws[0]), int(draws[-1]) + 1))
     number = len(next(iter(candidates.values())))
     per_batch, result = max(1, evaluator.lanes // len(draws)), []
     for begin in range(0, number, per_batch):

@@ -8,7 +8,7 @@ from scipy import special
 from scipy.stats import qmc
 
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.sampling import Arrays, inside, mixing, values_at_levels
+from dssc_jax.engine.sampling import Arrays, inside_cube, mixing, values_at_levels
 from dssc_jax.statistics import distance_of_mass
 from dssc_jax.study import Study
 
@@ -137,7 +137,7 @@ class ScoreBall(SearchSet):
 
     def spread(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """See :class:`SearchSet`: the median draw, then directions of normal points, and radii for an even density."""
-        points = inside(qmc.Sobol(self.size + 1, rng=rng).random(count))
+        points = inside_cube(qmc.Sobol(self.size + 1, rng=rng).random(count))
         directions = special.ndtri(points[:, :-1])
         lengths = np.linalg.norm(directions, axis=1)
         scale = self.radius * points[:, -1] ** (1.0 / self.size) / np.where(lengths > 0.0, lengths, 1.0)
@@ -151,7 +151,7 @@ class ScoreBall(SearchSet):
 
     def levels(self, points: np.ndarray) -> np.ndarray:
         """See :class:`SearchSet`."""
-        return inside(special.ndtr(points @ mixing(self.study).T))
+        return inside_cube(special.ndtr(points @ mixing(self.study).T))
 
     def scores(self, points: np.ndarray) -> np.ndarray:
         """See :class:`SearchSet`."""
@@ -162,7 +162,7 @@ class ScoreBall(SearchSet):
         matrix = mixing(self.study)
         scores, rates = points @ matrix.T, np.empty_like(points)
         for i, law in enumerate(self.study.laws.values()):
-            low, high = (inside(special.ndtr(scores[:, i] + step)) for step in (-SCORE_STEP, SCORE_STEP))
+            low, high = (inside_cube(special.ndtr(scores[:, i] + step)) for step in (-SCORE_STEP, SCORE_STEP))
             rates[:, i] = (law.quantile(high) - law.quantile(low)) / (2.0 * SCORE_STEP)
         return (gradients * rates) @ matrix
 

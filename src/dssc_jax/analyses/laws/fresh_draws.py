@@ -8,7 +8,7 @@ from scipy import special
 
 from dssc_jax.core.signals import Outcome, ProgressCallback
 from dssc_jax.engine.batching import BLOCK, Engine, evaluate
-from dssc_jax.engine.sampling import inside, values_at_levels
+from dssc_jax.engine.sampling import inside_cube, values_at_levels
 from dssc_jax.results.scored_draws import scores_of
 from dssc_jax.study import Study
 
@@ -49,7 +49,7 @@ class FreshDraws:
 
     def failures(self, scores: np.ndarray) -> int:
         """How many of the draws fail with these scores, shape (count, laws)."""
-        values = values_at_levels(self.study, inside(special.ndtr(scores)))
+        values = values_at_levels(self.study, inside_cube(special.ndtr(scores)))
         outcomes = evaluate(self.engine, values, self.indices)["outcome"]
         self.simulated += self.count
         if self.progress:

@@ -17,7 +17,7 @@ from dssc_jax.analyses.loop_margins.structured import balanced, lower_bounds, sc
 from dssc_jax.closed_loop.break_points import BreakPoint, place_names
 from dssc_jax.core.influences import closure
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
-from dssc_jax.engine.linearisation.response import golden, grid_with_poles, loop_grids
+from dssc_jax.engine.linearisation.response import golden_section_peak, grid_with_poles, loop_grids
 
 MOST_PEAKS = 8  # of the bound by balancing, at which it is sharpened
 REFINED_PEAKS = 2  # of these, around which the largest bound is looked for
@@ -199,7 +199,7 @@ def peak(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> 
         at = column[:, None]
         low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)
         high = np.take_along_axis(angles, np.minimum(at + 1, columns - 1), 1)
-        place, value = golden(lambda theta: bound(loops.at(theta)[:, 0])[:, None], low, high)
+        place, value = golden_section_peak(lambda theta: bound(loops.at(theta)[:, 0])[:, None], low, high)
         places.append(place)
         values.append(value)
     all_values = np.concatenate(values, axis=1)

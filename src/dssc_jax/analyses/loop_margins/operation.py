@@ -19,7 +19,7 @@ from dssc_jax.engine.linearisation.operating_points import (
     require_derivative,
 )
 from dssc_jax.engine.linearisation.part_slopes import examination
-from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, stated
+from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, declared_places, substitute_notes
 from dssc_jax.engine.plain import plain_options
 from dssc_jax.engine.sampling import Arrays, draw, draw_key
 from dssc_jax.study import Study
@@ -45,7 +45,7 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
     """
     places = declared_places(study, moving=bool(times))
     points = along(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
-    return Operation(points, tuple(stated(places)))
+    return Operation(points, tuple(substitute_notes(places)))
 
 
 def equilibrium(study: Study, places: tuple[LoopPart, ...]) -> Operating:
@@ -74,14 +74,14 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    found = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
-    findings = resting.linearise.with_opened(values, indices, states, 1, found)
+    found = examination(lane_loop(study, places, is_resting=True), places)(values, indices, states, 1)
+    findings = resting.linearise.resolve_open_loops(values, indices, states, 1, found)
     taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
     plain = settled & ~np.any((found == Finding.CORNER) | (found == Finding.DEFECT), axis=1)
     cornered = np.any(findings == Finding.CORNER, axis=1)
 
     def after(pushed: np.ndarray) -> np.ndarray:
-        return resting.linearise.after(values, indices, pushed, 1, resting.smooth(draws))
+        return resting.linearise.next_states(values, indices, pushed, 1, resting.smooth(draws))
 
     if plain.any():
         require_derivative(study, after, states, matrices, plain, felt)
@@ -103,12 +103,12 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
     flown = flown_states(study, values, indices, samples)
-    linearise = Linearisation(study, places, resting=False)
-    examine = examination(lane_loop(study, places, resting=False), places)
+    linearise = Linearisation(study, places, is_resting=False)
+    examine = examination(lane_loop(study, places, is_resting=False), places)
     operating = {}
     for t, k, states in zip(times, samples, flown, strict=True):
         findings = examine(values, indices, states, k)
-        findings = linearise.with_opened(values, indices, states, k, findings)
+        findings = linearise.resolve_open_loops(values, indices, states, k, findings)
         matrices = linearise(values, indices, states, k, findings)
         finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"

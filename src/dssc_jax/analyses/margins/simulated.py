@@ -16,7 +16,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import NotCovered
-from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, drawn, execute
+from dssc_jax.engine.batching import BLOCK, Clock, Engine, Layout, execute, values_of_draws
 from dssc_jax.engine.evaluation import Evaluator, require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study, takes_file
@@ -142,7 +142,7 @@ def require_spread(study: Study, bounds: tuple[float, float]) -> None:
         raise ConfigError(SPREAD, "nothing is uncertain that could be widened; give at least one number a law")
     if min(bounds) < 0.0:
         raise ConfigError(SPREAD, f"must be >= 0, got {bounds[0]:g} and {bounds[1]:g}")
-    columns = drawn(study, slice(0, study.config.draws))
+    columns = values_of_draws(study, slice(0, study.config.draws))
     widest = max(bounds)
     violations = range_violations(study, columns, widest)
     if violations:
@@ -175,7 +175,7 @@ def number_margins(
     blocks: list[CriticalDraws] = []
     for begin in range(0, draws, evaluator.lanes):
         indices = np.arange(begin, min(begin + evaluator.lanes, draws))
-        laws = evaluator.drawn(slice(begin, begin + len(indices)))
+        laws = evaluator.values_of_draws(slice(begin, begin + len(indices)))
         violated = FirstViolated(len(indices), walk.start)
 
         def slack_at(

@@ -13,7 +13,7 @@ import numpy as np
 from dssc_jax.analyses.probability.surrogate import Surrogate
 from dssc_jax.analyses.rare_events.estimate import Counter, SlackFunction
 from dssc_jax.core.numerics import stream
-from dssc_jax.engine.sampling import generator, inside, sobol_points
+from dssc_jax.engine.sampling import generator, inside_cube, sobol_points
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.stratified import allocation, stratified_interval
 
@@ -90,20 +90,20 @@ def stratified_probability(
     """
     counter = Counter(slack)
     rng = generator(*seeds, stream("strata"))
-    points = inside(rng.random((PILOT, dimension)))
+    points = inside_cube(rng.random((PILOT, dimension)))
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
-    sample = inside(rng.random((SAMPLE, dimension)))
+    sample = inside_cube(rng.random((SAMPLE, dimension)))
     edges, draws = planned(surrogate, surrogate(sample), width, most)
     extra = min(MORE, int(draws.sum()) // MORE_SHARE)
     if extra > PILOT // 4:
         surrogate = improved(surrogate, sample, extra, counter)
-        sample = inside(rng.random((SAMPLE, dimension)))
+        sample = inside_cube(rng.random((SAMPLE, dimension)))
         edges, draws = planned(surrogate, surrogate(sample), width, most)
     strata = len(draws)
     size = FINE_NET if width < FINE else NET
     weights = np.empty((NETS, strata))
     for net in range(NETS):
-        predictions = surrogate(inside(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
+        predictions = surrogate(inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
         weights[net] = np.bincount(np.searchsorted(edges, predictions), minlength=strata) / size
     chosen, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
     failed = counter(chosen, counter.fresh(len(chosen))) < 0.0
@@ -143,7 +143,7 @@ def points_in_strata(
     points = []
     strata = []
     while missing.any():
-        candidates = inside(rng.random((SAMPLE, dimension)))
+        candidates = inside_cube(rng.random((SAMPLE, dimension)))
         stratum = np.searchsorted(edges, surrogate(candidates))
         for index in np.flatnonzero(missing):
             members = np.flatnonzero(stratum == index)[: missing[index]]

@@ -20,7 +20,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.engine.batching import Engine, evaluate, is_noisy
-from dssc_jax.engine.sampling import Arrays, inside, values_at
+from dssc_jax.engine.sampling import Arrays, inside_cube, values_at
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
@@ -152,7 +152,7 @@ class RareEvent(Analysis):
         if isinstance(estimate, WeightedEstimate):
             largest = estimate.largest
             columns |= columns_of(estimate.design_points)
-        for name, values in values_at(study, inside(special.ndtr(points))).items():
+        for name, values in values_at(study, inside_cube(special.ndtr(points))).items():
             quantity = study.quantities[name]
             columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
         number = ("number", np.array(list(study.laws)), {"long_name": "uncertain number"})
@@ -200,7 +200,7 @@ class RareEvent(Analysis):
 
     def approximated(self, design_point: DesignPoint) -> ApproximatedFailures:
         """The failures around a design point."""
-        values = values_at(self.study, inside(special.ndtr(design_point.point[None])))
+        values = values_at(self.study, inside_cube(special.ndtr(design_point.point[None])))
         return ApproximatedFailures(
             design_point.distance,
             design_point.first_order_probability,
@@ -337,6 +337,6 @@ class Slacks:
 
     def __call__(self, points: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """See :data:`dssc_jax.analyses.rare_events.estimate.SlackFunction`."""
-        results = evaluate(self.engine, values_at(self.study, inside(special.ndtr(points))), noise)
+        results = evaluate(self.engine, values_at(self.study, inside_cube(special.ndtr(points))), noise)
         self.advance(len(points))
         return worst_slack(self.study.requirements, results)

@@ -286,7 +286,7 @@ class Lattice:
         self.meets, self.fails = thresholds(study.config.draws, count**2)
         extents = {axis.name: (axis.low, axis.high) for axis in over}
         self.evaluator = Evaluator(study, extents, BLOCK)
-        self.drawn = self.evaluator.drawn(slice(0, study.config.draws))
+        self.drawn = self.evaluator.values_of_draws(slice(0, study.config.draws))
 
     def verdicts(self) -> np.ndarray:
         """The verdict at each point, shape (count, count)."""

@@ -173,7 +173,7 @@ def select(
 
     def failing(running: np.ndarray, draws: slice) -> np.ndarray:
         nonlocal finished
-        fresh = evaluator.drawn(draws)
+        fresh = evaluator.values_of_draws(draws)
         count = draws.stop - draws.start
         goal = finished + len(running) * count
         if progress:

@@ -22,7 +22,7 @@ from scipy import special
 from dssc_jax.analyses.sensitivity.outputs import REPLICATES, RowDesign, RowSample, carrying, refusal, row_count
 from dssc_jax.analyses.sensitivity.sobol import saltelli
 from dssc_jax.core.numerics import stream
-from dssc_jax.engine.sampling import generator, inside, mixing
+from dssc_jax.engine.sampling import generator, inside_cube, mixing
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
@@ -85,7 +85,7 @@ def shapley_effects(values: np.ndarray, order: np.ndarray, confidence: float = C
 
 def normal_scores(points: np.ndarray, noisy: bool) -> np.ndarray:
     """Normal scores of points of the unit cube, with a column of 0 for the in-loop noise; shape (rows, factors)."""
-    return np.pad(special.ndtri(inside(points)), ((0, 0), (0, int(noisy))))
+    return np.pad(special.ndtri(inside_cube(points)), ((0, 0), (0, int(noisy))))
 
 
 def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
@@ -108,7 +108,7 @@ def shapley_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     correlation[:laws, :laws] = matrix @ matrix.T
     first, second = saltelli(rows, laws, seeds)
     chain = chained_scores(correlation, normal_scores(first, noisy), normal_scores(second, noisy), order)
-    levels = inside(special.ndtr(chain[..., :laws]))
+    levels = inside_cube(special.ndtr(chain[..., :laws]))
     indices = np.tile(np.arange(rows), (len(chain), 1))
     if noisy:
         place = np.argmax(order == laws, axis=1)

@@ -23,7 +23,7 @@ from dssc_jax.analyses.sensitivity.outputs import (
     row_count,
 )
 from dssc_jax.core.numerics import stream
-from dssc_jax.engine.sampling import inside, sobol_points
+from dssc_jax.engine.sampling import inside_cube, sobol_points
 from dssc_jax.statistics import CONFIDENCE, replicate_interval, unseen
 from dssc_jax.study import Study
 
@@ -153,7 +153,7 @@ def sobol_design(study: Study, noisy: bool, confidence: float) -> RowDesign:
     """
     rows = sobol_rows(study)
     factors = len(study.laws)
-    a, b = map(inside, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
+    a, b = map(inside_cube, saltelli(rows, factors, (study.config.seed, stream("saltelli"))))
     indices_a = np.arange(rows)
     indices_b = np.arange(rows, 2 * rows)
     samples = [RowSample(a, indices_a), RowSample(b, indices_b)]

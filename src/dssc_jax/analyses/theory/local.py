@@ -22,12 +22,12 @@ from dssc_jax.analyses.theory.linearised import (
 )
 from dssc_jax.closed_loop.loop import Loop, LoopParams
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.engine.batching import drawn
+from dssc_jax.engine.batching import values_of_draws
 from dssc_jax.engine.linearisation.part_slopes import examination
 from dssc_jax.engine.linearisation.smooth_parts import (
     declared_places,
     require_smooth_at,
-    stated,
+    substitute_notes,
     substituted,
     with_inner_sides,
 )
@@ -111,7 +111,7 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             return AtRest(continuous_matrix(loop, params), jnp.zeros(()))  # no sample, so nothing moves
         return linearised_at_rest(*with_inner_sides(loop, params, parts, findings))
 
-    notes = stated(parts)
+    notes = substitute_notes(parts)
     examine = examination(keyed_loop, parts)
     options = plain_options()
     starts = jax.jit(jax.vmap(start), compiler_options=options)
@@ -173,7 +173,7 @@ def local_margin(
     swept = resting.override({"sweep": {over: sorted(bounds)} if over != SPREAD else {}})
     draws = study.config.draws
     numbers_of = lane_numbers(resting, over)
-    laws = drawn(swept, slice(0, draws))
+    laws = values_of_draws(swept, slice(0, draws))
     eigenvalues_of, notes = spectrum_with_notes(swept, kind)
 
     def decay(lanes: np.ndarray, values: np.ndarray) -> np.ndarray:

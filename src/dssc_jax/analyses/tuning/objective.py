@@ -274,7 +274,7 @@ def judge_tuning(
     study = plan.study
     evaluator = Evaluator(study, {name: (start[name], start[name]) for name in start}, min(study.config.draws, 4096))
     indices = np.arange(study.config.draws)
-    laws = evaluator.drawn(slice(0, len(indices)))
+    laws = evaluator.values_of_draws(slice(0, len(indices)))
 
     def simulated(numbers: Mapping[str, float]) -> Arrays:
         return evaluator(indices, laws | {name: np.full(len(indices), value) for name, value in numbers.items()})

@@ -78,7 +78,7 @@ class Problem:
         smooth = ends if self.width is None else ends | {WIDTH: (self.width, self.width)}
         reverse = table.derivatives == "reverse"
         self.evaluator = GradientEvaluator(self.plan.smoothed(), smooth, lanes, names=self.names, reverse=reverse)
-        self.laws = self.evaluator.drawn(slice(0, trial.config.draws))
+        self.laws = self.evaluator.values_of_draws(slice(0, trial.config.draws))
         self.train = np.arange(table.draws)
         self.validation = np.arange(table.draws, trial.config.draws)
         self.slacks = None if table.slack is None else Slacks(self.plan)

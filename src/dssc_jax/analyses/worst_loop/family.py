@@ -81,7 +81,7 @@ class Family:
             findings = np.broadcast_to(self.findings, (len(points), self.findings.size))
             matrices = self.resting.linearise(values, indices, states, 1, findings)
         gaps = np.where(settled, 0.0, np.nan)[:, None, None]
-        return StateMatrices(matrices.after, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
+        return StateMatrices(matrices.next_states, matrices.a + gaps, matrices.b + gaps, matrices.c + gaps)
 
     def require_no_other_uncertainty(self) -> None:
         """Require that the uncertain numbers alone determine the loop.
@@ -134,7 +134,7 @@ class BrokenFamily:
     def has_operating_point(self, point: np.ndarray) -> bool:
         """Whether the loop has an operating point at which no limit opens it, for its numbers at one point."""
         matrices = self.family.at(self.full(point[None]))
-        return bool(np.isfinite(matrices.a).all() and not matrices.opened()[0])
+        return bool(np.isfinite(matrices.a).all() and not matrices.is_open()[0])
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """[[A, B], [C, 0]] at points of shape (n, sides), shape (n, states + places, states + places)."""

@@ -32,7 +32,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.linearisation.matrices import Operating, StateMatrices
 from dssc_jax.engine.linearisation.operating_points import RestingLoop
 from dssc_jax.engine.linearisation.response import common_grid
-from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, stated
+from dssc_jax.engine.linearisation.smooth_parts import Finding, declared_places, substitute_notes
 from dssc_jax.study import Study, takes_file
 from dssc_jax.study.known_draws import study_of_draw
 
@@ -143,7 +143,7 @@ def worst_loop(
         drawn = broken.broken(reached_matrices(operating))
         sample_time = study.config.loop.sample_time
         multiloop = joint_case(broken, channels, drawn, sample_time, GAP, cells, family.remainder(most))
-    taken = (*stated(places), *operating.taken)
+    taken = (*substitute_notes(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
     return WorstLoop(study, dataset, sigma, taken, len(family.cache), most, time.perf_counter() - began)
 

@@ -75,12 +75,12 @@ def loaded_file(path: Path, content: bytes, digest: str) -> Native:
     return fmu
 
 
-def loaded_native(table: dict[str, object], subject: str) -> Native:
+def loaded_native(table: dict[str, object], requirement: str) -> Native:
     """The native code that a study's table names by file and digest.
 
     Args:
         table: The table.
-        subject: What the file must be, for messages.
+        requirement: What the file must be, for messages.
 
     Raises:
         ConfigError: It names none, or one that is not loaded.
@@ -88,7 +88,7 @@ def loaded_native(table: dict[str, object], subject: str) -> Native:
     file = table.get("file")
     digest = table.get("sha256", "")
     if not isinstance(file, str):
-        raise ConfigError("file", f"must be the name of {subject}, got {file!r}")
+        raise ConfigError("file", f"must be the name of {requirement}, got {file!r}")
     native = LOADED.get(digest) if isinstance(digest, str) else None
     if native is None:
         rule = f"'{file}' is native code that was not loaded (SHA-256 {digest or 'unknown'})"

@@ -220,13 +220,14 @@ def require_measured(controller: NativeController, row: ControllerRow) -> None:
     Raises:
         ConfigError: The measurement has other members, which would stay 0.
     """
-    listed = MEASUREMENT + len(controller.measured)
-    members = row.measurement / controller.real
-    if members != listed:
+    expected_count = MEASUREMENT + len(controller.measured)
+    member_count = row.measurement / controller.real
+    if member_count != expected_count:
         names = ", ".join(["y", "y_dot", *(number.name for number in controller.measured)])
         rule = (
-            f"has a controller {controller.name} with {members:g} numbers in its measurement, and the study gives "
-            f"{listed}: {names}; list others by DSSC_JAX_MEASURED and DSSC_JAX_CONTROLLER_OF_SIGNALS, or remove them"
+            f"has a controller {controller.name} with {member_count:g} numbers in its measurement, and the study gives "
+            f"{expected_count}: {names}; list others by DSSC_JAX_MEASURED and "
+            "DSSC_JAX_CONTROLLER_OF_SIGNALS, or remove them"
         )
         raise ConfigError("", rule)
 

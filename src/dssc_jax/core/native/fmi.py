@@ -62,13 +62,13 @@ class FmiCalls(ABC):
 
     set_reals: Status
     get_reals: Status
-    said: str = ""
+    last_message: str = ""
     "The last message of the FMU."
 
     def note(self, *message: object) -> None:
         """Keep a message of the FMU, the last of the arguments of its logger."""
         text = message[-1]
-        self.said = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
+        self.last_message = text.decode("utf-8", "replace") if isinstance(text, bytes) else ""
 
     @abstractmethod
     def instantiate(self, name: str) -> int:
@@ -97,15 +97,15 @@ def required(function: str, status: int) -> None:
         raise FmiError(f"{function} fails with status {status}")
 
 
-def loaded(library: ctypes.CDLL, name: str, *types: type) -> Status:
+def status_function(library: ctypes.CDLL, name: str, *types: type) -> Status:
     """A function of the library that returns a status."""
     return ctypes.CFUNCTYPE(ctypes.c_int, *types)((name, library))
 
 
-def opened(kind: Callable[..., Any], folder: Path, described: "ModelDescription") -> Any:
+def slave_of(kind: Callable[..., Any], folder: Path, description: "ModelDescription") -> Any:
     """FMPy's object of an FMU for co-simulation, of the kind of its version of FMI, with the library loaded."""
-    identifier = described.coSimulation.modelIdentifier  # type: ignore[union-attr]
-    return kind(guid=described.guid or "", unzipDirectory=str(folder), modelIdentifier=identifier)
+    identifier = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
+    return kind(guid=description.guid or "", unzipDirectory=str(folder), modelIdentifier=identifier)
 
 
 class Fmi2Calls(FmiCalls):
@@ -116,33 +116,33 @@ class Fmi2Calls(FmiCalls):
         described: Its description, which has co-simulation.
     """
 
-    def __init__(self, folder: Path, described: "ModelDescription") -> None:
+    def __init__(self, folder: Path, description: "ModelDescription") -> None:
         modules = fmpy()
-        self._slave = opened(modules.fmi2.FMU2Slave, folder, described)
+        self._slave = slave_of(modules.fmi2.FMU2Slave, folder, description)
         functions = self._slave.dll
-        self._guid = (described.guid or "").encode()
+        self._guid = (description.guid or "").encode()
         self._resources = (folder / "resources").as_uri().encode()
-        self._said = modules.fmi2.fmi2CallbackLoggerTYPE(self.note)
+        self._logger = modules.fmi2.fmi2CallbackLoggerTYPE(self.note)
         self._callbacks = modules.fmi2.fmi2CallbackFunctions()
-        self._callbacks.logger = self._said
+        self._callbacks.logger = self._logger
         self._callbacks.allocateMemory = modules.fmi2.defaultCallbacks.allocateMemory
         self._callbacks.freeMemory = modules.fmi2.defaultCallbacks.freeMemory
-        self.set_reals = loaded(functions, "fmi2SetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
-        self.get_reals = loaded(functions, "fmi2GetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
-        self._set_up = loaded(functions, "fmi2SetupExperiment", ADDRESS, FLAG, REAL, REAL, FLAG, REAL)
-        self._enter = loaded(functions, "fmi2EnterInitializationMode", ADDRESS)
-        self._exit = loaded(functions, "fmi2ExitInitializationMode", ADDRESS)
-        self._step = loaded(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
+        self.set_reals = status_function(functions, "fmi2SetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
+        self.get_reals = status_function(functions, "fmi2GetReal", ADDRESS, ADDRESS, SIZE, ADDRESS)
+        self._set_up = status_function(functions, "fmi2SetupExperiment", ADDRESS, FLAG, REAL, REAL, FLAG, REAL)
+        self._enter = status_function(functions, "fmi2EnterInitializationMode", ADDRESS)
+        self._exit = status_function(functions, "fmi2ExitInitializationMode", ADDRESS)
+        self._step = status_function(functions, "fmi2DoStep", ADDRESS, REAL, REAL, FLAG)
 
     def instantiate(self, name: str) -> int:
         """A new instance."""
         co_simulation = 1
-        found = self._slave.fmi2Instantiate(
+        instance = self._slave.fmi2Instantiate(
             name.encode(), co_simulation, self._guid, self._resources, ctypes.byref(self._callbacks), 0, 0
         )
-        if not found:
+        if not instance:
             raise FmiError("fmi2Instantiate gives no instance")
-        return found
+        return instance
 
     def initialise(self, instance: int) -> None:
         """Start at t = 0, without an end."""
@@ -167,29 +167,29 @@ class Fmi3Calls(FmiCalls):
         described: Its description, which has co-simulation.
     """
 
-    def __init__(self, folder: Path, described: "ModelDescription") -> None:
+    def __init__(self, folder: Path, description: "ModelDescription") -> None:
         modules = fmpy()
-        self._slave = opened(modules.fmi3.FMU3Slave, folder, described)
+        self._slave = slave_of(modules.fmi3.FMU3Slave, folder, description)
         functions = self._slave.dll
-        self._token = (described.guid or "").encode()  # guid is FMPy's name of the instantiation token
+        self._token = (description.guid or "").encode()  # guid is FMPy's name of the instantiation token
         self._resources = f"{folder / 'resources'}/".encode()
-        self._said = modules.fmi3.fmi3LogMessageCallback(self.note)
+        self._logger = modules.fmi3.fmi3LogMessageCallback(self.note)
         self._update = modules.fmi3.fmi3IntermediateUpdateCallback()
         self._none = (modules.fmi3.fmi3ValueReference * 0)()
         self._environment = modules.fmi3.fmi3InstanceEnvironment()
-        set_reals = loaded(functions, "fmi3SetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
-        get_reals = loaded(functions, "fmi3GetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
+        set_reals = status_function(functions, "fmi3SetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
+        get_reals = status_function(functions, "fmi3GetFloat64", ADDRESS, ADDRESS, SIZE, ADDRESS, SIZE)
         self.set_reals = lambda instance, places, count, values: set_reals(instance, places, count, values, count)
         self.get_reals = lambda instance, places, count, values: get_reals(instance, places, count, values, count)
-        self._enter = loaded(functions, "fmi3EnterInitializationMode", ADDRESS, TRUTH, REAL, REAL, TRUTH, REAL)
-        self._exit = loaded(functions, "fmi3ExitInitializationMode", ADDRESS)
-        told = [ADDRESS] * 4
-        self._step = loaded(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *told)
+        self._enter = status_function(functions, "fmi3EnterInitializationMode", ADDRESS, TRUTH, REAL, REAL, TRUTH, REAL)
+        self._exit = status_function(functions, "fmi3ExitInitializationMode", ADDRESS)
+        outcome_types = [ADDRESS] * 4
+        self._step = status_function(functions, "fmi3DoStep", ADDRESS, REAL, REAL, TRUTH, *outcome_types)
 
     def instantiate(self, name: str) -> int:
         """A new instance."""
         options = (False, False, False, False)  # visible, logging, event mode, early return
-        found = self._slave.fmi3InstantiateCoSimulation(
+        instance = self._slave.fmi3InstantiateCoSimulation(
             name.encode(),
             self._token,
             self._resources,
@@ -197,12 +197,12 @@ class Fmi3Calls(FmiCalls):
             self._none,
             0,
             self._environment,
-            self._said,
+            self._logger,
             self._update,
         )
-        if not found:
+        if not instance:
             raise FmiError("fmi3InstantiateCoSimulation gives no instance")
-        return found
+        return instance
 
     def initialise(self, instance: int) -> None:
         """Start at t = 0, without an end."""
@@ -211,12 +211,17 @@ class Fmi3Calls(FmiCalls):
 
     def step(self, instance: int, t: float, h: float) -> bool:
         """Make the step from t to t + h; an instance that asks for the end does not go on."""
-        event = TRUTH(False)
-        ended = TRUTH(False)
-        early = TRUTH(False)
-        reached = REAL(t + h)
-        told = (ctypes.addressof(event), ctypes.addressof(ended), ctypes.addressof(early), ctypes.addressof(reached))
-        return self._step(instance, t, h, True, *told) <= WARNING and not ended.value
+        has_event = TRUTH(False)
+        is_ended = TRUTH(False)
+        is_early = TRUTH(False)
+        reached_time = REAL(t + h)
+        outcome_addresses = (
+            ctypes.addressof(has_event),
+            ctypes.addressof(is_ended),
+            ctypes.addressof(is_early),
+            ctypes.addressof(reached_time),
+        )
+        return self._step(instance, t, h, True, *outcome_addresses) <= WARNING and not is_ended.value
 
     def free(self, instance: int) -> None:
         """Free an instance, which may be in any state."""

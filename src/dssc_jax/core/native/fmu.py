@@ -119,21 +119,27 @@ class NativeFmu:
         Raises:
             ConfigError: There is none, or its value cannot be chosen.
         """
-        by_field = {field_name(known): known for known in (*self.variables, *self.unusable)}
+        by_field = {field_name(usable_names): usable_names for usable_names in (*self.variables, *self.unusable)}
         if name not in by_field:
-            wanted = field_name(name)
-            if wanted in by_field:
-                raise ConfigError(place, f"must be written {wanted} for the FMU's variable '{by_field[wanted]}'")
-            known = [key for key, inside in by_field.items() if inside in self.variables]
-            valid = [key for key in known if self.variables[by_field[key]].settable]
+            expected_name = field_name(name)
+            if expected_name in by_field:
+                raise ConfigError(
+                    place, f"must be written {expected_name} for the FMU's variable '{by_field[expected_name]}'"
+                )
+            usable_names = [key for key, variable_name in by_field.items() if variable_name in self.variables]
+            valid = [key for key in usable_names if self.variables[by_field[key]].settable]
             raise ConfigError(place, f"'{self.file}' has no such parameter; {nearest(name, valid)}")
-        inside = by_field[name]
-        if inside in self.unusable:
-            raise ConfigError(place, f"'{inside}' of '{self.file}' is {self.unusable[inside]}; must be one real number")
-        variable = self.variables[inside]
+        variable_name = by_field[name]
+        if variable_name in self.unusable:
+            raise ConfigError(
+                place, f"'{variable_name}' of '{self.file}' is {self.unusable[variable_name]}; must be one real number"
+            )
+        variable = self.variables[variable_name]
         if not variable.settable:
             rule = "must be a parameter, an input or an exact initial value"
-            raise ConfigError(place, f"{rule}; '{inside}' of '{self.file}' has the causality {variable.causality}")
+            raise ConfigError(
+                place, f"{rule}; '{variable_name}' of '{self.file}' has the causality {variable.causality}"
+            )
         return variable
 
 
@@ -220,7 +226,7 @@ def required_version(path: Path, text: str) -> str:
     """
     match = re.search(r"""fmiVersion\s*=\s*["']([^"']*)["']""", text)
     text_of_version = match[1] if match else "none"
-    version = next((known for known in VERSIONS if text_of_version.startswith(known)), None)
+    version = next((version_prefix for version_prefix in VERSIONS if text_of_version.startswith(version_prefix)), None)
     if version is None:
         raise ConfigError("file", f"'{path}' must have FMI {' or '.join(VERSIONS)}, it has {text_of_version}")
     return version
@@ -269,19 +275,19 @@ def require_library(path: Path, description: "ModelDescription", unpacked: Path,
 
 def described_variable(variable: "ModelVariable") -> FmuVariable:
     """A real variable with its unit, meaning and range."""
-    declared = variable.declaredType
-    unit = readable_unit(variable.unit or getattr(declared, "unit", None) or "")
-    low = bound(variable.min or getattr(declared, "min", None))
-    high = bound(variable.max or getattr(declared, "max", None))
+    declared_type = variable.declaredType
+    unit = readable_unit(variable.unit or getattr(declared_type, "unit", None) or "")
+    low = bound(variable.min or getattr(declared_type, "min", None))
+    high = bound(variable.max or getattr(declared_type, "max", None))
     causality = variable.causality or "local"
-    exact = variable.initial == EXACT and variable.variability != CONSTANT
+    is_exact = variable.initial == EXACT and variable.variability != CONSTANT
     return FmuVariable(
         variable.name,
         variable.valueReference,
         Quantity(unit, variable.description or variable.name, at_least=low, at_most=high),
         causality,
         None if variable.start is None else float(variable.start),
-        causality in (PARAMETER, INPUT) or exact,
+        causality in (PARAMETER, INPUT) or is_exact,
     )
 
 
@@ -308,5 +314,5 @@ def first_lines(error: BaseException) -> str:
 
 def failure(fmu: NativeFmu, error: FmiError) -> ConfigError:
     """An FMU's failure before any draw is flown, with its last message."""
-    said = f": {fmu.calls.said}" if fmu.calls.said else ""
-    return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{said}")
+    last_message = f": {fmu.calls.last_message}" if fmu.calls.last_message else ""
+    return ConfigError("file", f"'{fmu.file}' cannot be started: {error}{last_message}")

@@ -81,11 +81,11 @@ class FmuPorts:
 class Instance:
     """An instance: its address, how many steps it has made, and how many its flight has."""
 
-    __slots__ = ("address", "made", "steps")
+    __slots__ = ("address", "step_count", "steps")
 
     def __init__(self, address: int, steps: int) -> None:
         self.address = address
-        self.made = 0
+        self.step_count = 0
         self.steps = steps
 
 
@@ -133,25 +133,32 @@ class Instances:
         ctypes.memmove(memory, self._start_head.pack(handle, 0), self._start_head.size)
 
     def step(self, memory: int) -> None:
-        """Make a step: from handle, steps made, length and inputs to handle, steps made and outputs."""
-        handle, made, h, *inputs = self._step_head.unpack(ctypes.string_at(memory, self._step_head.size))
+        """Make a step: from handle, step count, length and inputs to handle, step count and outputs."""
+        handle, step_count, h, *inputs = self._step_head.unpack(ctypes.string_at(memory, self._step_head.size))
         outputs = memory + HEAD + NUMBER * len(self._inputs)
-        if self._stepped(handle, made, h, inputs, memory, outputs):
-            ctypes.memmove(memory, self._start_head.pack(handle, made + 1), self._start_head.size)
+        if self._stepped(handle, step_count, h, inputs, memory, outputs):
+            ctypes.memmove(memory, self._start_head.pack(handle, step_count + 1), self._start_head.size)
             return
         ctypes.memmove(outputs, self._none, len(self._none))
-        ctypes.memmove(memory, self._start_head.pack(NO_INSTANCE, made + 1), self._start_head.size)
+        ctypes.memmove(memory, self._start_head.pack(NO_INSTANCE, step_count + 1), self._start_head.size)
 
-    def _stepped(self, handle: int, made: int, h: float, inputs: Sequence[float], memory: int, outputs: int) -> bool:
+    def _stepped(
+        self, handle: int, step_count: int, h: float, inputs: Sequence[float], memory: int, outputs: int
+    ) -> bool:
         """Whether the step was made and its outputs are written."""
         instance = self._running.get(handle)
         if instance is None:
             if handle in self._dropped:
                 fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
             return False
-        if made != instance.made:
-            if made != instance.made - 1:  # a draw that has ended is asked for its last sample again, and not read
-                fault(self.ports, f"was asked for step {made} after {instance.made}; steps must be made in order")
+        if step_count != instance.step_count:
+            if (
+                step_count != instance.step_count - 1
+            ):  # a draw that has ended is asked for its last sample again, and not read
+                fault(
+                    self.ports,
+                    f"was asked for step {step_count} after {instance.step_count}; steps must be made in order",
+                )
             return False
         calls = self.calls
         try:
@@ -159,15 +166,15 @@ class Instances:
                 raise FmiError("an input is not finite")
             if inputs:
                 required("set", calls.set_reals(instance.address, self._inputs, len(inputs), memory + HEAD))
-            if not calls.step(instance.address, made * h, h):
+            if not calls.step(instance.address, step_count * h, h):
                 raise FmiError("the step fails")
             self._read(instance.address, outputs)
         except FmiError:
             with self._lock:
                 self._close(handle)
             return False
-        instance.made = made + 1
-        if instance.made == instance.steps:
+        instance.step_count = step_count + 1
+        if instance.step_count == instance.steps:
             self._finished.append(handle)
         return True
 
@@ -248,7 +255,7 @@ class FmuFunctions:
         self._step = foreign_function(ports, "step", 3, len(ports.inputs), outputs)
 
     def start(self, lane: Scalar, steps: int, parameters: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
-        """The words of a new draw, its handle and the steps made, and its outputs at t = 0.
+        """The words of a new draw (its handle and step count), and its outputs at t = 0.
 
         Args:
             lane: A word that is traced for each draw, so that each draw calls.
@@ -258,8 +265,8 @@ class FmuFunctions:
         Raises:
             ConfigError: The loop does not compute in 64 bits.
         """
-        handle, made, *outputs = called(self._start, lane, jnp.uint32(steps), *parameters)
-        return (handle, made), outputs
+        handle, step_count, *outputs = call_in_double(self._start, lane, jnp.uint32(steps), *parameters)
+        return (handle, step_count), outputs
 
     def step(self, words: Sequence[Scalar], h: Scalar, inputs: Sequence[Scalar]) -> tuple[Words, list[jax.Array]]:
         """The words after a step, and the outputs.
@@ -272,8 +279,8 @@ class FmuFunctions:
         Raises:
             ConfigError: The loop does not compute in 64 bits.
         """
-        handle, made, *outputs = called(self._step, *words, h, *inputs)
-        return (handle, made), outputs
+        handle, step_count, *outputs = call_in_double(self._step, *words, h, *inputs)
+        return (handle, step_count), outputs
 
 
 def foreign_function(ports: FmuPorts, name: str, head: int, numbers: int, outputs: int) -> ForeignFunction:
@@ -281,11 +288,13 @@ def foreign_function(ports: FmuPorts, name: str, head: int, numbers: int, output
     symbol = ports.symbol(name)
     if symbol not in foreign.ADDRESSES:
         foreign.provide(symbol, ctypes.cast(instances_of(ports).functions[name], ctypes.c_void_p).value or 0)
-    words = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
-    first = (*words, MemoryPlace(REAL, 8))[:head]
+    word_places = (MemoryPlace(WORD, 0), MemoryPlace(WORD, 4))
+    first = (*word_places, MemoryPlace(REAL, 8))[:head]
     places = tuple(MemoryPlace(REAL, HEAD + NUMBER * i) for i in range(numbers))
-    found = tuple(MemoryPlace(REAL, HEAD + NUMBER * (numbers + i)) for i in range(outputs))
-    return ForeignFunction(symbol, HEAD + NUMBER * (numbers + outputs), (*first, *places), (*words, *found))
+    output_places = tuple(MemoryPlace(REAL, HEAD + NUMBER * (numbers + i)) for i in range(outputs))
+    return ForeignFunction(
+        symbol, HEAD + NUMBER * (numbers + outputs), (*first, *places), (*word_places, *output_places)
+    )
 
 
 @cache
@@ -294,7 +303,7 @@ def instances_of(ports: FmuPorts) -> Instances:
     return Instances(ports)
 
 
-def called(function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
+def call_in_double(function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
     """The results of a call.
 
     Raises:
@@ -319,12 +328,12 @@ def require_independent(fmu: NativeFmu) -> None:
         ConfigError: It does not start, or its instances disturb each other.
     """
     try:
-        alone = [tried_outputs(fmu, [flight]) for flight in (0, 1)]
-        pair = tried_outputs(fmu, [0, 1])
-        single = tried_outputs(fmu, [0])
+        separate_outputs = [tried_outputs(fmu, [flight]) for flight in (0, 1)]
+        joint_outputs = tried_outputs(fmu, [0, 1])
+        repeated_outputs = tried_outputs(fmu, [0])
     except FmiError as error:
         raise failure(fmu, error) from None
-    if pair != alone[0] + alone[1] or single != alone[0]:
+    if joint_outputs != separate_outputs[0] + separate_outputs[1] or repeated_outputs != separate_outputs[0]:
         rule = "keeps numbers outside of its instances (static or global variables), which would mix the draws"
         raise ConfigError("file", f"'{fmu.file}' {rule}; export it without them")
 
@@ -335,27 +344,29 @@ def tried_outputs(fmu: NativeFmu, flights: Sequence[int]) -> list[bytes]:
     inputs = [variable.reference for variable in fmu.variables.values() if variable.causality == "input"]
     outputs = [variable.reference for variable in fmu.variables.values() if variable.causality == "output"]
     h = fmu.step_size or TRIED_STEP
-    found = {flight: bytearray() for flight in flights}
-    running: dict[int, int] = {}
+    bits_of_flights = {flight: bytearray() for flight in flights}
+    instances: dict[int, int] = {}
     try:
         for flight in flights:
-            running[flight] = calls.instantiate(f"trial {flight}")
-            calls.initialise(running[flight])
-        ended: set[int] = set()
+            instances[flight] = calls.instantiate(f"trial {flight}")
+            calls.initialise(instances[flight])
+        ended_flights: set[int] = set()
         for k, flight in product(range(TRIED_STEPS), flights):
-            if flight in ended:
+            if flight in ended_flights:
                 continue
             signals = np.cos(np.arange(1.0, 1.0 + len(inputs)) * (0.1 * k + flight + 1.0))
             values = np.full(len(outputs), inf)
-            address = running[flight]
-            made = not inputs or calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data) <= 1
-            made = made and calls.step(address, k * h, h)
-            if outputs and made:
-                made = calls.get_reals(address, references(outputs), len(outputs), values.ctypes.data) <= 1
-            if not made:
-                ended.add(flight)
-            found[flight] += values.tobytes()
+            address = instances[flight]
+            is_successful = (
+                not inputs or calls.set_reals(address, references(inputs), len(inputs), signals.ctypes.data) <= 1
+            )
+            is_successful = is_successful and calls.step(address, k * h, h)
+            if outputs and is_successful:
+                is_successful = calls.get_reals(address, references(outputs), len(outputs), values.ctypes.data) <= 1
+            if not is_successful:
+                ended_flights.add(flight)
+            bits_of_flights[flight] += values.tobytes()
     finally:
-        for address in running.values():
+        for address in instances.values():
             calls.free(address)
-    return [bytes(found[flight]) for flight in flights]
+    return [bytes(bits_of_flights[flight]) for flight in flights]

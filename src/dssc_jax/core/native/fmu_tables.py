@@ -49,8 +49,8 @@ def fmu_of(table: TomlTable) -> NativeFmu:
 def connection(fmu: NativeFmu, table: TomlTable, key: str, causality: str) -> Connection:
     """The variable that an entry of a table names; raises ConfigError."""
     if key not in table:
-        alike = [name for name, variable in fmu.variables.items() if variable.causality == causality]
-        rule = f"is required: an {causality} of '{fmu.file}'; it has {', '.join(sorted(alike)) or 'none'}"
+        candidates = [name for name, variable in fmu.variables.items() if variable.causality == causality]
+        rule = f"is required: an {causality} of '{fmu.file}'; it has {', '.join(sorted(candidates)) or 'none'}"
         raise ConfigError(key, rule)
     return Connection(key, fmu.variable(table[key], key, causality))
 
@@ -73,7 +73,7 @@ def require_distinct(connected: Iterable[Connection]) -> None:
         signals[variable.name] = signal
 
 
-def reported(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
+def reported_outputs(fmu: NativeFmu, table: TomlTable) -> tuple[Connection, ...]:
     """The further outputs that a table names, in the order of their names; raises ConfigError."""
     return tuple(sorted(connections(fmu, table, "outputs", OUTPUT)))
 
@@ -85,7 +85,7 @@ def named_signals(connected: Iterable[Connection]) -> tuple[NamedSignal, ...]:
     )
 
 
-def chosen_parameters(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
+def parameter_connections(fmu: NativeFmu, table: TomlTable, connected: Iterable[Connection]) -> tuple[Connection, ...]:
     """The variables whose values before t = 0 a table sets.
 
     Args:
@@ -100,14 +100,14 @@ def chosen_parameters(fmu: NativeFmu, table: TomlTable, connected: Iterable[Conn
     if not isinstance(values, Mapping):
         raise ConfigError(PARAMETERS, f"must be a table of numbers by name, got {values!r}")
     signals = {variable.name: signal for signal, variable in connected}
-    found = []
+    selected = []
     with errors_under(PARAMETERS):
         for name in values:
             variable = fmu.parameter(str(name), str(name))
             if variable.name in signals:
                 raise ConfigError(str(name), f"'{variable.name}' is connected to {signals[variable.name]} already")
-            found.append(Connection(str(name), variable))
-    return tuple(found)
+            selected.append(Connection(str(name), variable))
+    return tuple(selected)
 
 
 def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantity, default: float | None) -> Any:
@@ -123,9 +123,9 @@ def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantit
     if not parameters:
         return named_type("Params", {name: quantity}, {name: default})
     inner = named_type("Parameters", {signal: variable.quantity for signal, variable in parameters}, {})
-    found = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
-    found.__annotations__[PARAMETERS] = inner
-    return found
+    combined_type = named_type("Params", {PARAMETERS: quantity, name: quantity}, {PARAMETERS: None, name: default})
+    combined_type.__annotations__[PARAMETERS] = inner
+    return combined_type
 
 
 def values_of(params: Params) -> tuple[Scalar, ...]:

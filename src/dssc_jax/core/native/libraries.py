@@ -106,8 +106,11 @@ def require_reentrant(controller: NativeController) -> None:
     Raises:
         ConfigError: They disturb each other: the controller keeps numbers outside of its structure.
     """
-    alone = [flown_commands(controller, [flight]) for flight in (0, 1)]
-    if flown_commands(controller, [0, 1]) != alone[0] + alone[1] or flown_commands(controller, [0]) != alone[0]:
+    separate_commands = [flown_commands(controller, [flight]) for flight in (0, 1)]
+    if (
+        flown_commands(controller, [0, 1]) != separate_commands[0] + separate_commands[1]
+        or flown_commands(controller, [0]) != separate_commands[0]
+    ):
         rule = (
             "keeps numbers outside of its structure (static or global variables, a random generator, a clock), which "
             "would mix thousands of flights; move them into its state"
@@ -133,15 +136,15 @@ def require_reset(controller: NativeController) -> None:
 
 def moved_values(controller: NativeController) -> dict[str, float]:
     """Another admissible value of every parameter than its default, by name; without those that have none."""
-    moved = {}
+    values = {}
     defaults = default_values(controller)
     for number in controller.parameters:
         default = defaults[number.name]
         for value in (1.5 * default + 0.5, 0.5 * default - 0.5, 0.5 * default):
             if value != default and number.quantity.violated_by(value, value) is None:
-                moved[number.name] = value
+                values[number.name] = value
                 break
-    return moved
+    return values
 
 
 def memory_with(controller: NativeController, values: dict[str, float]) -> np.ndarray:
@@ -176,12 +179,12 @@ def require_parameters_kept(controller: NativeController) -> None:
 
 def parameters_without_effect(controller: NativeController) -> tuple[str, ...]:
     """The parameters of which another value changes no command of a trial flight."""
-    usual = flown_commands(controller, [0])
-    found = []
+    default_commands = flown_commands(controller, [0])
+    names = []
     for name, value in moved_values(controller).items():
-        if flown_with(controller, {0: memory_with(controller, {name: value})}) == usual:
-            found.append(name)
-    return tuple(found)
+        if flown_with(controller, {0: memory_with(controller, {name: value})}) == default_commands:
+            names.append(name)
+    return tuple(names)
 
 
 def flown_commands(controller: NativeController, flights: list[int]) -> list[bytes]:
@@ -216,7 +219,7 @@ def flown_with(
             step(memory.ctypes.data)
             for place in (*controller.commands, controller.total):
                 commands[flight] += memory[place : place + real.itemsize].tobytes()
-    return [bytes(flown) for flown in commands.values()]
+    return [bytes(bits) for bits in commands.values()]
 
 
 def require_sum(controller: NativeController) -> None:
@@ -258,8 +261,8 @@ def require_same_without_telemetry(controller: NativeController) -> None:
 
 def trial_commands(controller: NativeController) -> np.ndarray:
     """u, u_n and u_p of every sample of a trial flight with default parameters, shape (samples, 3)."""
-    (flown,) = flown_commands(controller, [0])
-    return np.frombuffer(flown, f"f{controller.real}").reshape(TRIED_SAMPLES, -1).astype(float)
+    (bits,) = flown_commands(controller, [0])
+    return np.frombuffer(bits, f"f{controller.real}").reshape(TRIED_SAMPLES, -1).astype(float)
 
 
 def samples_not_finite(controller: NativeController) -> int:

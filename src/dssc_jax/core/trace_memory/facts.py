@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dssc_jax.core.trace_memory.names import Undescribed, place
+from dssc_jax.core.trace_memory.names import Undescribed, qualified_name
 
 CONTAINERS = {"tuple": tuple, "dict": dict, "OrderedDict": OrderedDict}
 DTYPE = "dtype"
@@ -37,7 +37,7 @@ def as_plain(tree: Any) -> Any:
         case np.dtype():
             return {DTYPE: tree.str}
         case tuple() if hasattr(tree, "_fields"):
-            return {place(type(tree)).decode(): [as_plain(part) for part in tree]}
+            return {qualified_name(type(tree)).decode(): [as_plain(part) for part in tree]}
         case tuple():
             return {"tuple": [as_plain(part) for part in tree]}
         case dict():
@@ -54,8 +54,8 @@ def restored(content: Any) -> Any:
     ((kind, parts),) = content.items()
     if kind == DTYPE:
         return np.dtype(parts)
-    inside = restored(parts)
+    arguments = restored(parts)
     if kind in CONTAINERS:
-        return CONTAINERS[kind](inside)
+        return CONTAINERS[kind](arguments)
     module, _, name = kind.rpartition(".")
-    return getattr(importlib.import_module(module), name)(*inside)
+    return getattr(importlib.import_module(module), name)(*arguments)

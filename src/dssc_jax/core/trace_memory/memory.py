@@ -5,13 +5,13 @@ from typing import Any, TypeVar
 
 from dssc_jax.core.trace_memory.facts import decoded, encoded
 from dssc_jax.core.trace_memory.names import name_of
-from dssc_jax.lanes.program_cache import cache_directory, kept
+from dssc_jax.lanes.program_cache import cache_directory, cached
 
 T = TypeVar("T")
 
 
 def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
-    """What follows from subjects alone: from the user's cache, or computed and kept there.
+    """A result that follows from subjects alone: from the user's cache, or computed and stored there.
 
     Args:
         label: Label of the cached quantity.
@@ -19,4 +19,4 @@ def remembered(label: str, compute: Callable[[], T], *subjects: Any) -> T:
         subjects: All that it follows from, beside this package's code, as :func:`name_of` describes it.
     """
     name = None if cache_directory() is None else name_of(label, *subjects)
-    return compute() if name is None else decoded(kept(f"{label}-{name}", lambda: encoded(compute())))
+    return compute() if name is None else decoded(cached(f"{label}-{name}", lambda: encoded(compute())))

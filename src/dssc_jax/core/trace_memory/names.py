@@ -95,10 +95,10 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
     if id(subject) in ancestors:  # a function that closes over itself: how many levels above
         yield f"above {len(ancestors) - ancestors.index(id(subject))}".encode()
         return
-    yield place(type(subject))
+    yield qualified_name(type(subject))
     match subject:
         case type():
-            yield place(subject)
+            yield qualified_name(subject)
         case Enum():
             yield subject.name.encode()
         case None | bool() | int() | float() | complex() | str() | bytes():
@@ -106,15 +106,15 @@ def description_parts(subject: Any, ancestors: tuple[int, ...]) -> Iterator[byte
         case np.ndarray() | np.generic() | jax.Array():
             yield from array_parts(subject)
         case _:
-            inside = consists_of(subject)
-            yield str(len(inside)).encode()
-            for part in inside:
+            parts = consists_of(subject)
+            yield str(len(parts)).encode()
+            for part in parts:
                 yield from description_parts(part, (*ancestors, id(subject)))
 
 
 @cache
-def place(kind: type) -> bytes:
-    """Where a type is defined.
+def qualified_name(kind: type) -> bytes:
+    """The module and name of a type.
 
     Raises:
         Undescribed: Outside of :data:`DESCRIBED`, or within a function, which may define another at each call.
@@ -139,7 +139,7 @@ def array_parts(array: Any) -> Iterator[bytes]:
 
 
 def consists_of(subject: Any) -> list[Any]:
-    """What a container, a function or an object of a known type consists of.
+    """The parts of a container, a function or an object of a known type.
 
     Raises:
         Undescribed: Its parts are not known.

@@ -58,11 +58,11 @@ class LaneProgram:
                 part = slice(first, first + BATCH_LANES)
                 finish = self.start({name: column[part] for name, column in columns.items()}, indices[part])
                 batches.append(finish()[0])
-        joined = []
+        results = []
         for parts in zip(*batches, strict=True):
             empty = np.zeros((len(indices), 0))
-            joined.append(np.concatenate([np.stack(part, axis=1) for part in parts]) if parts[0] else empty)
-        return joined
+            results.append(np.concatenate([np.stack(part, axis=1) for part in parts]) if parts[0] else empty)
+        return results
 
 
 def entry_name(vector: str, index: int) -> str:
@@ -71,7 +71,7 @@ def entry_name(vector: str, index: int) -> str:
 
 
 def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.Array], tuple[Entries, ...]]:
-    """The same program with its vectors entry by entry.
+    """A program of a lane, whose vectors it takes entry by entry.
 
     Args:
         lane: The program.
@@ -80,16 +80,16 @@ def lane_of_numbers(lane: Lane, sizes: dict[str, int]) -> Callable[[Values, jax.
     entries = {name: [entry_name(name, i) for i in range(size)] for name, size in sizes.items()}
     of_vectors = {entry for names in entries.values() for entry in names}
 
-    def run(values: Values, index: jax.Array) -> tuple[Entries, ...]:
+    def run_lane(values: Values, index: jax.Array) -> tuple[Entries, ...]:
         numbers = {name: value for name, value in values.items() if name not in of_vectors}
         vectors = {name: jnp.array([values[entry] for entry in names], float) for name, names in entries.items()}
         return tuple(tuple(vector) for vector in lane(numbers, vectors, index))
 
-    return run
+    return run_lane
 
 
 def form() -> str:
     """The form in which the lanes run: on a CPU also where flights run on a GPU by this package's kernel."""
     on_cpu = {Form.GPU.value: Form.LANES, Form.GPU_STRICT.value: Form.STRICT}
-    requested = kernels.requested()
-    return on_cpu.get(requested, requested)
+    requested_form = kernels.requested_form()
+    return on_cpu.get(requested_form, requested_form)

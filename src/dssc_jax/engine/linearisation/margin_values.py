@@ -86,7 +86,7 @@ class MarginValues:
         except ConfigError as error:
             raise ConfigError(error.where, f"{error.rule}; `{next(iter(self.margins))}` needs it") from None
         self.resting = RestingLoop(study, places)
-        self.examine = examination(lane_loop(self.resting.study, places, resting=True), places)
+        self.examine = examination(lane_loop(self.resting.study, places, is_resting=True), places)
 
     def __call__(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """Every required margin of each lane by the name of its measure, shape (n,).
@@ -136,14 +136,14 @@ class MarginValues:
 
     def _batch(self, values: Arrays, indices: np.ndarray) -> Arrays:
         """The margins of some lanes."""
-        states, matrices, settled, _ = self.resting.settle(values, indices)
-        outside = np.zeros(len(settled), bool)
-        if settled.any():
-            states = np.where(settled[:, None], states, states[settled][0])
+        states, matrices, is_settled, _ = self.resting.settle(values, indices)
+        is_beyond = np.zeros(len(is_settled), bool)
+        if is_settled.any():
+            states = np.where(is_settled[:, None], states, states[is_settled][0])
             findings = self.examine(values, indices, states, 1)
-            findings = self.resting.linearise.with_opened(values, indices, states, 1, findings)
-            require_smooth_at(self.study, self.resting.places, findings[settled])
-            outside = np.any(findings == Finding.BEYOND, axis=1)
+            findings = self.resting.linearise.resolve_open_loops(values, indices, states, 1, findings)
+            require_smooth_at(self.study, self.resting.places, findings[is_settled])
+            is_beyond = np.any(findings == Finding.BEYOND, axis=1)
             if np.any(findings == Finding.CORNER):
                 matrices = self.resting.linearise(values, indices, states, 1, findings)
         places = place_names(self.study.loop.channels)
@@ -151,38 +151,43 @@ class MarginValues:
         for margin in self.margins.values():
             if margin.place not in by_place:
                 fields = {m.kind.field: m.kind.neutral for m in self.margins.values() if m.place == margin.place}
-                by_place[margin.place] = self._at(matrices, settled, outside, places.index(margin.place), fields)
+                by_place[margin.place] = self._at(matrices, is_settled, is_beyond, places.index(margin.place), fields)
         return {name: by_place[margin.place][margin.kind.field] for name, margin in self.margins.items()}
 
     def _at(
-        self, matrices: StateMatrices, settled: np.ndarray, outside: np.ndarray, point: int, neutral: dict[str, float]
+        self,
+        matrices: StateMatrices,
+        is_settled: np.ndarray,
+        is_beyond: np.ndarray,
+        point: int,
+        neutral: dict[str, float],
     ) -> Arrays:
         """The margins at one break point.
 
         Args:
             matrices: Of the batch.
-            settled: Which lanes have an equilibrium, shape (n,).
-            outside: Which of them rest beyond the boundary of a part, shape (n,).
+            is_settled: Which lanes have an equilibrium, shape (n,).
+            is_beyond: Which of them rest beyond the boundary of a part, shape (n,).
             point: Index of the break point.
             neutral: The margins' values at the limit of stability.
         """
-        kept = matrices.returning(point)
-        settled = settled & (np.any(kept, axis=1) | ~outside)
-        columns = {field: np.where(settled, value, np.nan) for field, value in neutral.items()}
-        for mask in np.unique(kept[settled], axis=0):
-            lanes = np.flatnonzero(settled & np.all(kept == mask, axis=1))
+        loop_states = matrices.returning(point)
+        is_settled = is_settled & (np.any(loop_states, axis=1) | ~is_beyond)
+        columns = {field: np.where(is_settled, value, np.nan) for field, value in neutral.items()}
+        for mask in np.unique(loop_states[is_settled], axis=0):
+            lanes = np.flatnonzero(is_settled & np.all(loop_states == mask, axis=1))
             loops = ClosedLoops(
                 matrices.a[np.ix_(lanes, mask, mask)],
                 matrices.b[lanes][:, mask, point],
                 matrices.c[lanes][:, point, mask],
             )
             poles = np.linalg.eigvals(loops.a)
-            stable = np.max(np.abs(poles), axis=1, initial=0.0) < 1.0
-            if not stable.any():
+            is_stable = np.max(np.abs(poles), axis=1, initial=0.0) < 1.0
+            if not is_stable.any():
                 continue
-            a, b, c = (part[stable] for part in loops)
-            angles = margin_angles(a, b, c, poles[stable])
+            a, b, c = (part[is_stable] for part in loops)
+            angles = margin_angles(a, b, c, poles[is_stable])
             margins = named_margins(response_of(a, b, c), angles, self.study.config.loop.sample_time, columns)
             for name, column in columns.items():
-                column[lanes[stable]] = margins[name]
+                column[lanes[is_stable]] = margins[name]
         return columns

@@ -11,13 +11,13 @@ class StateMatrices(NamedTuple):
     """x+ = A x + B w, v = C x of n draws; one column of B and one row of C for each break point.
 
     Args:
-        after: The state after one sample, shape (n, states).
+        next_states: The state after one sample, shape (n, states).
         a: Shape (n, states, states).
         b: Shape (n, states, break points).
         c: Shape (n, break points, states).
     """
 
-    after: np.ndarray
+    next_states: np.ndarray
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
@@ -29,8 +29,8 @@ class StateMatrices(NamedTuple):
             point: Index of the break point.
         """
         influences = self.a != 0.0
-        driven = closure(self.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
-        return driven & closure(self.c[:, point] != 0.0, influences)
+        reachable = closure(self.b[:, :, point] != 0.0, influences.swapaxes(1, 2))
+        return reachable & closure(self.c[:, point] != 0.0, influences)
 
     def loop_states(self, point: int, draws: np.ndarray) -> np.ndarray:
         """Indices of the states by which a signal comes back to a break point in any of some draws.
@@ -41,8 +41,8 @@ class StateMatrices(NamedTuple):
         """
         return np.flatnonzero(np.any(self.returning(point)[draws], axis=0))
 
-    def opened(self) -> np.ndarray:
-        """In which draws no signal comes back to any break point, shape (n,)."""
+    def is_open(self) -> np.ndarray:
+        """Whether no signal comes back to any break point, for each draw, shape (n,)."""
         returning = [self.returning(point) for point in range(self.b.shape[2])]
         return ~np.any(returning, axis=(0, 2))
 
@@ -63,7 +63,7 @@ class Operating(NamedTuple):
     taken: tuple[str, ...]
 
     def closed(self, point: int) -> np.ndarray:
-        """Which draws have an operating point where no part beyond its boundary opens the loop, shape (draws,).
+        """Whether each draw has an operating point where no part beyond its boundary opens the loop, shape (draws,).
 
         Args:
             point: Index of the break point.

@@ -38,18 +38,21 @@ PUSH_TOLERANCE = 0.2  # largest deviation of its effect from that of the derivat
 LoopWithParams = tuple[Loop, LoopParams]
 
 
-def lane_loop(study: Study, places: tuple[LoopPart, ...], resting: bool) -> LaneLoop:
+def lane_loop(study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> LaneLoop:
     """The loop of a draw as :func:`linearised_loop` gives it, with the draw's random key."""
-    return lambda values, index: (*linearised_loop(study, values, places, resting), draw_key(study.config.seed, index))
+    return lambda values, index: (
+        *linearised_loop(study, values, places, is_resting),
+        draw_key(study.config.seed, index),
+    )
 
 
 def linearised_loop(
-    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], resting: bool
+    study: Study, values: dict[str, jax.Array], places: tuple[LoopPart, ...], is_resting: bool
 ) -> LoopWithParams:
     """The loop of one draw as it is linearised: without disturbances at rest, with the substitutes of its parts."""
     loop = study.loop
     params = study.params(values)
-    if resting:
+    if is_resting:
         loop, params = undisturbed(loop, params)
     return substituted(loop, params, places)
 
@@ -73,20 +76,20 @@ class Linearisation:
         resting: Whether the loop is at rest, without disturbances.
     """
 
-    def __init__(self, study: Study, places: tuple[LoopPart, ...], resting: bool) -> None:
+    def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:
         self.places = places
         self.points = len(break_points(study.loop))
 
         def derivative(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
             state = vectors["state"]
             direction = jnp.where(jnp.arange(len(state) + self.points) == vectors["direction"], 1.0, 0.0)
-            loop, params = linearised_loop(study, numbers, places, resting)
+            loop, params = linearised_loop(study, numbers, places, is_resting)
             loop, params = with_inner_sides(loop, params, places, vectors["findings"])
             k = vectors["sample"][0].astype(jnp.int32)
             sample = sample_map(loop, params, draw_key(study.config.seed, index), k)
             at = (state, jnp.zeros(self.points))
-            (after, _), slopes = jax.jvp(sample, at, (direction[: len(state)], direction[len(state) :]))
-            return after, *slopes
+            (next_state, _), slopes = jax.jvp(sample, at, (direction[: len(state)], direction[len(state) :]))
+            return next_state, *slopes
 
         self.program = LaneProgram(derivative)
 
@@ -105,37 +108,40 @@ class Linearisation:
         count, order = states.shape
         size = order + self.points
         draw, direction = np.divmod(np.arange(count * size), size)
-        after, state_slopes, signal_slopes = self._derivatives(values, indices, states, k, findings, draw, direction)
+        derivatives = self._derivatives(values, indices, states, k, findings, draw, direction)
+        next_states, state_slopes, signal_slopes = derivatives
         a = state_slopes.reshape(count, size, order).swapaxes(1, 2)
         c = signal_slopes.reshape(count, size, self.points).swapaxes(1, 2)
-        return StateMatrices(after.reshape(count, size, order)[:, 0], a[..., :order], a[..., order:], c[..., :order])
+        first_rows = next_states.reshape(count, size, order)[:, 0]
+        return StateMatrices(first_rows, a[..., :order], a[..., order:], c[..., :order])
 
-    def after(
+    def next_states(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
         """The states of n draws after one sample, shape (n, states); arguments as for a call."""
         draw = np.arange(len(states))
         return self._derivatives(values, indices, states, k, findings, draw, np.zeros_like(draw))[0]
 
-    def with_opened(
+    def resolve_open_loops(
         self, values: Arrays, indices: np.ndarray, states: np.ndarray, k: int, findings: np.ndarray
     ) -> np.ndarray:
-        """The findings in which a part on its boundary counts as beyond it where another part opens the loop.
+        """Count a part on its boundary as beyond it where another part opens the loop; the changed findings.
 
-        There the derivative of the part does not matter: so it is where an actuator has the limit of its controller.
+        There the derivative of the part does not matter, as where an actuator has the limit of its controller.
         Arguments as for a call.
         """
-        inner = np.array([place.inner for place in self.places])
-        doubtful = (findings == Finding.DEFECT) & inner & np.any(findings == Finding.BEYOND, axis=1)[:, None]
-        lanes = np.flatnonzero(np.any(doubtful, axis=1))
+        has_inner_side = np.array([place.has_inner_side for place in self.places])
+        is_beyond = np.any(findings == Finding.BEYOND, axis=1)[:, None]
+        is_doubtful = (findings == Finding.DEFECT) & has_inner_side & is_beyond
+        lanes = np.flatnonzero(np.any(is_doubtful, axis=1))
         if not len(lanes):
             return findings
-        passing = np.where(doubtful, Finding.CORNER.value, findings)[lanes]
+        trial_findings = np.where(is_doubtful, Finding.CORNER.value, findings)[lanes]
         numbers = {name: column[lanes] for name, column in values.items()}
-        matrices = self(numbers, indices[lanes], states[lanes], k, passing)
-        opened = lanes[matrices.opened()]
+        matrices = self(numbers, indices[lanes], states[lanes], k, trial_findings)
+        open_lanes = lanes[matrices.is_open()]
         findings = findings.copy()
-        findings[opened] = np.where(doubtful[opened], Finding.BEYOND.value, findings[opened])
+        findings[open_lanes] = np.where(is_doubtful[open_lanes], Finding.BEYOND.value, findings[open_lanes])
         return findings
 
     def _derivatives(
@@ -181,25 +187,25 @@ class Resting(NamedTuple):
     Args:
         states: Shape (n, states).
         matrices: Of the loop without substitutes for corners.
-        settled: Which states are at rest, shape (n,).
-        felt: States on which the loop's signals depend, there or with all parts within their boundaries, shape
-            (n, states); others need not be at rest.
+        is_settled: Which states are at rest, shape (n,).
+        relevant_states: States on which the loop's signals depend, there or with all parts within their boundaries;
+            others need not be at rest. Shape (n, states).
     """
 
     states: np.ndarray
     matrices: StateMatrices
-    settled: np.ndarray
-    felt: np.ndarray
+    is_settled: np.ndarray
+    relevant_states: np.ndarray
 
 
-def with_better(found: Resting, later: Resting) -> Resting:
-    """What was found, with what was found later where nothing had settled, or only an open loop had."""
-    better = later.settled & (~found.settled | (found.matrices.opened() & ~later.matrices.opened()))
+def better_equilibria(earlier: Resting, later: Resting) -> Resting:
+    """The earlier equilibria, replaced by later ones where none had settled, or only that of an open loop."""
+    is_better = later.is_settled & (~earlier.is_settled | (earlier.matrices.is_open() & ~later.matrices.is_open()))
 
-    def chosen(early: np.ndarray, late: np.ndarray) -> np.ndarray:
-        return np.where(better.reshape(-1, *[1] * (early.ndim - 1)), late, early)
+    def select(early: np.ndarray, late: np.ndarray) -> np.ndarray:
+        return np.where(is_better.reshape(-1, *[1] * (early.ndim - 1)), late, early)
 
-    return jax.tree.map(chosen, found, later)
+    return jax.tree.map(select, earlier, later)
 
 
 class RestingLoop:
@@ -213,17 +219,17 @@ class RestingLoop:
     def __init__(self, study: Study, places: tuple[LoopPart, ...]) -> None:
         self.study = at_origin(study)
         self.places = places
-        self.linearise = Linearisation(self.study, places, resting=True)
+        self.linearise = Linearisation(self.study, places, is_resting=True)
         self.initial = LaneProgram(self._initial)
         self.flown = LaneProgram(self._flown)
 
     def _initial(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
-        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         return (ravel_pytree(initial_state(loop, params, draw_key(self.study.config.seed, index)))[0],)
 
     def _flown(self, numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array]:
         """The state after as many samples as the study has, at a constant reference."""
-        loop, params = linearised_loop(self.study, numbers, self.places, resting=True)
+        loop, params = linearised_loop(self.study, numbers, self.places, is_resting=True)
         sample = sample_map(loop, params, draw_key(self.study.config.seed, index), jnp.asarray(1))
         quiet = jnp.zeros(len(break_points(loop)))
         steps = self.study.loop.steps
@@ -232,24 +238,24 @@ class RestingLoop:
     def start(self, values: Arrays, indices: np.ndarray) -> np.ndarray:
         """The states after the first sample, shape (n, states): a controller may treat it unlike the others."""
         (begin,) = self.initial(values, {}, indices)
-        return self.linearise.after(values, indices, begin, 0, self.smooth(len(indices)))
+        return self.linearise.next_states(values, indices, begin, 0, self.smooth(len(indices)))
 
     def inner_dependence(self, values: Arrays, indices: np.ndarray, states: np.ndarray) -> np.ndarray:
         """States on which the loop's signals depend where every part is within its boundaries, shape (n, states).
 
         Beyond a limit no signal depends on the state of what drives it, such as an integrator that still moves.
         """
-        if not any(place.inner for place in self.places):
+        if not any(place.has_inner_side for place in self.places):
             return np.zeros(states.shape, bool)
-        matrices = self.linearise(values, indices, states, 1, self.within(len(indices)))
+        matrices = self.linearise(values, indices, states, 1, self.within_boundaries(len(indices)))
         return closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
 
     def smooth(self, count: int) -> np.ndarray:
         """Findings of a loop whose parts are all smooth, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.SMOOTH.value)
 
-    def within(self, count: int) -> np.ndarray:
-        """Findings by which every part is taken as within its boundaries, shape (count, parts)."""
+    def within_boundaries(self, count: int) -> np.ndarray:
+        """Findings that treat every part as within its boundaries, shape (count, parts)."""
         return np.full((count, len(self.places)), Finding.CORNER.value)
 
     def settle(self, values: Arrays, indices: np.ndarray) -> Resting:
@@ -263,16 +269,18 @@ class RestingLoop:
             values: Of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
-        begin = self.start(values, indices)
-        found = self.settled_from(begin, values, indices, self.smooth(len(indices)))
-        limited = any(place.inner for place in self.places)
-        if limited and np.any(~found.settled | found.matrices.opened()):
-            unlimited = self.settled_from(begin, values, indices, self.within(len(indices))).states
-            found = with_better(found, self.settled_from(unlimited, values, indices, self.smooth(len(indices))))
-        if not found.settled.all():
-            (flown,) = self.flown(values, {"state": begin}, indices)
-            found = with_better(found, self.settled_from(flown, values, indices, self.smooth(len(indices))))
-        return found
+        initial_states = self.start(values, indices)
+        equilibria = self.settled_from(initial_states, values, indices, self.smooth(len(indices)))
+        has_limits = any(place.has_inner_side for place in self.places)
+        if has_limits and np.any(~equilibria.is_settled | equilibria.matrices.is_open()):
+            unlimited = self.settled_from(initial_states, values, indices, self.within_boundaries(len(indices)))
+            retrial = self.settled_from(unlimited.states, values, indices, self.smooth(len(indices)))
+            equilibria = better_equilibria(equilibria, retrial)
+        if not equilibria.is_settled.all():
+            (flown_states,) = self.flown(values, {"state": initial_states}, indices)
+            retrial = self.settled_from(flown_states, values, indices, self.smooth(len(indices)))
+            equilibria = better_equilibria(equilibria, retrial)
+        return equilibria
 
     def settled_from(self, states: np.ndarray, values: Arrays, indices: np.ndarray, findings: np.ndarray) -> Resting:
         """The equilibria to which Newton's method leads from some states, shape (n, states).
@@ -280,62 +288,65 @@ class RestingLoop:
         It ends where steps no longer change how far the states move: there a command is at a limit.
         """
         trial = 0
-        stalls = np.zeros(len(indices), int)
-        last = np.full(states.shape, np.inf)
-        inner = self.inner_dependence(values, indices, states)
+        stall_counts = np.zeros(len(indices), int)
+        last_move = np.full(states.shape, np.inf)
+        inner_states = self.inner_dependence(values, indices, states)
         matrices = self.linearise(values, indices, states, 1, findings)
         while True:
-            move = matrices.after - states
-            finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
-            felt = inner | closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
-            settled = finite & (np.max(np.abs(move) * felt / (1.0 + np.abs(states)), axis=1) <= EQUILIBRIUM_TOLERANCE)
-            same = np.max(np.abs(move - last), axis=1) <= STALLED * np.max(np.abs(move), axis=1)
-            stalls = np.where(same, stalls + 1, 0)
-            last = move
-            moving = finite & ~settled & (stalls < MOST_STALLS)
-            if not moving.any() or trial == NEWTON_STEPS:
-                return Resting(states, matrices, settled, felt)
+            move = matrices.next_states - states
+            is_finite = np.all(np.isfinite(matrices.a), axis=(1, 2)) & np.all(np.isfinite(move), axis=1)
+            relevant_states = inner_states | closure(np.any(matrices.c, axis=1), matrices.a != 0.0)
+            largest_move = np.max(np.abs(move) * relevant_states / (1.0 + np.abs(states)), axis=1)
+            is_settled = is_finite & (largest_move <= EQUILIBRIUM_TOLERANCE)
+            is_stalled = np.max(np.abs(move - last_move), axis=1) <= STALLED * np.max(np.abs(move), axis=1)
+            stall_counts = np.where(is_stalled, stall_counts + 1, 0)
+            last_move = move
+            is_moving = is_finite & ~is_settled & (stall_counts < MOST_STALLS)
+            if not is_moving.any() or trial == NEWTON_STEPS:
+                return Resting(states, matrices, is_settled, relevant_states)
             trial += 1
             states = states.copy()
-            for kept in np.unique(felt[moving], axis=0):
-                draws = np.flatnonzero(moving & np.all(felt == kept, axis=1))
-                slopes = np.eye(int(np.count_nonzero(kept))) - matrices.a[np.ix_(draws, kept, kept)]
+            for mask in np.unique(relevant_states[is_moving], axis=0):
+                draws = np.flatnonzero(is_moving & np.all(relevant_states == mask, axis=1))
+                slopes = np.eye(int(np.count_nonzero(mask))) - matrices.a[np.ix_(draws, mask, mask)]
                 inverse = np.linalg.pinv(slopes, rcond=len(slopes[0]) * np.finfo(float).eps)
-                states[np.ix_(draws, kept)] += (inverse @ move[np.ix_(draws, kept)][..., None])[..., 0]
-            lanes = np.flatnonzero(moving)
-            moved = {name: column[lanes] for name, column in values.items()}
-            fresh = self.linearise(moved, indices[lanes], states[lanes], 1, findings[lanes])
-            for array, rows in zip(matrices, fresh, strict=True):
+                states[np.ix_(draws, mask)] += (inverse @ move[np.ix_(draws, mask)][..., None])[..., 0]
+            lanes = np.flatnonzero(is_moving)
+            values_of_lanes = {name: column[lanes] for name, column in values.items()}
+            new_matrices = self.linearise(values_of_lanes, indices[lanes], states[lanes], 1, findings[lanes])
+            for array, rows in zip(matrices, new_matrices, strict=True):
                 array[lanes] = rows
 
 
 def require_derivative(
     study: Study,
-    after: Callable[[np.ndarray], np.ndarray],
+    next_states: Callable[[np.ndarray], np.ndarray],
     states: np.ndarray,
     matrices: StateMatrices,
-    plain: np.ndarray,
-    felt: np.ndarray,
+    is_checked: np.ndarray,
+    relevant_states: np.ndarray,
 ) -> None:
     """Require that a small push of the equilibrium has the effect that the derivative predicts.
 
     Args:
         study: The study.
-        after: (states of shape (n, states)) -> the states after one sample.
+        next_states: (states of shape (n, states)) -> the states after one sample.
         states: The equilibria, shape (n, states).
         matrices: Their derivatives.
-        plain: Which draws have an equilibrium and no part at a corner, shape (n,).
-        felt: The states on which the loop's signals depend, which alone are pushed and compared; shape (n, states).
+        is_checked: Which draws have an equilibrium and no part at a corner, shape (n,).
+        relevant_states: The states on which the loop's signals depend, which alone are pushed and compared, shape
+            (n, states).
 
     Raises:
-        ConfigError: it has not: the loop switches, or its gain is infinite there.
+        ConfigError: The effect differs: the loop switches, or its gain is infinite there.
     """
-    push = PUSH * felt * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
+    push = PUSH * relevant_states * np.random.default_rng(0).choice([-1.0, 1.0], states.shape)
     for side in (push, -push):
         predicted = np.einsum("nij,nj->ni", matrices.a, side)
-        actual = after(states + side) - matrices.after
-        excess = np.max(np.abs(actual - predicted) * felt, axis=1) / np.max(np.abs(predicted), axis=1, initial=PUSH)
-        worst = np.max(excess[plain])
+        actual = next_states(states + side) - matrices.next_states
+        largest_deviation = np.max(np.abs(actual - predicted) * relevant_states, axis=1)
+        relative_deviation = largest_deviation / np.max(np.abs(predicted), axis=1, initial=PUSH)
+        worst = np.max(relative_deviation[is_checked])
         if not worst <= PUSH_TOLERANCE:
             raise ConfigError(
                 study.source,

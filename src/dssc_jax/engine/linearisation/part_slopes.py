@@ -32,7 +32,7 @@ from dssc_jax.core.signals import (
     tracking_error,
 )
 from dssc_jax.engine.linearisation.lane_programs import LaneProgram, Values
-from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, finding, pushes, repeated
+from dssc_jax.engine.linearisation.pushes import MULTIPLES, Slopes, directions, equally_long, finding, pushes
 from dssc_jax.engine.linearisation.smooth_parts import Finding, LoopPart, Part, part_of
 from dssc_jax.engine.sampling import Arrays
 
@@ -91,8 +91,8 @@ def part_maps(
             plant_state, command = signals
             slope = part.derivative(p, plant_state, drive._replace(command=command), t)
             outputs = measure(loop, params, plant_state, references)
-            shown = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
-            return slope, (outputs, shown)
+            signals_shown = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
+            return slope, (outputs, signals_shown)
 
         return PartMap(apply, (), (state.plant, drive.command))
 
@@ -138,8 +138,8 @@ def part_maps(
     def signal_sensor(i: int) -> PartMap:
         def apply(part: Sensor, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
             stream = jax.random.fold_in(loop.key(key, "signal", loop.measures[i].name), k + 1)
-            after, shown = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
-            return after, shown.y
+            sensor_state, signals_shown = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
+            return sensor_state, signals_shown.y
 
         values = signal_values(loop, params, state.plant, recorded.measurements, drive)
         return PartMap(apply, state.signals[i], values[i])
@@ -180,7 +180,7 @@ def slopes_of(
         return jax.jvp(lambda inputs: vector_of(part_map.apply(model, p, *unravel(inputs))), (point,), (axis,))
 
     value, slope = derivative(part, params)
-    inner = derivative(*place.inner_side(params))[1] if place.inner else slope
+    inner = derivative(*place.inner_side(params))[1] if place.has_inner_side else slope
     return Slopes(value, slope, inner)
 
 
@@ -191,22 +191,22 @@ def examination(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
         lane: The loop of a draw, in which parts that are smooth nowhere have been replaced.
         places: The parts.
     """
-    examined = [index for index, place in enumerate(places) if place.examined]
-    chosen = [places[index] for index in examined]
-    if not chosen:
+    examined_indices = [index for index, place in enumerate(places) if place.is_examined]
+    examined_places = [places[index] for index in examined_indices]
+    if not examined_places:
         return lambda values, indices, states, k: np.full((len(indices), len(places)), Finding.SMOOTH.value)
-    examine_chosen = examination_of(lane, chosen)
+    examine_places = examination_of(lane, examined_places)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
         findings = np.full((len(indices), len(places)), Finding.SMOOTH.value)
-        findings[:, examined] = examine_chosen(values, indices, states, k)
+        findings[:, examined_indices] = examine_places(values, indices, states, k)
         return findings
 
     return examine
 
 
 def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
-    """The same for parts that are all examined."""
+    """As :func:`examination`, for parts that are all examined."""
 
     def lane_maps(numbers: Values, vectors: Values, index: jax.Array) -> tuple[Loop, LoopParams, list[PartMap]]:
         loop, params, key = lane(numbers, index)
@@ -216,34 +216,34 @@ def examination_of(lane: LaneLoop, places: Sequence[LoopPart]) -> Examination:
 
     def inputs(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
         _, _, maps = lane_maps(numbers, vectors, index)
-        found = []
+        results = []
         for part_map in maps:
-            found += [vector_of(part_map.memory), vector_of(part_map.signals)]
-        return tuple(found)
+            results += [vector_of(part_map.memory), vector_of(part_map.signals)]
+        return tuple(results)
 
-    def pushed(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
+    def slopes_under_pushes(numbers: Values, vectors: Values, index: jax.Array) -> tuple[jax.Array, ...]:
         loop, params, maps = lane_maps(numbers, vectors, index)
-        found: list[jax.Array] = []
+        results: list[jax.Array] = []
         for i, (place, part_map) in enumerate(zip(places, maps, strict=True)):
             part, part_params = part_of(loop, params, place)
             point = vectors[f"point-{i}"]
             axis = vectors[f"axis-{i}"]
-            found += slopes_of(place, part_map, part, part_params, point, axis)
-        return tuple(found)
+            results += slopes_of(place, part_map, part, part_params, point, axis)
+        return tuple(results)
 
     inputs_of = LaneProgram(inputs)
-    push = LaneProgram(pushed)
+    push = LaneProgram(slopes_under_pushes)
 
     def examine(values: Arrays, indices: np.ndarray, states: np.ndarray, k: int) -> np.ndarray:
         count = len(indices)
         at = {"state": states, "sample": np.full((count, 1), k)}
-        found = inputs_of(values, at, indices)
-        memories = found[::2]
-        points = [np.concatenate(pair, axis=1) for pair in zip(memories, found[1::2], strict=True)]
+        results = inputs_of(values, at, indices)
+        memories = results[::2]
+        points = [np.concatenate(pair, axis=1) for pair in zip(memories, results[1::2], strict=True)]
         sizes = []
         for memory, point in zip(memories, points, strict=True):
             sizes.append((memory.shape[1], point.shape[1] - memory.shape[1]))
-        patterns = repeated([directions(*size) for size in sizes])
+        patterns = equally_long([directions(*size) for size in sizes])
         rows = len(MULTIPLES) * len(patterns[0])
         batch = max(1, BATCH_PUSHES // rows)
         findings = []

@@ -57,8 +57,8 @@ def directions(memory: int, signals: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def repeated(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Directions of several parts, repeated until all parts have as many."""
+def equally_long(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Repeat the directions of several parts until all parts have as many."""
     longest = max(map(len, patterns))
     return [pattern[np.arange(longest) % len(pattern)] for pattern in patterns]
 
@@ -72,8 +72,8 @@ def pushes(points: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     axes = pattern * (1.0 + np.abs(points))[:, None, :]
     axes = np.broadcast_to(axes[:, None], (len(points), len(MULTIPLES), *pattern.shape))
-    moved = points[:, None, None, :] + np.array(MULTIPLES)[:, None, None] * axes
-    return moved.reshape(-1, points.shape[1]), axes.reshape(-1, points.shape[1])
+    pushed_points = points[:, None, None, :] + np.array(MULTIPLES)[:, None, None] * axes
+    return pushed_points.reshape(-1, points.shape[1]), axes.reshape(-1, points.shape[1])
 
 
 def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: np.ndarray) -> np.ndarray:
@@ -99,22 +99,24 @@ def finding(place: LoopPart, pushed: Slopes[np.ndarray], memory: int, pattern: n
             deviation = np.maximum(np.abs(differences - derivative[:, None]) - noise / push, 0.0)
             return np.where(np.isfinite(deviation), deviation, np.inf)
 
-        small = error(slopes, 0)
-        large = error(slopes, 1)
+        small_error = error(slopes, 0)
+        large_error = error(slopes, 1)
         largest = np.max(np.abs(slopes), axis=1)[:, None, None]
-        defect = np.any((small > DEVIATION * largest) & (small > SHRINKING * large), axis=(1, 2, 3))
+        is_large_deviation = (small_error > DEVIATION * largest) & (small_error > SHRINKING * large_error)
+        is_defect = np.any(is_large_deviation, axis=(1, 2, 3))
         if place.remaining.extent != SmoothExtent.PIECEWISE:
             signal_directions = ~np.any(pattern[:, :memory], axis=1)
-            defect |= np.any(staircase(moves, slopes, value) & signal_directions, axis=1)
-        corner = np.zeros(len(value), dtype=bool)
-        outside = np.zeros(len(value), dtype=bool)
-        if place.inner:
+            is_defect |= np.any(staircase(moves, slopes, value) & signal_directions, axis=1)
+        is_corner = np.zeros(len(value), dtype=bool)
+        is_beyond = np.zeros(len(value), dtype=bool)
+        if place.has_inner_side:
             scale = DEVIATION * np.maximum(largest, np.max(np.abs(inner), axis=1)[:, None, None])
             inner_side = np.any(np.all(error(inner, 1) <= scale, axis=3), axis=1)
-            cornered = np.any(large > scale, axis=(1, 2, 3))
-            corner = cornered & np.all(inner_side, axis=1)
-            outside = ~cornered & np.any(np.abs(inner - slopes) > scale[:, 0], axis=(1, 2))
-    return np.select([corner, defect, outside], [Finding.CORNER, Finding.DEFECT, Finding.BEYOND], Finding.SMOOTH)
+            has_large_error = np.any(large_error > scale, axis=(1, 2, 3))
+            is_corner = has_large_error & np.all(inner_side, axis=1)
+            is_beyond = ~has_large_error & np.any(np.abs(inner - slopes) > scale[:, 0], axis=(1, 2))
+    findings = [Finding.CORNER, Finding.DEFECT, Finding.BEYOND]
+    return np.select([is_corner, is_defect, is_beyond], findings, Finding.SMOOTH)
 
 
 def staircase(moves: np.ndarray, slopes: np.ndarray, value: np.ndarray) -> np.ndarray:

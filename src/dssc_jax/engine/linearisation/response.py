@@ -94,22 +94,22 @@ def response_of(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> Response:
         columns[i] = basis.conj().T @ (b[i] / scale)
         rows[i] = (c[i] * scale) @ basis
 
-    def at(angles: np.ndarray) -> np.ndarray:
+    def response(angles: np.ndarray) -> np.ndarray:
         width = max(1, MOST_ENTRIES // max(1, order * len(angles)))
-        parts = [substituted(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
+        parts = [response_at(angles[:, first : first + width]) for first in range(0, angles.shape[1], width)]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def substituted(angles: np.ndarray) -> np.ndarray:
+    def response_at(angles: np.ndarray) -> np.ndarray:
         z = np.exp(1j * angles)
         total = np.zeros(angles.shape, complex)
-        right = np.repeat(columns[:, :, None], angles.shape[1], axis=2)
+        right_sides = np.repeat(columns[:, :, None], angles.shape[1], axis=2)
         for i in reversed(range(order)):  # element by element, so that no loop's digits depend on the others
-            x = right[:, i] / (z - triangles[:, i, i, None])
-            right[:, :i] += triangles[:, :i, i, None] * x[:, None]
+            x = right_sides[:, i] / (z - triangles[:, i, i, None])
+            right_sides[:, :i] += triangles[:, :i, i, None] * x[:, None]
             total += rows[:, i, None] * x
         return total
 
-    return at
+    return response
 
 
 def common_grid(poles: np.ndarray, count: int = FREQUENCIES) -> np.ndarray:
@@ -144,8 +144,8 @@ def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray
         c: To it, shape (n, states).
         poles: Eigenvalues of a, shape (n, states).
     """
-    opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-    return grid_with_poles(loop_grids(poles), np.concatenate([poles, opened], axis=1))
+    open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    return grid_with_poles(loop_grids(poles), np.concatenate([poles, open_loop_poles], axis=1))
 
 
 def grid_with_poles(common: np.ndarray, poles: np.ndarray) -> np.ndarray:
@@ -175,13 +175,13 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
     right = values[:, 2:]
     size = np.abs(middle)
     same_sign = (left * middle > 0.0) & (middle * right > 0.0)
-    places, nearest = chosen(same_sign & (size <= np.abs(left)) & (size <= np.abs(right)))
+    places, nearest = true_columns(same_sign & (size <= np.abs(left)) & (size <= np.abs(right)))
     if not places.shape[1]:
         return angles, values
     low = np.take_along_axis(angles, places, 1)
     high = np.take_along_axis(angles, places + 2, 1)
     sign = np.sign(np.take_along_axis(values, places + 1, 1))
-    closest = golden(lambda theta: -sign * function(theta), low, high)[0]
+    closest = golden_section_peak(lambda theta: -sign * function(theta), low, high)[0]
     fresh = np.where(nearest, closest, np.take_along_axis(angles, places + 1, 1))
     all_angles = np.concatenate([angles, fresh], axis=1)
     all_values = np.concatenate([values, function(fresh)], axis=1)
@@ -189,7 +189,7 @@ def with_touching(function: Response, angles: np.ndarray, values: np.ndarray) ->
     return np.take_along_axis(all_angles, order, 1), np.take_along_axis(all_values, order, 1)
 
 
-def chosen(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true_columns(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Column indices of the true entries of each row, padded to one length, and which of them are not padding."""
     length = int(mask.sum(axis=1).max(initial=0))
     places = np.argsort(~mask, axis=1, kind="stable")[:, :length]
@@ -208,46 +208,47 @@ def roots(function: Response, angles: np.ndarray, values: np.ndarray) -> tuple[n
         Angles and the mask of those that are roots, shape (n, r).
     """
     angles, values = with_touching(function, angles, values)
-    places, crossed = chosen(values[:, :-1] * values[:, 1:] < 0.0)
+    places, is_root = true_columns(values[:, :-1] * values[:, 1:] < 0.0)
     if not places.shape[1]:
-        return np.empty(places.shape), crossed
+        return np.empty(places.shape), is_root
     low = np.take_along_axis(angles, places, 1)
     high = np.take_along_axis(angles, places + 1, 1)
     f_low = np.take_along_axis(values, places, 1)
     f_high = np.take_along_axis(values, places + 1, 1)
     for _ in range(ROOT_STEPS):
         difference = f_high - f_low
-        middle = np.where(difference == 0.0, high, high - f_high * (high - low) / np.where(difference, difference, 1.0))
-        middle = np.clip(middle, np.minimum(low, high), np.maximum(low, high))
-        f_middle = function(middle)
-        crossing = f_middle * f_high < 0.0  # between the middle and the high end
+        secant_step = f_high * (high - low) / np.where(difference, difference, 1.0)
+        estimate = np.where(difference == 0.0, high, high - secant_step)
+        estimate = np.clip(estimate, np.minimum(low, high), np.maximum(low, high))
+        f_estimate = function(estimate)
+        crossing = f_estimate * f_high < 0.0  # between the middle and the high end
         low = np.where(crossing, high, low)
         f_low = np.where(crossing, f_high, 0.5 * f_low)
-        high = middle
-        f_high = f_middle
-    return high, crossed
+        high = estimate
+        f_high = f_estimate
+    return high, is_root
 
 
-def golden(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def golden_section_peak(function: Response, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest value of a real function with one peak in [low, high], and its place; any one shape."""
     left = high - GOLDEN * (high - low)
     right = low + GOLDEN * (high - low)
     f_left = function(left)
     f_right = function(right)
     for _ in range(PEAK_STEPS):
-        rising = f_right > f_left
-        low = np.where(rising, left, low)
-        high = np.where(rising, high, right)
-        kept = np.where(rising, right, left)
-        f_kept = np.where(rising, f_right, f_left)
-        fresh = np.where(rising, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
-        f_fresh = function(fresh)
-        left = np.where(rising, kept, fresh)
-        right = np.where(rising, fresh, kept)
-        f_left = np.where(rising, f_kept, f_fresh)
-        f_right = np.where(rising, f_fresh, f_kept)
-    better = f_right > f_left
-    return np.where(better, right, left), np.where(better, f_right, f_left)
+        is_rising = f_right > f_left
+        low = np.where(is_rising, left, low)
+        high = np.where(is_rising, high, right)
+        inner_point = np.where(is_rising, right, left)
+        f_inner = np.where(is_rising, f_right, f_left)
+        new_point = np.where(is_rising, low + GOLDEN * (high - low), high - GOLDEN * (high - low))
+        f_new = function(new_point)
+        left = np.where(is_rising, inner_point, new_point)
+        right = np.where(is_rising, new_point, inner_point)
+        f_left = np.where(is_rising, f_inner, f_new)
+        f_right = np.where(is_rising, f_new, f_inner)
+    is_right_larger = f_right > f_left
+    return np.where(is_right_larger, right, left), np.where(is_right_larger, f_right, f_left)
 
 
 def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -255,7 +256,7 @@ def refined_peak(function: Response, angles: np.ndarray, values: np.ndarray) -> 
     top = np.argmax(values, axis=1)[:, None]
     low = np.take_along_axis(angles, np.maximum(top - 1, 0), 1)
     high = np.take_along_axis(angles, np.minimum(top + 1, angles.shape[1] - 1), 1)
-    return np.maximum(np.max(values, axis=1), golden(function, low, high)[1][:, 0])
+    return np.maximum(np.max(values, axis=1), golden_section_peak(function, low, high)[1][:, 0])
 
 
 def classical_margins(respond: Response, angles: np.ndarray, sample_time: float) -> ClassicalMargins:
@@ -281,21 +282,21 @@ def named_margins(
         names: Which margins.
     """
     g = respond(angles)
-    found: dict[str, np.ndarray] = {}
+    margins: dict[str, np.ndarray] = {}
     if GAINS & set(names):
-        found["gain_upper"], found["gain_lower"] = gain_margins(respond, angles, g)
+        margins["gain_upper"], margins["gain_lower"] = gain_margins(respond, angles, g)
     if AT_CROSSINGS & set(names):
-        found |= margins_at_crossings(respond, angles, g, sample_time)
+        margins |= margins_at_crossings(respond, angles, g, sample_time)
     for name, offset in PEAKS.items():
         if name in names or (name == "sensitivity_peak" and "modulus" in names):
-            found[name] = refined_peak(partial(offset_size, respond, offset), angles, np.abs(g + offset))
-    if "disk" in found:
-        found["disk"] = 1.0 / found["disk"]
+            margins[name] = refined_peak(partial(offset_size, respond, offset), angles, np.abs(g + offset))
+    if "disk" in margins:
+        margins["disk"] = 1.0 / margins["disk"]
     if "modulus" in names:
-        found["modulus"] = 1.0 / found["sensitivity_peak"]
+        margins["modulus"] = 1.0 / margins["sensitivity_peak"]
     if "bandwidth" in names:
-        found["bandwidth"] = bandwidth(respond, angles, g) / sample_time
-    return {name: found[name] for name in names}
+        margins["bandwidth"] = bandwidth(respond, angles, g) / sample_time
+    return {name: margins[name] for name in names}
 
 
 def crossing_frequencies(respond: Response, angles: np.ndarray, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -328,11 +329,12 @@ def margins_at_crossings(
     respond: Response, angles: np.ndarray, g: np.ndarray, sample_time: float
 ) -> dict[str, np.ndarray]:
     """Phase and delay margin, and the frequency of the phase margin, where the loop gain is 1."""
-    crossings, crossed = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
-    at = np.where(crossed, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
+    crossings, is_crossing = roots(lambda theta: np.real(respond(theta)) + 0.5, angles, np.real(g) + 0.5)
+    at = np.where(is_crossing, respond(crossings) if crossings.size else 1.0, 1.0)  # elsewhere 1 + G may be 0
     lag = np.angle(at / (1.0 + at))  # of -L: the phase that is left to -180 degrees
-    size = np.where(crossed, np.abs(lag), np.inf)
-    delays = np.where(crossed, np.mod(lag, 2.0 * np.pi) * sample_time / np.where(crossed, crossings, 1.0), np.inf)
+    size = np.where(is_crossing, np.abs(lag), np.inf)
+    safe_angles = np.where(is_crossing, crossings, 1.0)
+    delays = np.where(is_crossing, np.mod(lag, 2.0 * np.pi) * sample_time / safe_angles, np.inf)
     phase = np.full(len(g), np.inf)
     crossover = np.full(len(g), np.nan)
     if size.shape[1]:
@@ -345,20 +347,20 @@ def margins_at_crossings(
 
 def gain_margins(respond: Response, angles: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower gain margin, each of shape (n,); G is real at z = 1 and z = -1, the ends of the angles, too."""
-    crossings, crossed = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
+    crossings, is_crossing = roots(lambda theta: np.imag(respond(theta)), angles, np.imag(g))
     at = np.real(respond(crossings)) if crossings.size else np.empty(crossings.shape)
     with np.errstate(all="ignore"):
-        factors = 1.0 + 1.0 / np.concatenate([np.where(crossed, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
-    counts = np.isfinite(factors) & (factors > SMALLEST_FACTOR) & (factors < 1.0 / SMALLEST_FACTOR)
-    upper = np.where(counts & (factors > 1.0), factors, np.inf).min(axis=1)
-    lower = np.where(counts & (factors < 1.0), factors, 0.0).max(axis=1)
+        factors = 1.0 + 1.0 / np.concatenate([np.where(is_crossing, at, np.nan), np.real(g)[:, [0, -1]]], axis=1)
+    is_margin = np.isfinite(factors) & (factors > SMALLEST_FACTOR) & (factors < 1.0 / SMALLEST_FACTOR)
+    upper = np.where(is_margin & (factors > 1.0), factors, np.inf).min(axis=1)
+    lower = np.where(is_margin & (factors < 1.0), factors, 0.0).max(axis=1)
     return upper, lower
 
 
 def bandwidth(respond: Response, angles: np.ndarray, g: np.ndarray) -> np.ndarray:
     """Angle beyond which abs(T) stays below 1/sqrt(2), shape (n,)."""
-    excess = np.abs(g) ** 2 - HALF_POWER
-    crossings, crossed = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, excess)
-    largest = np.where(crossed, crossings, -np.inf).max(axis=1, initial=-np.inf)
-    largest = np.where(excess[:, -1] > 0.0, np.inf, largest)
+    power_above_half = np.abs(g) ** 2 - HALF_POWER
+    crossings, is_crossing = roots(lambda theta: np.abs(respond(theta)) ** 2 - HALF_POWER, angles, power_above_half)
+    largest = np.where(is_crossing, crossings, -np.inf).max(axis=1, initial=-np.inf)
+    largest = np.where(power_above_half[:, -1] > 0.0, np.inf, largest)
     return np.where(np.isneginf(largest), np.nan, largest)

@@ -63,16 +63,16 @@ class LoopPart(NamedTuple):
     imported: bool = False
 
     @property
-    def examined(self) -> bool:
-        """Whether it is looked at near its operating points: if it has boundaries, or is code of the user's.
+    def is_examined(self) -> bool:
+        """Whether it is examined near its operating points: if it has boundaries, or is the user's code.
 
         The package's own parts that are smooth everywhere are tested once, with the package.
         """
         return self.imported or self.remaining.extent != SmoothExtent.EVERYWHERE
 
     @property
-    def replaced(self) -> bool:
-        """Whether its substitute is always taken."""
+    def is_replaced(self) -> bool:
+        """Whether its substitute always replaces it."""
         return self.smoothness.extent == SmoothExtent.NOWHERE
 
     def substitute(self, params: Params) -> tuple[Part, Params]:
@@ -86,7 +86,7 @@ class LoopPart(NamedTuple):
         return self.remaining.substitute(params)
 
     @property
-    def inner(self) -> bool:
+    def has_inner_side(self) -> bool:
         """Whether what is differentiated has a substitute for operating points on its boundaries."""
         return self.remaining.extent == SmoothExtent.PIECEWISE and self.remaining.substitute is not None
 
@@ -100,12 +100,12 @@ class Finding(IntEnum):
     BEYOND = 3
 
 
-class Chosen(NamedTuple):
-    """Parameters of a part and of its substitute, and whether the substitute is taken."""
+class SelectedParams(NamedTuple):
+    """Parameters of a part and of its substitute, and whether the substitute is in use."""
 
     part: Params
     substitute: Params
-    taken: Scalar
+    is_substituted: Scalar
 
     @property
     def l0(self) -> Scalar:
@@ -178,9 +178,9 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     return LoopPart(slot, index, label, smoothness, remaining, ":" in kind)
 
 
-def stated(places: Sequence[LoopPart]) -> list[str]:
+def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
     """Notes on the substitutes of the parts that are smooth nowhere."""
-    return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.replaced))
+    return list(dict.fromkeys(f"{place.label} {place.smoothness.meaning}" for place in places if place.is_replaced))
 
 
 def part_of(loop: Loop, params: LoopParams, place: LoopPart) -> tuple[Part, Params]:
@@ -204,7 +204,7 @@ def with_part(
 def substituted(loop: Loop, params: LoopParams, places: Sequence[LoopPart]) -> tuple[Loop, LoopParams]:
     """The loop in which parts that are smooth nowhere are replaced by their substitutes."""
     for place in places:
-        if place.replaced:
+        if place.is_replaced:
             _, part_params = part_of(loop, params, place)
             loop, params = with_part(loop, params, place, *place.substitute(part_params))
     return loop, params
@@ -222,42 +222,42 @@ def with_inner_sides(
         findings: A :class:`Finding` for each of them; may be traced.
     """
     for place, finding in zip(places, findings, strict=True):
-        if place.inner:
+        if place.has_inner_side:
             part, part_params = part_of(loop, params, place)
             substitute, substitute_params = place.inner_side(part_params)
-            taken = finding == Finding.CORNER
+            is_substituted = finding == Finding.CORNER
             if substitute is part:
-                chosen = chosen_params(part_params, substitute_params, taken)
-                loop, params = with_part(loop, params, place, part, chosen)
+                params_of_part = selected_params(part_params, substitute_params, is_substituted)
+                loop, params = with_part(loop, params, place, part, params_of_part)
             else:
-                chosen = Chosen(part_params, substitute_params, taken)
-                loop, params = with_part(loop, params, place, choice(part, substitute), chosen)
+                params_of_part = SelectedParams(part_params, substitute_params, is_substituted)
+                loop, params = with_part(loop, params, place, choice(part, substitute), params_of_part)
     return loop, params
 
 
-def chosen_params(params: Params, substitute: Params, taken: Scalar) -> Params:
-    """The substitute's parameters where it is taken; numbers that both share stay as they are, such as a memory."""
+def selected_params(params: Params, substitute: Params, is_substituted: Scalar) -> Params:
+    """The substitute's parameters where it is in use; numbers that both share stay as they are, such as a memory."""
 
-    def chosen(a: Scalar, b: Scalar) -> Scalar:
-        equal = a is b or (is_known(a) and is_known(b) and a == b)
-        return a if equal else jnp.where(taken, b, a)
+    def select(a: Scalar, b: Scalar) -> Scalar:
+        is_equal = a is b or (is_known(a) and is_known(b) and a == b)
+        return a if is_equal else jnp.where(is_substituted, b, a)
 
-    return jax.tree.map(chosen, params, substitute)
+    return jax.tree.map(select, params, substitute)
 
 
 def choice(part: Part, substitute: Part) -> Part:
-    """A part that is one of two, as its parameters :class:`Chosen` decide."""
+    """A part that is one of two, as its parameters :class:`SelectedParams` decide."""
 
-    def choosing(name: str) -> Callable[..., object]:
-        def run(params: Chosen, *arguments: object) -> object:
+    def selecting(name: str) -> Callable[..., object]:
+        def select(params: SelectedParams, *arguments: object) -> object:
             inner = getattr(substitute, name)(params.substitute, *arguments)
             outer = getattr(part, name)(params.part, *arguments)
-            return jax.tree.map(lambda a, b: jnp.where(params.taken, a, b), inner, outer)
+            return jax.tree.map(lambda a, b: jnp.where(params.is_substituted, a, b), inner, outer)
 
-        return run
+        return select
 
     names = [name for name in PART_FUNCTIONS[type(part)] if getattr(part, name) is not None]
-    return part._replace(**{name: choosing(name) for name in names})
+    return part._replace(**{name: selecting(name) for name in names})
 
 
 def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.ndarray) -> dict[str, int]:
@@ -280,7 +280,7 @@ def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.nda
     for place, column in zip(places, findings.T, strict=True):
         defects = int(np.count_nonzero(column == Finding.DEFECT))
         corners = int(np.count_nonzero(column == Finding.CORNER))
-        outside = int(np.count_nonzero(column == Finding.BEYOND))
+        beyond = int(np.count_nonzero(column == Finding.BEYOND))
         meaning = place.remaining.meaning
         boundary = meaning.partition(";")[0]
         if defects and place.remaining.extent == SmoothExtent.PIECEWISE:
@@ -298,6 +298,6 @@ def require_smooth_at(study: Study, places: Sequence[LoopPart], findings: np.nda
             )
         if corners:
             notes[f"{place.label} lies on {meaning}"] = corners
-        if outside:
-            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = outside
+        if beyond:
+            notes[f"{place.label} lies beyond {boundary}, where deviations do not pass"] = beyond
     return notes

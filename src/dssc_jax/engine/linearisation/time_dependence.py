@@ -13,15 +13,15 @@ from dssc_jax.study.fitting import nominal_params
 
 
 def require_timeless(study: Study) -> None:
-    """Require that the slopes of a plant of one's own do not follow from the time, by its program.
+    """Require by its program that the slopes of a user's plant do not depend on the time.
 
-    The plants of this package do not. One with a state outside of JAX, and one in a wind, are not looked at.
+    Those of this package's plants do not. A plant with a state outside of JAX, or in a wind, is not examined.
 
     Args:
         study: The study.
 
     Raises:
-        ConfigError: They do.
+        ConfigError: They depend on it.
     """
     kind = str(study.config.plant.get("kind", ""))
     plant = study.loop.mimo_plant
@@ -33,15 +33,15 @@ def require_timeless(study: Study) -> None:
 
     def slopes(t: Scalar) -> list[State]:
         state = plant.init(params)
-        found = [plant.derivative(params, state, drive, t)]
+        derivatives = [plant.derivative(params, state, drive, t)]
         if plant.remainder is not None:
-            found.append(plant.remainder(params, state, drive, t))
-        return found
+            derivatives.append(plant.remainder(params, state, drive, t))
+        return derivatives
 
     with arithmetic():
         program = jax.make_jaxpr(slopes)(0.0).jaxpr
-    _, (used,) = dce_jaxpr(program, [True] * len(program.outvars))
-    if used:
+    _, (depends_on_time,) = dce_jaxpr(program, [True] * len(program.outvars))
+    if depends_on_time:
         raise ConfigError(
             f"{study.source}: plant.kind",
             f"'{kind}' changes with the time t, so that the loop has no equilibrium; linearise along the flight, "

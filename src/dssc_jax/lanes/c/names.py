@@ -59,7 +59,7 @@ def is_reserved(name: str) -> bool:
     )
 
 
-def is_known(name: str) -> bool:
+def is_forbidden(name: str) -> bool:
     """Whether a variable or a file may not have the name: it is reserved, or that of a library's function."""
     return is_reserved(name) or name in FUNCTIONS
 
@@ -93,7 +93,7 @@ def member_names(texts: Iterable[str]) -> list[str]:
 def prefix_name(text: str) -> str:
     """Prefix of the names of functions and types, in small letters."""
     name = underscored(text).lower()
-    if not name[:1].isalpha() or is_known(name) or LINKED.fullmatch(name):
+    if not name[:1].isalpha() or is_forbidden(name) or LINKED.fullmatch(name):
         name = f"study_{name}".rstrip("_")
     return name
 

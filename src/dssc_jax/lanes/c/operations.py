@@ -179,15 +179,15 @@ class Notation:
             self.need(HELPERS_NEEDED[name], integer, real)
         single = real.itemsize == 4
         width = 8 * (integer.itemsize if integer is not None else real.itemsize)
-        words = {
+        replacements = {
             "T": c_type(real), "fabs": "fabsf" if single else "fabs", "w": width, "I": f"int{width}_t",
             "digits": "8388608.0f" if single else "4503599627370496.0", "U": f"uint{width}_t",
             "I_max": f"INT{width}_MAX", "I_min": f"INT{width}_MIN",
             "top": c_literal(real.type(2.0 ** (width - 1)), real), "x": "" if real == self.real else f"_{c_type(real)}",
         }  # fmt: skip
         templates = HELPERS if integer is None else INTEGER_HELPERS
-        ending = words["x"] if integer is None or name == "truncated" else ""
-        self._needed[name, integer, ending] = templates[name].format(**words)
+        ending = replacements["x"] if integer is None or name == "truncated" else ""
+        self._needed[name, integer, ending] = templates[name].format(**replacements)
         return f"{name}{ending}" if integer is None else f"{name}_{width}{ending}"
 
     def expression(self, value: Value, operands: Sequence[tuple[str, int]]) -> tuple[str, int]:
@@ -208,9 +208,9 @@ class Notation:
             condition, first, second = (bracketed(*operand, surrounding=OR) for operand in operands)
             return f"{condition} ? {first} : {second}", TERNARY
         if operation == "rarely":
-            condition, usual = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
+            condition, usual_text = (bracketed(*operand, surrounding=OR) for operand in operands[:2])
             arguments = ", ".join(text for text, _ in operands[2:])
-            return f"{condition} ? {value.detail.name}({arguments}) : {usual}", TERNARY
+            return f"{condition} ? {value.detail.name}({arguments}) : {usual_text}", TERNARY
         if operation == "convert":
             return self.converted(value, source, operands[0])
         if operation == "bitcast":
@@ -234,8 +234,8 @@ class Notation:
         operation, single, real = value.operation, value.dtype.itemsize == 4, value.dtype
         if operation in SIGNS:
             sign, precedence = SIGNS[operation]
-            left = bracketed(*operands[0], surrounding=precedence)
-            return f"{left} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
+            left_text = bracketed(*operands[0], surrounding=precedence)
+            return f"{left_text} {sign} {bracketed(*operands[1], surrounding=precedence + 1)}", precedence
         if operation == "neg":
             return f"-{bracketed(*operands[0], surrounding=ATOM)}", UNARY
         if operation in ("max", "min"):
@@ -255,9 +255,9 @@ class Notation:
         operation, dtype = value.operation, value.dtype
         texts = [text for text, _ in operands]
         unsigned = f"uint{8 * dtype.itemsize}_t"
-        called = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
-        if operation in called and dtype.kind == "i":
-            return f"{self.need(called[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
+        helper_names = {"shr": "shift_right", "div": "quotient", "rem": "remainder"}
+        if operation in helper_names and dtype.kind == "i":
+            return f"{self.need(helper_names[operation], dtype)}({texts[0]}, {texts[1]})", ATOM
         if operation == "neg":
             operation, texts = "sub", ["0", texts[0]]
         signs = {**{name: SIGNS[name][0] for name in ("add", "sub", "mul", "and", "or", "xor")}, "shl": "<<"}

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from dssc_jax.lanes.c.names import is_known, underscored
+from dssc_jax.lanes.c.names import is_forbidden, underscored
 from dssc_jax.lanes.c.operations import ATOM, UNARY, Notation, c_literal, c_type
 from dssc_jax.lanes.passes.liveness import reachable
 from dssc_jax.lanes.program import Branch, CodeBlock, CodeLoop, Program, Subroutine, Value, all_blocks, read_by
@@ -30,7 +30,7 @@ class CText:
         origins: Where the model computes each value, by identity.
         inputs: C's expression of each input.
         real: The type of the floating-point numbers.
-        taken: Names that no variable may have.
+        reserved_names: Names that no variable may have.
         constants: Names of constants of the file, by value.
         notation: Where to remember the functions that operations need; None: a new one.
         prefix: What the names of tables begin with.
@@ -42,7 +42,7 @@ class CText:
         origins: Mapping[int, Origin],
         inputs: Sequence[str],
         real: np.dtype,
-        taken: Iterable[str] = (),
+        reserved_names: Iterable[str] = (),
         constants: Mapping[float, str] | None = None,
         notation: Notation | None = None,
         prefix: str = "",
@@ -54,7 +54,7 @@ class CText:
         self.functions: dict[str, str] = {}
         self._real, self._prefix = real, prefix
         self.lines: list[str] = []
-        self._taken = {*taken}
+        self._reserved_names = {*reserved_names}
         self._written: dict[int, tuple[str, int]] = {}
         self._uses = use_counts(program)
         self._function = ""
@@ -118,10 +118,10 @@ class CText:
         base = underscored(name) or "part"
         base = f"part_{base}" if base[0].isdigit() else base
         name, count = base, 1
-        while name in self._taken or (count == 1 and (base == "part" or is_known(base))):
+        while name in self._reserved_names or (count == 1 and (base == "part" or is_forbidden(base))):
             name = f"{base}_{count}"
             count += 1
-        self._taken.add(name)
+        self._reserved_names.add(name)
         return name
 
     # Control
@@ -129,32 +129,32 @@ class CText:
     def _loop(self, loop: CodeLoop, alive: set[int]) -> None:
         """A loop that tests at its end."""
         pairs = zip(loop.states, loop.results, strict=True)
-        kept = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
-        names = {i: self._variable("state") for i in kept}
-        for i in kept:
-            self.line(f"{c_type(loop.states[i].dtype)} {names[i]} = {self.read(loop.begin[i])};")
+        live_positions = [i for i, pair in enumerate(pairs) if any(id(value) in alive for value in pair)]
+        names = {i: self._variable("state") for i in live_positions}
+        for i in live_positions:
+            self.line(f"{c_type(loop.states[i].dtype)} {names[i]} = {self.read(loop.initial_states[i])};")
             self._written[id(loop.states[i])] = self._written[id(loop.results[i])] = names[i], ATOM
         proceed = self._variable("again")
         self.line(f"bool {proceed} = {'true' if loop.guard is None else self.read(loop.guard)};")
         self.line(f"while ({proceed}) {{")
         self.indented(1)
         self._block(loop.body, alive)
-        after = {i: self._variable("next") for i in kept}
-        for i in kept:
-            self.line(f"const {c_type(loop.states[i].dtype)} {after[i]} = {self.read(loop.following[i])};")
+        next_names = {i: self._variable("next") for i in live_positions}
+        for i in live_positions:
+            self.line(f"const {c_type(loop.states[i].dtype)} {next_names[i]} = {self.read(loop.next_states[i])};")
         assert loop.proceed is not None
         self.line(f"{proceed} = {self.read(loop.proceed)};")
-        for i in kept:
-            self.line(f"{names[i]} = {after[i]};")
+        for i in live_positions:
+            self.line(f"{names[i]} = {next_names[i]};")
         self.indented(-1)
         self.line("}")
         self._written[id(loop)] = "", ATOM
 
     def _branch(self, branch: Branch, alive: set[int]) -> None:
-        """One of two sides."""
-        kept = [i for i, value in enumerate(branch.results) if id(value) in alive]
-        names = {i: self._variable("chosen") for i in kept}
-        for i in kept:
+        """A branch as ``if`` and ``else``."""
+        live_positions = [i for i, value in enumerate(branch.results) if id(value) in alive]
+        names = {i: self._variable("chosen") for i in live_positions}
+        for i in live_positions:
             self.line(f"{c_type(branch.results[i].dtype)} {names[i]};")
             self._written[id(branch.results[i])] = names[i], ATOM
         self.line(f"if ({self.read(branch.condition)}) {{")
@@ -163,7 +163,7 @@ class CText:
                 self.line("} else {")
             self.indented(1)
             self._block(block, alive)
-            for i in kept:
+            for i in live_positions:
                 self.line(f"{names[i]} = {self.read(values[i])};")
             self.indented(-1)
         self.line("}")
@@ -174,8 +174,8 @@ class CText:
     def _expression(self, value: Value) -> tuple[str, int]:
         """The expression of a value and its precedence."""
         if value.operation == "constant":
-            if value.dtype.kind == "f" and (known := self.constants.get(float(value.detail))) is not None:
-                return known, ATOM
+            if value.dtype.kind == "f" and (constant_name := self.constants.get(float(value.detail))) is not None:
+                return constant_name, ATOM
             text = c_literal(value.detail, value.dtype)
             return text, UNARY if text.startswith("-") else ATOM
         if value.operation == "input":
@@ -196,7 +196,7 @@ class CText:
         name, program = subroutine.name, subroutine.program
         if name in self.functions:
             return
-        self._taken.add(name)
+        self._reserved_names.add(name)
         inputs = [f"x{i + 1}" for i in range(len(program.inputs))]
         text = CText(program, {}, inputs, self._real, inputs, notation=self.notation, prefix=f"{name}_")
         (result,) = program.outputs

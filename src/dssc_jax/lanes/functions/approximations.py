@@ -63,11 +63,11 @@ def atan(x: Scalar) -> Scalar:
 
 def atan2(y: Scalar, x: Scalar) -> Scalar:
     """The angle of (x, y) in (-pi, pi], like :func:`atan`; 0 at the origin."""
-    across = jnp.abs(y)
-    along = jnp.abs(x)
-    steep = across > along
-    longer = jnp.where(steep, across, along)
-    angle = arc(jnp.where(steep, along, across), jnp.where(longer == 0.0, 1.0, longer))
-    angle = jnp.where(steep, 0.5 * math.pi - angle, angle)
+    height = jnp.abs(y)
+    width = jnp.abs(x)
+    is_steep = height > width
+    longer_side = jnp.where(is_steep, height, width)
+    angle = arc(jnp.where(is_steep, width, height), jnp.where(longer_side == 0.0, 1.0, longer_side))
+    angle = jnp.where(is_steep, 0.5 * math.pi - angle, angle)
     angle = jnp.where(x < 0.0, math.pi - angle, angle)
     return jnp.where(y < 0.0, -angle, angle)

@@ -49,29 +49,29 @@ class Reduced(NamedTuple):
     Args:
         quarters: Their number, modulo 4, in the two lowest bits of an integer.
         angle: The remaining angle, within pi/4.
-        excess: By how much ``angle`` is too large.
+        angle_error: By how much ``angle`` is too large.
     """
 
     quarters: jax.Array
     angle: jax.Array
-    excess: jax.Array
+    angle_error: jax.Array
 
 
-def usual(x: jax.Array) -> Reduced:
+def reduced_near(x: jax.Array) -> Reduced:
     """The reduction of a number below :data:`MOST_QUARTERS`."""
     bits = 8 * x.dtype.itemsize
-    raised = x * (2.0 / math.pi) + ROUNDER[bits]
-    turns = raised - ROUNDER[bits]
-    angle, excess = x, jnp.zeros_like(x)
+    rounded_sum = x * (2.0 / math.pi) + ROUNDER[bits]
+    turns = rounded_sum - ROUNDER[bits]
+    angle, angle_error = x, jnp.zeros_like(x)
     for part in HALF_PI[bits]:
         low = angle - turns * part
-        excess = excess + (turns * part - (angle - low))
+        angle_error = angle_error + (turns * part - (angle - low))
         angle = low
-    return Reduced(jax.lax.bitcast_convert_type(raised, f"int{bits}"), angle, excess)
+    return Reduced(jax.lax.bitcast_convert_type(rounded_sum, f"int{bits}"), angle, angle_error)
 
 
 def is_far(x: jax.Array) -> jax.Array:
-    """Whether a number has too many quarter turns for :func:`usual`."""
+    """Whether a number has too many quarter turns for :func:`reduced_near`."""
     return jnp.abs(x) >= (0.5 * math.pi) * MOST_QUARTERS[8 * x.dtype.itemsize]
 
 
@@ -84,9 +84,9 @@ def high_product(x: jax.Array, y: jax.Array) -> jax.Array:
     """The upper word of the product of two words, the first below 2^53."""
     low = word(0xFFFFFFFF)
     x_high, x_low, y_high, y_low = x >> word(32), x & low, y >> word(32), y & low
-    across, along = x_low * y_high, x_high * y_low
-    middle = (x_low * y_low >> word(32)) + (across & low) + (along & low)
-    return x_high * y_high + (across >> word(32)) + (along >> word(32)) + (middle >> word(32))
+    low_by_high, high_by_low = x_low * y_high, x_high * y_low
+    middle = (x_low * y_low >> word(32)) + (low_by_high & low) + (high_by_low & low)
+    return x_high * y_high + (low_by_high >> word(32)) + (high_by_low >> word(32)) + (middle >> word(32))
 
 
 def following_bits(high: jax.Array, low: jax.Array, shift: jax.Array) -> jax.Array:
@@ -140,31 +140,31 @@ def radians(x: jax.Array, quarters: jax.Array, negative: jax.Array, upper: jax.A
     bottom = fraction - top
     p_top, p_bottom, p_rest = HALF_PI_SPLIT
     angle = fraction * (p_top + p_bottom)
-    excess = (((angle - top * p_top) - top * p_bottom) - bottom * p_top) - bottom * p_bottom
-    excess = excess - (fraction * p_rest + remainder * (p_top + p_bottom))
-    negated = (negative == word(1)) ^ (x < 0.0)
+    angle_error = (((angle - top * p_top) - top * p_bottom) - bottom * p_top) - bottom * p_bottom
+    angle_error = angle_error - (fraction * p_rest + remainder * (p_top + p_bottom))
+    is_negated = (negative == word(1)) ^ (x < 0.0)
     quarters = jnp.where(x < 0.0, word(0) - quarters, quarters)
     not_a_number = x - x  # NaN of an infinite number
     return Reduced(
-        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(negated, -angle, angle) + not_a_number,
-        jnp.where(negated, -excess, excess),
+        jax.lax.bitcast_convert_type(quarters, jnp.int64), jnp.where(is_negated, -angle, angle) + not_a_number,
+        jnp.where(is_negated, -angle_error, angle_error),
     )  # fmt: skip
 
 
 def sine_of(reduced: Reduced) -> jax.Array:
     """The sine of the remaining angle; that of -0 is -0."""
-    _, angle, excess = reduced
+    _, angle, angle_error = reduced
     z = angle * angle
-    return angle - (excess - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * excess))
+    return angle - (angle_error - angle * (z * polynomial(SINE_SERIES, z) + 0.5 * angle * angle_error))
 
 
 def cosine_of(reduced: Reduced) -> jax.Array:
     """The cosine of the remaining angle."""
-    _, angle, excess = reduced
+    _, angle, angle_error = reduced
     z = angle * angle
     half = 0.5 * z
     leading = 1.0 - half
-    return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * excess))
+    return leading + (((1.0 - leading) - half) + (z * z * polynomial(COSINE_SERIES, z) + angle * angle_error))
 
 
 def sine(reduced: Reduced) -> jax.Array:
@@ -181,24 +181,24 @@ def cosine(reduced: Reduced) -> jax.Array:
 
 def tangent(reduced: Reduced) -> jax.Array:
     """The tangent, likewise."""
-    odd = reduced.quarters & 1 == 1
-    along, across = cosine_of(reduced), sine_of(reduced)
-    return jnp.where(odd, -along, across) / jnp.where(odd, across, along)
+    is_odd = reduced.quarters & 1 == 1
+    cosine_value, sine_value = cosine_of(reduced), sine_of(reduced)
+    return jnp.where(is_odd, -cosine_value, sine_value) / jnp.where(is_odd, sine_value, cosine_value)
 
 
 def sin(x: jax.Array) -> jax.Array:
     """The sine up to :data:`MOST_QUARTERS`."""
-    return sine(usual(x))
+    return sine(reduced_near(x))
 
 
 def cos(x: jax.Array) -> jax.Array:
     """The cosine up to :data:`MOST_QUARTERS`."""
-    return cosine(usual(x))
+    return cosine(reduced_near(x))
 
 
 def tan(x: jax.Array) -> jax.Array:
     """The tangent up to :data:`MOST_QUARTERS`."""
-    return tangent(usual(x))
+    return tangent(reduced_near(x))
 
 
 def far_sin(x: jax.Array) -> jax.Array:

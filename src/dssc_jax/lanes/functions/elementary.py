@@ -128,12 +128,12 @@ def arc_tangent(x: jax.Array) -> jax.Array:
 
 def angle(y: jax.Array, x: jax.Array) -> jax.Array:
     """The angle of (x, y) in [-pi, pi]; sides whose sum overflows, or whose digits are few, are scaled."""
-    longer = jnp.maximum(jnp.abs(x), jnp.abs(y))
+    longer_side = jnp.maximum(jnp.abs(x), jnp.abs(y))
     (largest, smaller), (smallest, larger) = SIDES[width(x)]
-    scale = jnp.where(longer > largest, smaller, jnp.where(longer < smallest, larger, 1.0))
-    diagonal = jnp.isinf(x) & jnp.isinf(y)  # a diagonal
-    across, along = jnp.abs(y) * scale, x * scale
-    magnitude = atan2(jnp.where(diagonal, 1.0, across), jnp.where(diagonal, jnp.sign(x), along))
+    scale = jnp.where(longer_side > largest, smaller, jnp.where(longer_side < smallest, larger, 1.0))
+    is_diagonal = jnp.isinf(x) & jnp.isinf(y)
+    height, base = jnp.abs(y) * scale, x * scale
+    magnitude = atan2(jnp.where(is_diagonal, 1.0, height), jnp.where(is_diagonal, jnp.sign(x), base))
     magnitude = jnp.where((x == 0.0) & (y == 0.0) & is_negative(x), math.pi, magnitude)
     return jnp.where(is_negative(y), -magnitude, magnitude)
 

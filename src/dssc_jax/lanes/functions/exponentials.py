@@ -50,12 +50,12 @@ def exponential_of_two(exponent: jax.Array, like: jax.Array) -> jax.Array:
     return jax.lax.bitcast_convert_type((integer + bias) << digits, like.dtype)
 
 
-def less_one(r: jax.Array, lost: jax.Array | float = 0.0) -> jax.Array:
-    """e^(r + lost) - 1 for |r| at most about ln 2 / 2, and a correction of about a rounding error."""
-    return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + lost * (1.0 + r)))
+def less_one(r: jax.Array, correction: jax.Array | float = 0.0) -> jax.Array:
+    """e^(r + correction) - 1 for |r| at most about ln 2 / 2, with a correction of about a rounding error."""
+    return r + (0.5 * r * r + (r * r * r * polynomial(EXPONENTIAL, r) + correction * (1.0 + r)))
 
 
-def reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def reduce_exponent(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """A whole number n, r and a small correction to r with x = n ln 2 + r, for x that gives neither 0 nor infinity."""
     high, low = LN_2[width(x)]
     x = jnp.clip(x, *EXPONENTS[width(x)])
@@ -67,11 +67,11 @@ def reduced(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 def exponential(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """A whole number n and e^r - 1 with x = n ln 2 + r."""
-    n, r, lost = reduced(x)
-    return n, less_one(r, lost)
+    n, r, correction = reduce_exponent(x)
+    return n, less_one(r, correction)
 
 
-def scaled(x: jax.Array, n: jax.Array) -> jax.Array:
+def scaled_by_power(x: jax.Array, n: jax.Array) -> jax.Array:
     """2^n x, through two factors, so that the first result out of range is the last."""
     half = jnp.floor(0.5 * n)
     return x * exponential_of_two(half, x) * exponential_of_two(n - half, x)
@@ -84,7 +84,7 @@ def exp(x: jax.Array) -> jax.Array:
     NaN.
     """
     n, remainder = exponential(x)
-    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, n))
+    return jnp.where(x == jnp.inf, x, scaled_by_power(1.0 + remainder, n))
 
 
 def exp2(x: jax.Array) -> jax.Array:
@@ -92,16 +92,16 @@ def exp2(x: jax.Array) -> jax.Array:
     bounded = jnp.clip(x, *BINARY_EXPONENTS[width(x)])
     n = jnp.round(bounded)
     remainder = less_one((bounded - n) * math.log(2.0))
-    return jnp.where(x == jnp.inf, x, scaled(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
+    return jnp.where(x == jnp.inf, x, scaled_by_power(1.0 + remainder, jnp.where(jnp.isnan(n), 0.0, n)))
 
 
 def expm1(x: jax.Array) -> jax.Array:
     """e^x - 1, also near 0."""
     n, remainder = exponential(x)
-    steep = jnp.abs(n) > 60.0
-    factor = exponential_of_two(jnp.where(steep, 0.0, n), x)
+    is_large = jnp.abs(n) > 60.0
+    factor = exponential_of_two(jnp.where(is_large, 0.0, n), x)
     value = factor * remainder + (factor - 1.0)
-    value = jnp.where(n == 0.0, remainder, jnp.where(steep, scaled(1.0 + remainder, n) - 1.0, value))
+    value = jnp.where(n == 0.0, remainder, jnp.where(is_large, scaled_by_power(1.0 + remainder, n) - 1.0, value))
     return jnp.where(jnp.isnan(x) | (x == 0.0), x, value)
 
 
@@ -123,29 +123,29 @@ def logarithm(f: jax.Array, correction: jax.Array, k: jax.Array) -> jax.Array:
     return k * high - ((half - remainder) - f)
 
 
-def normalised(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+def normalised_mantissa(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """As :func:`mantissa`, of a positive number that may be subnormal."""
     lift = 54 if width(x) == 64 else 25
-    small = x < np.finfo(x.dtype).tiny
-    fraction, k = mantissa(jnp.where(small, x * 2.0**lift, x))
-    return fraction, jnp.where(small, k - lift, k)
+    is_subnormal = x < np.finfo(x.dtype).tiny
+    fraction, k = mantissa(jnp.where(is_subnormal, x * 2.0**lift, x))
+    return fraction, jnp.where(is_subnormal, k - lift, k)
 
 
-def log_at_edges(x: jax.Array, inside: jax.Array) -> jax.Array:
+def log_at_edges(x: jax.Array, regular_value: jax.Array) -> jax.Array:
     """The logarithm with its values at 0, infinity, NaN and below 0."""
-    value = jnp.where(x < jnp.inf, inside, x)
+    value = jnp.where(x < jnp.inf, regular_value, x)
     return jnp.where(x > 0.0, value, jnp.where(x == 0.0, -jnp.inf, jnp.nan))
 
 
 def log(x: jax.Array) -> jax.Array:
     """ln x."""
-    fraction, k = normalised(x)
+    fraction, k = normalised_mantissa(x)
     return log_at_edges(x, logarithm(fraction - 1.0, jnp.zeros_like(x), k))
 
 
 def log2(x: jax.Array) -> jax.Array:
     """The logarithm to base 2."""
-    fraction, k = normalised(x)
+    fraction, k = normalised_mantissa(x)
     zero = jnp.zeros_like(x)
     return log_at_edges(x, k + logarithm(fraction - 1.0, zero, zero) * (1.0 / math.log(2.0)))
 
@@ -153,11 +153,11 @@ def log2(x: jax.Array) -> jax.Array:
 def log1p(x: jax.Array) -> jax.Array:
     """ln(1 + x), also near 0."""
     u = 1.0 + x
-    lost = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
+    rounding_error = jnp.where(x > 1.0, 1.0 - (u - x), x - (u - 1.0))
     fraction, k = mantissa(u)
-    unscaled = k == 0.0
-    f = jnp.where(unscaled, x, fraction - 1.0)
-    value = logarithm(f, jnp.where(unscaled, 0.0, lost / u), k)
+    is_unscaled = k == 0.0
+    f = jnp.where(is_unscaled, x, fraction - 1.0)
+    value = logarithm(f, jnp.where(is_unscaled, 0.0, rounding_error / u), k)
     return jnp.where(x == 0.0, x, log_at_edges(u, value))
 
 
@@ -177,7 +177,7 @@ def logistic(x: jax.Array) -> jax.Array:
 def half_exponential(x: jax.Array) -> jax.Array:
     """e^x/2, which overflows later than e^x."""
     n, remainder = exponential(x)
-    return scaled(1.0 + remainder, n - 1.0)
+    return scaled_by_power(1.0 + remainder, n - 1.0)
 
 
 def sinh(x: jax.Array) -> jax.Array:

@@ -14,7 +14,15 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.lanes.functions.approximations import polynomial
-from dssc_jax.lanes.functions.exponentials import EXPONENTS, LN_2, is_negative, less_one, normalised, reduced, scaled
+from dssc_jax.lanes.functions.exponentials import (
+    EXPONENTS,
+    LN_2,
+    is_negative,
+    less_one,
+    normalised_mantissa,
+    reduce_exponent,
+    scaled_by_power,
+)
 
 SPLITTER = 2.0**27 + 1.0
 LARGEST_EXPONENT = 2.0**70
@@ -42,8 +50,8 @@ def exact_sum(larger: jax.Array, smaller: jax.Array) -> TwoPartNumber:
 
 def split_digits(x: jax.Array) -> TwoPartNumber:
     """A number as a sum of two of 26 bits each."""
-    moved = x * SPLITTER
-    high = moved - (moved - x)
+    scaled_number = x * SPLITTER
+    high = scaled_number - (scaled_number - x)
     return TwoPartNumber(high, x - high)
 
 
@@ -65,12 +73,12 @@ def logarithm_pair(x: jax.Array) -> TwoPartNumber:
 
     With x = 2^k (1 + f) and s = f/(2 + f), it is k ln 2 + 2 atanh s.
     """
-    fraction, k = normalised(x)
+    fraction, k = normalised_mantissa(x)
     f = fraction - 1.0
     denominator = exact_sum(jnp.full_like(f, 2.0), f)
     s_high = f / denominator.high
-    covered = exact_product(s_high, denominator.high)
-    s = TwoPartNumber(s_high, (((f - covered.high) - covered.low) - s_high * denominator.low) / denominator.high)
+    product = exact_product(s_high, denominator.high)
+    s = TwoPartNumber(s_high, (((f - product.high) - product.low) - s_high * denominator.low) / denominator.high)
     z = pair_product(s, s)
     correction = z.high * polynomial(SERIES, z.high)
     start = exact_sum(jnp.full_like(f, THIRD[0]), correction)
@@ -87,26 +95,26 @@ def magnitude(x: jax.Array, y: jax.Array) -> jax.Array:
     limited = jnp.clip(y, -LARGEST_EXPONENT, LARGEST_EXPONENT)
     log = logarithm_pair(x)
     exponent = exact_product(limited, log.high)
-    n, r, lost = reduced(exponent.high)
-    outside = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
-    lost = jnp.where(outside, 0.0, lost + (exponent.low + limited * log.low))
+    n, r, correction = reduce_exponent(exponent.high)
+    is_out_of_range = jnp.abs(exponent.high) > -EXPONENTS[64][0]  # where the result is 0 or infinite
+    correction = jnp.where(is_out_of_range, 0.0, correction + (exponent.low + limited * log.low))
     remainder = less_one(r)
-    return scaled(1.0 + (remainder + lost * (1.0 + remainder)), n)
+    return scaled_by_power(1.0 + (remainder + correction * (1.0 + remainder)), n)
 
 
 def power(x: jax.Array, y: jax.Array) -> jax.Array:
     """x^y; of a negative x for whole y only."""
     y = y.astype(x.dtype)
     size = jnp.abs(x)
-    ordinary = (size > 0.0) & (size < jnp.inf)
-    base, exponent = jnp.where(ordinary, size, 1.0).astype(jnp.float64), y.astype(jnp.float64)
+    is_ordinary = (size > 0.0) & (size < jnp.inf)
+    base, exponent = jnp.where(is_ordinary, size, 1.0).astype(jnp.float64), y.astype(jnp.float64)
     value = magnitude(base, jnp.where(jnp.isnan(y), 0.0, exponent)).astype(x.dtype)
-    grows = (size == 0.0) == (y < 0.0)
-    value = jnp.where(ordinary, value, jnp.where(grows, jnp.inf, 0.0))
-    integral = jnp.floor(y) == y
-    odd = integral & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)
-    value = jnp.where(odd & is_negative(x), -value, value)
-    value = jnp.where((x < 0.0) & ordinary & ~integral, jnp.nan, value)
+    is_infinite = (size == 0.0) == (y < 0.0)
+    value = jnp.where(is_ordinary, value, jnp.where(is_infinite, jnp.inf, 0.0))
+    is_whole = jnp.floor(y) == y
+    is_odd = is_whole & (jnp.abs(y - 2.0 * jnp.floor(0.5 * y)) == 1.0)
+    value = jnp.where(is_odd & is_negative(x), -value, value)
+    value = jnp.where((x < 0.0) & is_ordinary & ~is_whole, jnp.nan, value)
     value = jnp.where(jnp.isnan(x) | jnp.isnan(y), jnp.nan, value)
     value = jnp.where(y == 1.0, x, value)
     return jnp.where((y == 0.0) | (x == 1.0), 1.0, value)

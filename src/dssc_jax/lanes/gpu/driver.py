@@ -83,8 +83,8 @@ class Driver:
         status = getattr(self._library, name)(*arguments)
         if status:
             text = c_char_p()
-            known = self._library.cuGetErrorName(status, byref(text)) == 0 and text.value
-            error = known.decode() if known else f"error {status}"
+            error_name = self._library.cuGetErrorName(status, byref(text)) == 0 and text.value
+            error = error_name.decode() if error_name else f"error {status}"
             remedy = "; run smaller blocks" if status == OUT_OF_MEMORY else ""
             raise GpuError(f"{name} of the CUDA driver: {error}{remedy}")
 
@@ -149,8 +149,8 @@ class Driver:
 
     def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
         """Queue a kernel with so many blocks of so many threads."""
-        places = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
-        self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, places, None)
+        argument_addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
+        self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, argument_addresses, None)
 
 
 @cache

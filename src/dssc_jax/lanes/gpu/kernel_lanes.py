@@ -38,7 +38,7 @@ class KernelLanes(CompiledLanes):
         """The PTX of the text."""
         return ptx.ptx(self.traced.text)
 
-    def loaded(self, code: bytes) -> "LoadedKernel":
+    def load(self, code: bytes) -> "LoadedKernel":
         """The kernel in the driver."""
         return LoadedKernel(code, driver())
 
@@ -70,10 +70,10 @@ class LoadedKernel:
         """
         batch = KernelBatch(self._gpu)
         try:
-            read = batch.table([batch.sent(column) for column in inputs])
-            places = [batch.reserved(column.nbytes) for column in outputs]
-            written = batch.table(places)
-            arguments = [ctypes.c_uint64(number) for number in (read, written, lanes)]
+            input_table = batch.table([batch.copy_to_gpu(column) for column in inputs])
+            output_addresses = [batch.reserve(column.nbytes) for column in outputs]
+            output_table = batch.table(output_addresses)
+            arguments = [ctypes.c_uint64(number) for number in (input_table, output_table, lanes)]
             self._gpu.launch(self._kernel, -(-lanes // THREADS), THREADS, arguments, batch.stream)
         except BaseException:
             batch.close()
@@ -83,13 +83,13 @@ class LoadedKernel:
             self._gpu.use()  # perhaps another thread than the one that started
             try:
                 self._gpu.wait(batch.stream)
-                ended = time.perf_counter()
-                for column, place in zip(outputs, places, strict=True):
+                end_time = time.perf_counter()
+                for column, place in zip(outputs, output_addresses, strict=True):
                     self._gpu.fetch(column, place, batch.stream)
                 self._gpu.wait(batch.stream)
             finally:
                 batch.close()
-            return ended
+            return end_time
 
         return finish
 
@@ -104,22 +104,22 @@ class KernelBatch:
         self._arrays: list[np.ndarray] = []
         self.stream = gpu.stream()
 
-    def reserved(self, size: int) -> int:
+    def reserve(self, size: int) -> int:
         """The address of so many bytes."""
         address = self._gpu.reserve(size)
         self._addresses.append(address)
         return address
 
-    def sent(self, array: np.ndarray) -> int:
-        """The address of an array's copy."""
-        address = self.reserved(array.nbytes)
+    def copy_to_gpu(self, array: np.ndarray) -> int:
+        """Copy an array to the GPU; the address of the copy."""
+        address = self.reserve(array.nbytes)
         self._arrays.append(array)
         self._gpu.send(address, array, self.stream)
         return address
 
     def table(self, addresses: Sequence[int]) -> int:
         """The address of a table of addresses."""
-        return self.sent(np.array([*addresses, 0], np.uint64))
+        return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))
 
     def close(self) -> None:
         """Give memory and queue back, after the queue has ended."""

@@ -43,7 +43,7 @@ class KernelEmitter(Emitter):
         lines: list[str] = []
         for name, register in SPECIAL_REGISTERS.items():
             function = f"@llvm.nvvm.read.ptx.sreg.{register}.x()"
-            self.declared.add(f"declare i32 {function}")
+            self.declarations.add(f"declare i32 {function}")
             lines += [f"  %{name}32 = call i32 {function}", f"  %{name} = zext i32 %{name}32 to i64"]
         return [
             *lines,

@@ -31,7 +31,7 @@ def ptx(text: str) -> bytes:
 
 
 def translator() -> tuple[str, ...]:
-    """What decides the PTX of a module's text."""
+    """The facts that decide the PTX of a module's text."""
     return llvmlite.__version__, str(llvm.llvm_version_info), TRIPLE, str(CAPABILITY), FEATURES, str(LEVEL)
 
 

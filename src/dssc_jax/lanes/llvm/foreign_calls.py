@@ -46,10 +46,10 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
         f"  call void @llvm.memset.p0.i64(ptr align {ALIGNMENT} %memory, i8 0, i64 {function.size}, i1 false)",
     ]
     for number, (place, start) in enumerate(columns(function.operands, width)):
-        lines += moved(f"a{number}", place, ("%in", start), to_memory=True)
+        lines += move_lines(f"a{number}", place, ("%in", start), to_memory=True)
     lines.append(f"  call void @{function.symbol}(ptr %memory)")
     for number, (place, start) in enumerate(columns(function.results, width)):
-        lines += moved(f"r{number}", place, ("%out", start), to_memory=False)
+        lines += move_lines(f"r{number}", place, ("%out", start), to_memory=False)
     return [
         *lines,
         "  %next = add i64 %i, 1",
@@ -61,7 +61,7 @@ def definition(function: ForeignFunction, width: int) -> list[str]:
     ]
 
 
-def moved(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
+def move_lines(name: str, place: MemoryPlace, column: tuple[str, int], to_memory: bool) -> list[str]:
     """The lines that move one number of the present lane between its column of a buffer and the memory."""
     kind, align = scalar_type(place.dtype), place.dtype.itemsize
     buffer, start = column

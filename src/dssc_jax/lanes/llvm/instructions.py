@@ -53,7 +53,7 @@ class Instructions:
     lines: list[str] = field(default_factory=list)
     tables: list[str] = field(default_factory=list)
     names: dict[tuple[int, bool], str] = field(default_factory=dict)
-    declared: set[str] = field(default_factory=set)
+    declarations: set[str] = field(default_factory=set)
     subroutines: dict[str, tuple[Subroutine, int]] = field(default_factory=dict)
     count: int = 0
     label: str = "entry"
@@ -93,14 +93,14 @@ class Instructions:
             return self.read(value, vector)
         kind, bits = self.kind(value.dtype, True), literal(value.detail, value.dtype)
         name = f"@number.{8 * value.dtype.itemsize}.{self.width}.{bits}"
-        self.declared.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
+        self.declarations.add(f"{name} = private unnamed_addr constant {kind} {self.read(value, True)}, align 64")
         return self.emit(f"load {kind}, ptr {name}, align 64", "c")
 
     def is_vector(self, value: Value) -> bool:
         """Whether a value is computed as a vector."""
         return value.varying and self.width > 1
 
-    def repeated(self, dtype: np.dtype, name: str) -> str:
+    def splat(self, dtype: np.dtype, name: str) -> str:
         """A vector whose elements are all a scalar."""
         scalar, kind = scalar_type(dtype), self.kind(dtype, True)
         inserted = self.emit(f"insertelement {kind} poison, {scalar} {name}, i64 0", "s")
@@ -111,12 +111,12 @@ class Instructions:
         vector = self.is_vector(value)
         self.names[id(value), vector] = name
         if not vector and self.width > 1:
-            self.names[id(value), True] = self.repeated(value.dtype, name)
+            self.names[id(value), True] = self.splat(value.dtype, name)
 
     def call(self, function: str, result: str, *arguments: tuple[str, str]) -> str:
         """A call of one of LLVM's own functions."""
         kinds = ", ".join(kind for kind, _ in arguments)
-        self.declared.add(f"declare {result} @{function}({kinds})")
+        self.declarations.add(f"declare {result} @{function}({kinds})")
         return self.emit(f"call {result} @{function}({', '.join(' '.join(pair) for pair in arguments)})")
 
     def suffix(self, dtype: np.dtype, vector: bool) -> str:
@@ -165,11 +165,10 @@ class Instructions:
             return self.access(value)
         if operation == "select":
             condition, *cases = value.operands
-            chosen = self.is_vector(condition)
+            has_mask = self.is_vector(condition)
             first, second = (self.operand(case, wide) for case in cases)
-            return self.emit(
-                f"select {self.kind(BOOL, chosen)} {self.read(condition, chosen)}, {kind} {first}, {kind} {second}"
-            )
+            selector = f"{self.kind(BOOL, has_mask)} {self.read(condition, has_mask)}"
+            return self.emit(f"select {selector}, {kind} {first}, {kind} {second}")
         names = [self.operand(operand, wide) for operand in value.operands]
         source = value.operands[0].dtype
         if operation in COMPARISONS:
@@ -184,14 +183,14 @@ class Instructions:
         """A number that the lanes are given."""
         column, dtype = self.column("inputs", value.detail), stored_type(value.dtype)
         place = self.emit(f"getelementptr {scalar_type(dtype)}, ptr {column}, i64 %lane")
-        stored = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
-        return self.from_memory(value.dtype, wide, stored)
+        loaded_register = self.emit(f"load {self.kind(dtype, wide)}, ptr {place}, align {dtype.itemsize}")
+        return self.from_memory(value.dtype, wide, loaded_register)
 
-    def from_memory(self, dtype: np.dtype, wide: bool, stored: str) -> str:
+    def from_memory(self, dtype: np.dtype, wide: bool, register: str) -> str:
         """A value that was loaded; a truth value from its byte."""
         if dtype != BOOL:
-            return stored
-        return self.compare("ne", stored_type(BOOL), wide, [stored, self.zero(BOOL, wide) if wide else "0"])
+            return register
+        return self.compare("ne", stored_type(BOOL), wide, [register, self.zero(BOOL, wide) if wide else "0"])
 
     def access(self, value: Value) -> str:
         """Reserve a slot, or read or write the lanes' elements of one; a token has no content."""
@@ -201,7 +200,7 @@ class Instructions:
             place = self.slots[id(slot)] = f"%{self.fresh('slot')}"
             self.allocated.append(f"  {place} = alloca [{slot.length} x {kind}], align 64")
             function = "llvm.memset.p0.i64"
-            self.declared.add(f"declare void @{function}(ptr, i8, i64, i1)")
+            self.declarations.add(f"declare void @{function}(ptr, i8, i64, i1)")
             size = slot.length * self.width * slot.dtype.itemsize
             self.lines.append(f"  call void @{function}(ptr align 64 {place}, i8 0, i64 {size}, i1 false)")
             return self.zero(value.dtype, self.width > 1)
@@ -215,21 +214,22 @@ class Instructions:
 
     def rarely(self, value: Value, wide: bool) -> str:
         """A value, or where a condition holds the result of a subroutine, which is called if a lane needs it."""
-        condition, usual, *arguments = value.operands
+        condition, usual_value, *arguments = value.operands
         kind, mask = self.kind(value.dtype, wide), self.read(condition, wide)
         function = f"{value.detail.name}_{self.width if wide else 1}"
         self.subroutines[function] = value.detail, self.width if wide else 1
-        passed = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
-        value_now = self.read(usual, wide)
-        taken = self.any_lane(mask) if wide else mask
-        inside, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
-        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}, !prof !0")
-        self.begin(inside)
-        rare = self.emit(f"call {kind} @{function}({passed})")
-        chosen = self.emit(f"select {self.kind(BOOL, wide)} {mask}, {kind} {rare}, {kind} {value_now}")
+        arguments_text = ", ".join(f"{self.kind(x.dtype, wide)} {self.read(x, wide)}" for x in arguments)
+        usual_register = self.read(usual_value, wide)
+        is_taken = self.any_lane(mask) if wide else mask
+        rare_label, end, entry = self.fresh("rare"), self.fresh("end"), self.current()
+        self.lines.append(f"  br i1 {is_taken}, label %{rare_label}, label %{end}, !prof !0")
+        self.begin(rare_label)
+        rare_register = self.emit(f"call {kind} @{function}({arguments_text})")
+        selector = f"{self.kind(BOOL, wide)} {mask}"
+        merged_register = self.emit(f"select {selector}, {kind} {rare_register}, {kind} {usual_register}")
         self.lines.append(f"  br label %{end}")
         self.begin(end)
-        return self.emit(f"phi {kind} [ {value_now}, %{entry} ], [ {chosen}, %{inside} ]")
+        return self.emit(f"phi {kind} [ {usual_register}, %{entry} ], [ {merged_register}, %{rare_label} ]")
 
     def arithmetic(self, operation: str, dtype: np.dtype, wide: bool, names: Sequence[str]) -> str:
         """An operation with the type of its operands."""
@@ -293,14 +293,14 @@ class Instructions:
         if value.operands[1].operation == "constant":
             first, second = second, first
         if value.dtype.kind != "f":
-            beyond_first = self.compare("gt" if operation == "max" else "lt", value.dtype, wide, [first, second])
-            return self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
-        beyond_first = self.emit(f"fcmp {'ogt' if operation == 'max' else 'olt'} {kind} {first}, {second}")
-        chosen = self.emit(f"select {mask} {beyond_first}, {kind} {first}, {kind} {second}")
+            is_first_extreme = self.compare("gt" if operation == "max" else "lt", value.dtype, wide, [first, second])
+            return self.emit(f"select {mask} {is_first_extreme}, {kind} {first}, {kind} {second}")
+        is_first_extreme = self.emit(f"fcmp {'ogt' if operation == 'max' else 'olt'} {kind} {first}, {second}")
+        extreme_register = self.emit(f"select {mask} {is_first_extreme}, {kind} {first}, {kind} {second}")
         if any(operand.operation == "constant" and operand.detail == operand.detail for operand in value.operands):
-            return chosen
-        missing = self.emit(f"fcmp uno {kind} {first}, {first}")
-        return self.emit(f"select {mask} {missing}, {kind} {first}, {kind} {chosen}")
+            return extreme_register
+        is_nan = self.emit(f"fcmp uno {kind} {first}, {first}")
+        return self.emit(f"select {mask} {is_nan}, {kind} {first}, {kind} {extreme_register}")
 
     def convert(self, operation: str, source: np.dtype, dtype: np.dtype, wide: bool, name: str) -> str:
         """A register with the number in another type or, for ``bitcast``, with the same bits.
@@ -353,6 +353,6 @@ class Instructions:
         pointers = f"<{self.width} x ptr>"
         places = self.emit(f"getelementptr {scalar}, ptr {name}, {self.kind(index.dtype, True)} {register}", "p")
         function = f"llvm.masked.gather.{self.suffix(dtype, True)}.v{self.width}p0"
-        self.declared.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
+        self.declarations.add(f"declare {kind} @{function}({pointers}, {mask}, {kind})")
         arguments = f"{pointers} align {dtype.itemsize} {places}, {mask} splat (i1 true), {kind} poison"
         return self.from_memory(value.dtype, True, self.emit(f"call {kind} @{function}({arguments})"))

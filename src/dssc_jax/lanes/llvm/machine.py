@@ -40,7 +40,7 @@ def available_cores() -> int:
 
 @cache
 def features() -> Any:
-    """What this processor can do, by LLVM's names: a dictionary of truth values."""
+    """The features of this processor: for each of LLVM's names whether it has the feature."""
     return llvm.get_host_cpu_features()
 
 
@@ -55,7 +55,7 @@ def scheduling_model() -> str:
 
 
 def code_settings() -> list[str]:
-    """What a manifest tells of the machine code: LLVM's version and the processor."""
+    """The facts about the machine code for a manifest: LLVM's version and the processor."""
     return [f"llvm {'.'.join(map(str, llvm.llvm_version_info))}", f"processor {llvm.get_host_cpu_name()}"]
 
 
@@ -101,7 +101,7 @@ def code_name(text: str) -> str:
 
 @cache
 def translator() -> tuple[str, ...]:
-    """What decides the machine code of a module's text: LLVM, the processor with its features, the addresses."""
+    """The facts that decide the machine code of a module's text: LLVM, the processor, its features, the addresses."""
     model, instructions, addresses = scheduling_model(), features().flatten(), str(has_near_constants())
     return llvmlite.__version__, str(llvm.llvm_version_info), model, instructions, str(CODE_LEVEL), addresses
 
@@ -157,28 +157,29 @@ class LoadedCode:
         """Begin to run all lanes; see :class:`~dssc_jax.lanes.interface.Loaded`."""
         part = max(1, -(-lanes // (width * threads * PARTS))) * width
         starts = iter(range(0, lanes, part))
-        lock, stopped = threading.Lock(), threading.Event()
+        lock, stop_event = threading.Lock(), threading.Event()
 
         def work() -> float:  # holds the columns as long as it runs, whoever else lets go of them
-            read = addresses(inputs)
-            written = addresses(outputs)
+            input_addresses = addresses(inputs)
+            output_addresses = addresses(outputs)
             while True:
                 with lock:
                     first = next(starts, None)
-                if first is None or stopped.is_set():
+                if first is None or stop_event.is_set():
                     return time.perf_counter()
-                self._function(read.ctypes.data, written.ctypes.data, first, min(first + part, lanes))
+                last = min(first + part, lanes)
+                self._function(input_addresses.ctypes.data, output_addresses.ctypes.data, first, last)
 
-        running: list[Future[float]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
+        futures: list[Future[float]] = [workers(threads).submit(work) for _ in range(min(threads, -(-lanes // part)))]
 
         def finish() -> float:
             try:
-                return max(future.result() for future in running)
+                return max(future.result() for future in futures)
             except BaseException:  # such as Ctrl-C: the threads end with the part that they run
-                stopped.set()
+                stop_event.set()
                 raise
 
-        weakref.finalize(finish, stopped.set)  # nobody waits any more
+        weakref.finalize(finish, stop_event.set)  # nobody waits any more
         return finish
 
 

@@ -14,8 +14,8 @@ from dssc_jax.lanes.llvm import foreign_calls
 from dssc_jax.lanes.llvm.instructions import FAST, STRICT, Instructions, scalar_type
 from dssc_jax.lanes.operations import Operation
 from dssc_jax.lanes.passes.liveness import reachable
-from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, planned
-from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.passes.precomputation import TURNS, Ahead, AheadPlan, ahead_plan
+from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeBlock, CodeLoop, Node, Program, Record, Recording, Value
 
 WIDE = '"prefer-vector-width"="512" "min-legal-vector-width"="512"'
@@ -36,7 +36,7 @@ class Emitter(Instructions):
         program: The program.
         width: Lanes of a vector.
         strict: Whether the arithmetic is strict.
-        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
         stored_constants: See :class:`~dssc_jax.lanes.llvm.instructions.Instructions`.
     """
 
@@ -45,8 +45,8 @@ class Emitter(Instructions):
         self.program, self.window, self.strict = program, window, strict
         self.alive = reachable(program)
         self.parts: dict[int, list[str]] = {}
-        self.called: dict[str, ForeignFunction] = {}
-        self.computed: set[int] = set()
+        self.called_functions: dict[str, ForeignFunction] = {}
+        self.computed_ids: set[int] = set()
 
     def text(self) -> str:
         """The module."""
@@ -59,8 +59,8 @@ class Emitter(Instructions):
                 self.store(position, output)
         self.lines += self.closing()
         functions = self.functions()
-        start = [*self.tables, *sorted(self.declared), self.head(), "entry:", *self.allocated]
-        return "\n".join([*start, *self.lines, "}", *functions, *ATTRIBUTES, ""])
+        head_lines = [*self.tables, *sorted(self.declarations), self.head(), "entry:", *self.allocated]
+        return "\n".join([*head_lines, *self.lines, "}", *functions, *ATTRIBUTES, ""])
 
     def head(self) -> str:
         """The line with which the function begins."""
@@ -89,18 +89,18 @@ class Emitter(Instructions):
         """The subroutines that were called."""
         lines: list[str] = []
         for name, (subroutine, width) in self.subroutines.items():
-            inside = SubroutineEmitter(subroutine.program, width, self.strict, 0)
-            inside.tables, inside.declared = self.tables, self.declared
-            lines += inside.definition(name)
-        for function in self.called.values():
+            subroutine_emitter = SubroutineEmitter(subroutine.program, width, self.strict, 0)
+            subroutine_emitter.tables, subroutine_emitter.declarations = self.tables, self.declarations
+            lines += subroutine_emitter.definition(name)
+        for function in self.called_functions.values():
             lines += foreign_calls.definition(function, self.width)
         return lines
 
     # Blocks
 
     def block(self, block: CodeBlock) -> None:
-        """All that a block computes and that is needed."""
-        for node in ordered([node for node in block.nodes if self.is_needed(node)], self.window):
+        """Write the nodes of a block that are needed."""
+        for node in schedule([node for node in block.nodes if self.is_needed(node)], self.window):
             if isinstance(node, Record):
                 self.record(node)
             elif isinstance(node, Value):
@@ -112,75 +112,75 @@ class Emitter(Instructions):
 
     def is_needed(self, node: Node) -> bool:
         """Whether a result depends on a node, and it is not yet computed."""
-        return id(node) in self.alive and id(node) not in self.computed
+        return id(node) in self.alive and id(node) not in self.computed_ids
 
     def loop(self, loop: CodeLoop) -> None:
-        """A loop that tests at its end; what is common to all lanes is computed ahead where that is worthwhile."""
+        """Write a loop that tests at its end; uniform values are computed ahead where that is worthwhile."""
         top, end, entry = self.fresh("loop"), self.fresh("end"), self.label
         alive = [
             i
             for i, pair in enumerate(zip(loop.states, loop.results, strict=True))
             if any(id(value) in self.alive for value in pair)
         ]
-        chosen = planned(loop, self.alive) if self.width > 1 else None
+        plan = ahead_plan(loop, self.alive) if self.width > 1 else None
         if loop.guard is None:
             self.lines.append(f"  br label %{top}")
         else:
             self.lines.append(f"  br i1 {self.read(loop.guard, False)}, label %{top}, label %{end}")
         self.begin(top)
-        holes = self.opened([loop.states[i] for i in alive])
-        proceed = self.turns(loop, chosen, alive) if chosen else self.turn(loop)
+        phi_lines = self.reserve_phis([loop.states[i] for i in alive])
+        proceed = self.turns(loop, plan, alive) if plan else self.turn(loop)
         self.lines.append(f"  br i1 {proceed}, label %{top}, label %{end}")
         final = self.label
-        for hole, i in zip(holes, alive, strict=True):
-            self.fill(hole, loop.states[i], (loop.begin[i], entry), (loop.following[i], final))
+        for phi_line, i in zip(phi_lines, alive, strict=True):
+            self.fill(phi_line, loop.states[i], (loop.initial_states[i], entry), (loop.next_states[i], final))
         self.begin(end)
         names = {}
         for i in alive:
             wide = loop.states[i].varying
-            incoming = f"[ {self.read(loop.following[i], wide)}, %{final} ]"
+            incoming = f"[ {self.read(loop.next_states[i], wide)}, %{final} ]"
             if loop.guard is not None:
-                incoming = f"[ {self.read(loop.begin[i], wide)}, %{entry} ], {incoming}"
+                incoming = f"[ {self.read(loop.initial_states[i], wide)}, %{entry} ], {incoming}"
             names[i] = self.emit(f"phi {self.kind(loop.results[i].dtype, wide)} {incoming}")
         for i in alive:
             self.name(loop.results[i], names[i])
 
     def turn(self, loop: CodeLoop) -> str:
-        """The body of a loop; whether it goes on."""
+        """Write the body of a loop; the register that tells whether it goes on."""
         self.block(loop.body)
         assert loop.proceed is not None
         return self.read(loop.proceed, False)
 
-    def turns(self, loop: CodeLoop, chosen: AheadPlan, alive: Sequence[int]) -> str:
-        """Several turns of a loop, with their uniform values computed ahead; whether it goes on after the last."""
+    def turns(self, loop: CodeLoop, plan: AheadPlan, alive: Sequence[int]) -> str:
+        """Write several turns of a loop, with uniform values computed ahead; whether it goes on after the last."""
         inner, out = self.fresh("turn"), self.fresh("out")
-        ahead = Ahead(self, chosen, self.window)
+        ahead = Ahead(self, plan, self.window)
         ahead.write(loop)
         entry = self.label
         self.allocated += ahead.allocations()
-        self.computed |= {id(value) for value in chosen.values}
-        varying = [i for i in alive if i not in chosen.counters]
+        self.computed_ids |= {id(value) for value in plan.values}
+        varying = [i for i in alive if i not in plan.counters]
         first = {i: self.read(loop.states[i], True) for i in varying}
         self.lines.append(f"  br label %{inner}")
         self.begin(inner)
         turn_value, next_turn = f"%{self.fresh('t')}", f"%{self.fresh('t')}"
-        at = len(self.lines)
+        phi_line = len(self.lines)
         self.lines.append("")
-        holes = self.opened([loop.states[i] for i in varying])
+        phi_lines = self.reserve_phis([loop.states[i] for i in varying])
         ahead.load(turn_value)
         proceed = self.turn(loop)
         self.lines.append(f"  {next_turn} = add i64 {turn_value}, 1")
-        left = self.emit(f"icmp ult i64 {next_turn}, {TURNS}")
-        proceed_both = self.emit(f"and i1 {left}, {proceed}")
+        has_turn_left = self.emit(f"icmp ult i64 {next_turn}, {TURNS}")
+        proceed_both = self.emit(f"and i1 {has_turn_left}, {proceed}")
         self.lines.append(f"  br i1 {proceed_both}, label %{inner}, label %{out}")
-        self.lines[at] = f"  {turn_value} = phi i64 [ 0, %{entry} ], [ {next_turn}, %{self.label} ]"
-        for hole, i in zip(holes, varying, strict=True):
-            self.fill(hole, loop.states[i], (first[i], entry), (loop.following[i], self.label))
+        self.lines[phi_line] = f"  {turn_value} = phi i64 [ 0, %{entry} ], [ {next_turn}, %{self.label} ]"
+        for state_line, i in zip(phi_lines, varying, strict=True):
+            self.fill(state_line, loop.states[i], (first[i], entry), (loop.next_states[i], self.label))
         self.begin(out)
         return proceed
 
-    def opened(self, states: Sequence[Value]) -> list[int]:
-        """Name states at the top of a loop; the lines where :meth:`fill` writes where they come from."""
+    def reserve_phis(self, states: Sequence[Value]) -> list[int]:
+        """Name the states at the top of a loop, and reserve a line for the phi of each, which :meth:`fill` writes."""
         start = len(self.lines)
         names = [f"%{self.fresh('x')}" for _ in states]
         self.lines += names
@@ -196,16 +196,16 @@ class Emitter(Instructions):
         self.lines[line] = f"  {self.lines[line]} = phi {self.kind(state.dtype, wide)} {text}"
 
     def branch(self, branch: Branch) -> None:
-        """Both sides in turn, each if a lane takes it."""
+        """Write both sides of a branch in turn; each runs if a lane takes it."""
         alive = {i: value for i, value in enumerate(branch.results) if id(value) in self.alive}
         varying = self.is_vector(branch.condition)
         condition = self.read(branch.condition, varying)
         sides = []
         for number, (block, values) in enumerate(zip(branch.sides, branch.values, strict=True)):
             if any(id(node) in self.alive for node in block.nodes):
-                mask = self.inverted(condition, varying) if number else condition
-                merged = {i: (values[i], result.varying) for i, result in alive.items()}
-                sides.append(self.side(self.any_lane(mask) if varying else mask, block, merged))
+                mask = self.invert(condition, varying) if number else condition
+                side_values = {i: (values[i], result.varying) for i, result in alive.items()}
+                sides.append(self.side(self.any_lane(mask) if varying else mask, block, side_values))
             else:  # its values are known before
                 sides.append({i: self.read(values[i], alive[i].varying) for i in alive})
         for i, result in alive.items():
@@ -224,17 +224,18 @@ class Emitter(Instructions):
 
     def foreign(self, function: ForeignFunction, value: Value) -> str:
         """A call of a function of C for each lane; the register of its first result."""
-        self.called[function.symbol] = function
-        self.declared.add(f"declare void @{function.symbol}(ptr) nonlazybind")
-        self.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
-        packed = self.buffer(function.operands)
-        found = self.buffer(function.results)
+        self.called_functions[function.symbol] = function
+        self.declarations.add(f"declare void @{function.symbol}(ptr) nonlazybind")
+        self.declarations.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
+        operand_buffer = self.buffer(function.operands)
+        result_buffer = self.buffer(function.results)
         operands = foreign_calls.columns(function.operands, self.width)
         for operand, (_, offset) in zip(value.operands, operands, strict=True):
-            self.put(packed, offset, operand)
-        self.lines.append(f"  call void @{foreign_calls.over_lanes(function, self.width)}(ptr {packed}, ptr {found})")
+            self.store_in_buffer(operand_buffer, offset, operand)
+        over_lanes = foreign_calls.over_lanes(function, self.width)
+        self.lines.append(f"  call void @{over_lanes}(ptr {operand_buffer}, ptr {result_buffer})")
         results = foreign_calls.columns(function.results, self.width)
-        self.parts[id(value)] = [self.taken(found, offset, place.dtype) for place, offset in results]
+        self.parts[id(value)] = [self.load_from_buffer(result_buffer, offset, place.dtype) for place, offset in results]
         return self.parts[id(value)][0]
 
     def buffer(self, places: tuple[MemoryPlace, ...]) -> str:
@@ -244,35 +245,35 @@ class Emitter(Instructions):
         self.allocated.append(f"  {name} = alloca [{size} x i8], align {ALIGNMENT}")
         return name
 
-    def put(self, buffer: str, offset: int, value: Value) -> None:
+    def store_in_buffer(self, buffer: str, offset: int, value: Value) -> None:
         """Store a value for each lane in a buffer."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
         self.write(place, "0", value, True)
 
-    def taken(self, buffer: str, offset: int, dtype: np.dtype) -> str:
-        """A value of each lane from a buffer."""
+    def load_from_buffer(self, buffer: str, offset: int, dtype: np.dtype) -> str:
+        """Load a value for each lane from a buffer."""
         place = self.emit(f"getelementptr i8, ptr {buffer}, i64 {offset}", "p")
         return self.emit(f"load {self.kind(dtype, True)}, ptr {place}, align {dtype.itemsize}")
 
-    def inverted(self, condition: str, wide: bool) -> str:
-        """Where a condition does not hold."""
+    def invert(self, condition: str, wide: bool) -> str:
+        """Negate a condition; the register of the result."""
         return self.emit(f"xor {self.kind(BOOL, wide)} {condition}, {'splat (i1 true)' if wide else 'true'}")
 
-    def side(self, taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
-        """One side of a branch, which is skipped if no lane takes it; registers of its values, wide or not."""
-        inside, end, entry = self.fresh("side"), self.fresh("end"), self.label
-        self.lines.append(f"  br i1 {taken}, label %{inside}, label %{end}")
-        self.begin(inside)
+    def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
+        """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
+        side_label, end, entry = self.fresh("side"), self.fresh("end"), self.label
+        self.lines.append(f"  br i1 {is_taken},  label %{side_label}, label %{end}")
+        self.begin(side_label)
         self.block(block)
         reads = {i: self.read(value, wide) for i, (value, wide) in values.items()}
         final = self.label
         self.lines.append(f"  br label %{end}")
         self.begin(end)
-        joined = {}
+        registers = {}
         for i, (value, wide) in values.items():
             kind = self.kind(value.dtype, wide)
-            joined[i] = self.emit(f"phi {kind} [ zeroinitializer, %{entry} ], [ {reads[i]}, %{final} ]")
-        return joined
+            registers[i] = self.emit(f"phi {kind} [ zeroinitializer, %{entry} ], [ {reads[i]}, %{final} ]")
+        return registers
 
     # Memory
 

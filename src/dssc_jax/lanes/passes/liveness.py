@@ -25,32 +25,32 @@ def read_inputs(program: Program) -> set[int]:
 
 def reachable(program: Program) -> set[int]:
     """Identities of the values, loops and branches that a result depends on."""
-    seen: set[int] = set()
-    waiting: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
+    visited: set[int] = set()
+    pending: list[Node] = [value for value in program.outputs if isinstance(value, Value)]
     records: dict[int, list[Node]] = {}
     collect_records(program.body, (), records)
     for value in program.outputs:
-        waiting += records[id(value)] if isinstance(value, Recording) else []
-    while waiting:
-        node = waiting.pop()
-        if id(node) in seen:
+        pending += records[id(value)] if isinstance(value, Recording) else []
+    while pending:
+        node = pending.pop()
+        if id(node) in visited:
             continue
-        seen.add(id(node))
+        visited.add(id(node))
         if isinstance(node, Value):
-            waiting += node.operands
+            pending += node.operands
             if node.operation in ("state", "result"):
                 loop, position = node.detail
-                waiting += [loop, loop.begin[position], loop.following[position]]
+                pending += [loop, loop.initial_states[position], loop.next_states[position]]
             elif node.operation == "joined":
                 branch, position = node.detail
-                waiting += [branch, branch.values[0][position], branch.values[1][position]]
+                pending += [branch, branch.values[0][position], branch.values[1][position]]
         elif isinstance(node, CodeLoop):
-            waiting += [value for value in (node.guard, node.proceed) if value is not None]
+            pending += [value for value in (node.guard, node.proceed) if value is not None]
         elif isinstance(node, Branch):
-            waiting.append(node.condition)
+            pending.append(node.condition)
         elif isinstance(node, Record):
-            waiting += [node.position, node.value]
-    return seen
+            pending += [node.position, node.value]
+    return visited
 
 
 def collect_records(block: CodeBlock, around: tuple[Node, ...], records: dict[int, list[Node]]) -> None:

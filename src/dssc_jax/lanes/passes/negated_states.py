@@ -34,7 +34,7 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
     dependent: dict[Pair, list[Pair]] = {}
     for pair, loop in candidates.items():
         _, value, negated = pair
-        for values in (loop.begin, loop.following):
+        for values in (loop.initial_states, loop.next_states):
             condition = opposite(values[value], values[negated])
             if condition is False or (condition is not True and condition not in candidates):
                 refuted.append(pair)
@@ -50,24 +50,24 @@ def opposite_pairs(loops: list[CodeLoop]) -> set[Pair]:
 
 def candidate_pairs(loop: CodeLoop) -> Iterator[tuple[int, int]]:
     """Positions of states that may be opposite: they are equally far behind what is computed, as in delays."""
-    alike: dict[int, list[int]] = {}
+    positions_by_delay: dict[int, list[int]] = {}
     for position in range(len(loop.states)):
-        alike.setdefault(turns_behind(loop, position), []).append(position)
-    for positions in alike.values():
+        positions_by_delay.setdefault(turns_behind(loop, position), []).append(position)
+    for positions in positions_by_delay.values():
         yield from permutations(positions, 2)
 
 
 def turns_behind(loop: CodeLoop, position: int) -> int:
     """How many states of the loop hand a value on, or its negative, before it is in this one."""
-    passed = set[int]()
-    while position not in passed:
-        passed.add(position)
-        following = loop.following[position]
-        source = following.operands[0] if following.operation == "neg" else following
+    visited = set[int]()
+    while position not in visited:
+        visited.add(position)
+        next_value = loop.next_states[position]
+        source = next_value.operands[0] if next_value.operation == "neg" else next_value
         if source.operation != "state" or source.detail[0] is not loop:
             break
         position = source.detail[1]
-    return len(passed)
+    return len(visited)
 
 
 def loops_of(block: CodeBlock) -> list[CodeLoop]:
@@ -89,15 +89,15 @@ def opposite(value: Value, negated: Value) -> bool | Pair:
 
 def remove(loop: CodeLoop, negatives: dict[int, int]) -> None:
     """Compute states from their negatives, in the body and behind the loop."""
-    outside = loop.body.parent
-    assert outside is not None
-    after_loop = outside.nodes.index(loop) + 1
-    for values, block, place in ((loop.states, loop.body, 0), (loop.results, outside, after_loop)):
+    surrounding_block = loop.body.parent
+    assert surrounding_block is not None
+    after_loop = surrounding_block.nodes.index(loop) + 1
+    for values, block, insertion_index in ((loop.states, loop.body, 0), (loop.results, surrounding_block, after_loop)):
         changed = [values[negative] for negative in negatives]
         for value, position in zip(changed, negatives.values(), strict=True):
             value.operation, value.operands, value.detail = Operation.NEG, (values[position],), None
-        block.nodes[place:place] = changed
-    for values in (loop.begin, loop.states, loop.following, loop.results):
+        block.nodes[insertion_index:insertion_index] = changed
+    for values in (loop.initial_states, loop.states, loop.next_states, loop.results):
         values[:] = [value for position, value in enumerate(values) if position not in negatives]
     for values in (loop.states, loop.results):
         for position, value in enumerate(values):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from dssc_jax.lanes.interface import stored_type
 from dssc_jax.lanes.llvm.instructions import Instructions, scalar_type
-from dssc_jax.lanes.passes.scheduling import ordered
+from dssc_jax.lanes.passes.scheduling import schedule
 from dssc_jax.lanes.program import BOOL, Branch, CodeLoop, Value, all_blocks, read_by
 
 TURNS = 8
@@ -32,15 +32,15 @@ class AheadPlan:
     outputs: list[Value]
 
 
-def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
+def ahead_plan(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
     """Select the values of a loop's body to precompute; None if that is impossible or not worthwhile.
 
     Args:
         loop: The loop.
         alive: Identities of the values that are needed.
     """
-    inside = [node for block in all_blocks(loop.body) for node in block.nodes]
-    nodes = [node for node in inside if id(node) in alive]
+    body_nodes = [node for block in all_blocks(loop.body) for node in block.nodes]
+    nodes = [node for node in body_nodes if id(node) in alive]
     if any(isinstance(node, CodeLoop) for node in nodes):
         return None
     if any(not value.varying for node in nodes if isinstance(node, Branch) for value in node.results):
@@ -52,20 +52,20 @@ def planned(loop: CodeLoop, alive: Set[int]) -> AheadPlan | None:
     counters = {i: step(loop, i) for i in states if not loop.states[i].varying}
     if not all(counters.values()):
         return None
-    ahead = set(map(id, values))
-    read = {id(part) for node in nodes if id(node) not in ahead for part in read_by(node)}
-    read |= {id(loop.proceed), *(id(loop.following[i]) for i in states)}
-    known = [*(loop.states[i] for i in counters), *values]
-    return AheadPlan(counters, values, [value for value in known if id(value) in read])
+    planned_ids = set(map(id, values))
+    read_ids = {id(part) for node in nodes if id(node) not in planned_ids for part in read_by(node)}
+    read_ids |= {id(loop.proceed), *(id(loop.next_states[i]) for i in states)}
+    candidates = [*(loop.states[i] for i in counters), *values]
+    return AheadPlan(counters, values, [value for value in candidates if id(value) in read_ids])
 
 
 def step(loop: CodeLoop, position: int) -> int:
-    """By how much a state grows in every turn; 0 if it does something else."""
-    state, following = loop.states[position], loop.following[position]
-    if following.operation == "add" and following.dtype.kind in "iu":
-        for left, right in (following.operands, following.operands[::-1]):
-            if left is state and right.operation == "constant":
-                return int(right.detail)
+    """The constant by which a state grows in every turn; 0 if it changes otherwise."""
+    state, next_value = loop.states[position], loop.next_states[position]
+    if next_value.operation == "add" and next_value.dtype.kind in "iu":
+        for state_operand, increment in (next_value.operands, next_value.operands[::-1]):
+            if state_operand is state and increment.operation == "constant":
+                return int(increment.detail)
     return 0
 
 
@@ -74,21 +74,21 @@ class Ahead(Instructions):
 
     Args:
         lanes: Where the instructions of the lanes are written; both go to the same lines.
-        chosen: What to compute.
-        window: See :func:`~dssc_jax.lanes.passes.scheduling.ordered`.
+        plan: What to compute.
+        window: See :func:`~dssc_jax.lanes.passes.scheduling.schedule`.
     """
 
-    def __init__(self, lanes: Instructions, chosen: AheadPlan, window: int) -> None:
+    def __init__(self, lanes: Instructions, plan: AheadPlan, window: int) -> None:
         super().__init__(
             TURNS,
             lanes.flags,
             lanes.stored_constants,
             lines=lanes.lines,
             tables=lanes.tables,
-            declared=lanes.declared,
+            declarations=lanes.declarations,
             subroutines=lanes.subroutines,
         )
-        self.lanes, self.chosen, self.window, self.buffers = lanes, chosen, window, dict[int, str]()
+        self.lanes, self.plan, self.window, self.buffers = lanes, plan, window, dict[int, str]()
 
     def fresh(self, prefix: str = "v") -> str:
         """A new name."""
@@ -109,21 +109,21 @@ class Ahead(Instructions):
     def read(self, value: Value, vector: bool) -> str:
         """A value as an operand; one that is known before the loop is repeated."""
         if value.operation != "constant" and (id(value), True) not in self.names:
-            self.names[id(value), True] = self.repeated(value.dtype, self.lanes.read(value, False))
+            self.names[id(value), True] = self.splat(value.dtype, self.lanes.read(value, False))
         return super().read(value, vector)
 
     def write(self, loop: CodeLoop) -> None:
         """Compute the values of the next turns from the counters at the first, and store them."""
-        for position, growth in self.chosen.counters.items():
+        for position, growth in self.plan.counters.items():
             state = loop.states[position]
             scalar = scalar_type(state.dtype)
             offsets = ", ".join(f"{scalar} {growth * turn}" for turn in range(TURNS))
-            start = self.repeated(state.dtype, self.lanes.read(state, False))
+            start = self.splat(state.dtype, self.lanes.read(state, False))
             self.names[id(state), True] = self.emit(f"add {self.kind(state.dtype, True)} {start}, <{offsets}>")
-        for value in ordered(self.chosen.values, self.window):
+        for value in schedule(self.plan.values, self.window):
             assert isinstance(value, Value)
             self.name(value, self.value(value))
-        for value in self.chosen.outputs:
+        for value in self.plan.outputs:
             register, dtype = self.names[id(value), True], stored_type(value.dtype)
             if value.dtype == BOOL:
                 register = self.emit(f"zext {self.kind(BOOL, True)} {register} to {self.kind(dtype, True)}")
@@ -132,12 +132,12 @@ class Ahead(Instructions):
 
     def allocations(self) -> list[str]:
         """Memory for what is stored, to be reserved once."""
-        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.chosen.outputs)
+        pairs = ((self.buffers[id(value)], stored_type(value.dtype)) for value in self.plan.outputs)
         return [f"  {buffer} = alloca {self.kind(dtype, True)}, align 64" for buffer, dtype in pairs]
 
     def load(self, turn: str) -> None:
         """Read the values of one turn as scalars of the lanes."""
-        for value in self.chosen.outputs:
+        for value in self.plan.outputs:
             dtype = stored_type(value.dtype)
             scalar = scalar_type(dtype)
             place = self.emit(f"getelementptr {scalar}, ptr {self.buffers[id(value)]}, i64 {turn}", "p")

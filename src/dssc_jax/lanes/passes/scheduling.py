@@ -18,8 +18,8 @@ OTHER_CYCLES = 2
 AT_A_TIME = 3  # operations that begin in a cycle
 
 
-def ordered(nodes: Sequence[Node], window: int) -> list[Node]:
-    """The nodes of a block in the order in which to emit them.
+def schedule(nodes: Sequence[Node], window: int) -> list[Node]:
+    """Order the nodes of a block for emission.
 
     Args:
         nodes: Nodes in an order in which operands precede what reads them.
@@ -29,33 +29,33 @@ def ordered(nodes: Sequence[Node], window: int) -> list[Node]:
     remaining = [0] * len(nodes)
     for i in reversed(range(len(nodes))):
         remaining[i] = cycles(nodes[i]) + max((remaining[user] for user in users[i]), default=0)
-    missing = [0] * len(nodes)
+    missing_operands = [0] * len(nodes)
     for user in chain.from_iterable(users):
-        missing[user] += 1
+        missing_operands[user] += 1
 
-    done, known_at = [False] * len(nodes), [0.0] * len(nodes)
-    free = [i for i in range(len(nodes)) if not missing[i]]  # operands are placed; a heap by place
-    waiting: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
-    ready: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
-    order, first, time = [], 0, 0.0
+    is_placed, known_at = [False] * len(nodes), [0.0] * len(nodes)
+    free_heap = [i for i in range(len(nodes)) if not missing_operands[i]]  # operands are placed; a heap by place
+    waiting_heap: list[tuple[float, int, int]] = []  # and within the window; a heap by when its operands are known
+    ready_heap: list[tuple[int, int]] = []  # and these are known; a heap by the cycles that remain
+    order, first_unplaced, time = [], 0, 0.0
     while len(order) < len(nodes):
-        while done[first]:
-            first += 1
-        while free and free[0] <= first + window:
-            i = heappop(free)
-            heappush(waiting, (known_at[i], -remaining[i], i))
-        if not ready:
-            time = max(time, waiting[0][0])
-        while waiting and waiting[0][0] <= time:
-            heappush(ready, heappop(waiting)[1:])
-        _, i = heappop(ready)
+        while is_placed[first_unplaced]:
+            first_unplaced += 1
+        while free_heap and free_heap[0] <= first_unplaced + window:
+            i = heappop(free_heap)
+            heappush(waiting_heap, (known_at[i], -remaining[i], i))
+        if not ready_heap:
+            time = max(time, waiting_heap[0][0])
+        while waiting_heap and waiting_heap[0][0] <= time:
+            heappush(ready_heap, heappop(waiting_heap)[1:])
+        _, i = heappop(ready_heap)
         order.append(nodes[i])
-        done[i] = True
+        is_placed[i] = True
         for user in users[i]:
-            missing[user] -= 1
+            missing_operands[user] -= 1
             known_at[user] = max(known_at[user], time + cycles(nodes[i]))
-            if not missing[user]:
-                heappush(free, user)
+            if not missing_operands[user]:
+                heappush(free_heap, user)
         time += 1.0 / AT_A_TIME
     return order
 

@@ -103,29 +103,30 @@ def verify_access(value: Value) -> None:
 
 def verify_loop(loop: CodeLoop, defined: set[int]) -> None:
     """Check a loop, its body and its state."""
-    for value in loop.begin:
+    for value in loop.initial_states:
         require_defined(value, defined, "a loop's begin")
     if loop.guard is not None:
         require_defined(loop.guard, defined, "a loop's guard")
         require(
             loop.guard.dtype == BOOL and not loop.guard.varying, loop.guard, "a guard must be a uniform truth value"
         )
-    inside = set(defined)
+    defined_in_body = set(defined)
     for state in loop.states:
-        define(state, inside)
-    verify_block(loop.body, inside)
-    parts = (loop.begin, loop.states, loop.following, loop.results)
+        define(state, defined_in_body)
+    verify_block(loop.body, defined_in_body)
+    parts = (loop.initial_states, loop.states, loop.next_states, loop.results)
     require(len({len(part) for part in parts}) == 1, None, "a loop's states must be complete")
-    for begin, state, following, result in zip(*parts, strict=True):
-        require_defined(following, inside, "a loop's state")
-        types = {value.dtype for value in (begin, state, following, result)}
+    for initial_state, state, next_state, result in zip(*parts, strict=True):
+        require_defined(next_state, defined_in_body, "a loop's state")
+        types = {value.dtype for value in (initial_state, state, next_state, result)}
         require(len(types) == 1, state, "a state must keep its type, got {}", types)
-        require(state.varying or not (begin.varying or following.varying), state, "is uniform, and its values vary")
+        is_consistent = state.varying or not (initial_state.varying or next_state.varying)
+        require(is_consistent, state, "is uniform, and its values vary")
         require(result.varying == state.varying, result, "must vary as the state does")
         define(result, defined)
     proceed = loop.proceed
     assert proceed is not None
-    require_defined(proceed, inside, "a loop's condition")
+    require_defined(proceed, defined_in_body, "a loop's condition")
     require(proceed.dtype == BOOL and not proceed.varying, proceed, "a loop's condition must be a uniform truth value")
 
 
@@ -134,10 +135,10 @@ def verify_branch(branch: Branch, defined: set[int]) -> None:
     require_defined(branch.condition, defined, "a branch's condition")
     require(branch.condition.dtype == BOOL, branch.condition, "a branch's condition must be a truth value")
     for side, values in zip(branch.sides, branch.values, strict=True):
-        inside = set(defined)
-        verify_block(side, inside)
+        defined_in_side = set(defined)
+        verify_block(side, defined_in_side)
         for value in values:
-            require_defined(value, inside, "a branch's value")
+            require_defined(value, defined_in_side, "a branch's value")
     for first, second, result in zip(*branch.values, branch.results, strict=True):
         require(first.dtype == second.dtype == result.dtype, result, "both sides must have its type")
         define(result, defined)
@@ -151,8 +152,8 @@ def define(value: Value, defined: set[int]) -> None:
 
 def require_defined(value: Value, defined: set[int], reader: str) -> None:
     """Require that a value is a constant or defined before its reader."""
-    known = value.operation == Operation.CONSTANT or id(value) in defined
-    require(known, value, "is read by {} before it is set", reader)
+    is_defined = value.operation == Operation.CONSTANT or id(value) in defined
+    require(is_defined, value, "is read by {} before it is set", reader)
 
 
 def require(holds: bool, value: Value | None, rule: str, *details: object) -> None:

@@ -100,34 +100,34 @@ def strided(operand: Tensor, params: Parameters) -> Tensor:
 
 
 def reshaped(operand: Tensor, params: Parameters) -> Tensor:
-    """The same elements in another shape."""
+    """An array in another shape."""
     return operand.reshape(params["new_sizes"])
 
 
 def squeezed(operand: Tensor, params: Parameters) -> Tensor:
-    """Without axes of size 1."""
+    """An array without some axes of size 1."""
     return np.squeeze(operand, tuple(params["dimensions"]))
 
 
 def expanded(operand: Tensor, params: Parameters) -> Tensor:
-    """With new axes of size 1."""
+    """An array with new axes of size 1."""
     return np.expand_dims(operand, tuple(params["dimensions"]))
 
 
 def transposed(operand: Tensor, params: Parameters) -> Tensor:
-    """With its axes in another order."""
+    """An array with its axes in another order."""
     return np.transpose(operand, params["permutation"])
 
 
 def reversed_along(operand: Tensor, params: Parameters) -> Tensor:
-    """Backwards along some axes."""
+    """An array reversed along some axes."""
     return np.flip(operand, params["dimensions"])
 
 
 def concatenate(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """Arrays one after another."""
-    known = all(operand.dtype != object for operand in operands)
-    parts = operands if known else [as_tensor(operand, build) for operand in operands]
+    are_constant = all(operand.dtype != object for operand in operands)
+    parts = operands if are_constant else [as_tensor(operand, build) for operand in operands]
     return np.concatenate(parts, params["dimension"])
 
 
@@ -154,11 +154,11 @@ def pad(build: Builder, operands: Sequence[Any], params: Parameters, equation: J
         raise Unsupported("a negative margin")
     result = np.empty(array_type(equation.outvars[0]).shape, object)
     result.ravel()[:] = [margin] * result.size
-    inside = tuple(
+    element_slices = tuple(
         slice(low, low + (size - 1) * (gap + 1) + 1 if size else low, gap + 1)
         for size, (low, _, gap) in zip(operand.shape, params["padding_config"], strict=True)
     )
-    result[inside] = operand
+    result[element_slices] = operand
     return result
 
 
@@ -174,17 +174,18 @@ def reduction(operation: str) -> Callable[..., Any]:
 
     def rule(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
         axes, tensor = params["axes"], as_tensor(operands[0], build)
-        kept = [axis for axis in range(tensor.ndim) if axis not in axes]
-        rows = np.transpose(tensor, [*kept, *axes]).reshape(*(tensor.shape[axis] for axis in kept), -1)
+        remaining_axes = [axis for axis in range(tensor.ndim) if axis not in axes]
+        remaining_shape = [tensor.shape[axis] for axis in remaining_axes]
+        rows = np.transpose(tensor, [*remaining_axes, *axes]).reshape(*remaining_shape, -1)
         if not rows.shape[-1]:
             raise Unsupported("a reduction of nothing")
-        return combined(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
+        return reduce_rows(lambda row: reduce(lambda x, y: build.add(operation, x, y), row), rows)
 
     return rule
 
 
-def combined(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
-    """A function of the last axis."""
+def reduce_rows(function: Callable[[Sequence[Value]], Value], rows: Tensor) -> Any:
+    """Apply a function to each row along the last axis."""
     result = np.empty(rows.shape[:-1], object)
     for position in np.ndindex(result.shape):
         result[position] = function(list(rows[position]))
@@ -201,10 +202,10 @@ def dot_general(build: Builder, operands: Sequence[Any], params: Parameters, equ
         shapes = [[tensor.shape[axis] for axis in axes] for axes in (batch, free, sums)]
         sizes = [int(np.prod(shape)) for shape in shapes]
         sides.append((np.transpose(tensor, [*batch, *free, *sums]).reshape(sizes), shapes))
-    (left, left_shapes), (right, right_shapes) = sides
-    result = np.empty((left.shape[0], left.shape[1], right.shape[1]), object)
+    (left_tensor, left_shapes), (right_tensor, right_shapes) = sides
+    result = np.empty((left_tensor.shape[0], left_tensor.shape[1], right_tensor.shape[1]), object)
     for batch, i, j in np.ndindex(*result.shape):
-        products = [build.add("mul", x, y) for x, y in zip(left[batch, i], right[batch, j], strict=True)]
+        products = [build.add("mul", x, y) for x, y in zip(left_tensor[batch, i], right_tensor[batch, j], strict=True)]
         zero = build.constant(0, np.dtype(array_type(equation.outvars[0]).dtype))
         result[batch, i, j] = reduce(lambda x, y: build.add("add", x, y), products) if products else zero
     return from_tensor(result.reshape(left_shapes[0] + left_shapes[1] + right_shapes[1]))
@@ -218,9 +219,9 @@ def cumulative_rule(operation: str) -> Callable[..., Any]:
         steps = range(tensor.shape[-1])
         order = list(reversed(steps)) if params["reverse"] else list(steps)
         for position in np.ndindex(tensor.shape[:-1]):
-            for previous, after in pairwise(order):
-                tensor[(*position, after)] = build.add(
-                    operation, tensor[(*position, previous)], tensor[(*position, after)]
+            for previous, current in pairwise(order):
+                tensor[(*position, current)] = build.add(
+                    operation, tensor[(*position, previous)], tensor[(*position, current)]
                 )
         return np.moveaxis(tensor, -1, params["axis"])
 

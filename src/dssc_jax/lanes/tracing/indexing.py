@@ -41,11 +41,11 @@ def element(build: Builder, table: Tensor, position: Value) -> Value:
         return build.add("lookup", position, dtype=table.dtype, detail=table)
     if table.size > MOST_SELECTS:
         raise Unsupported(f"an array of {table.size} numbers that change, read at an index")
-    chosen = table[-1]
+    selected = table[-1]
     for number in range(table.size - 2, -1, -1):
-        chosen = build.add("select", build.add("le", position, build.constant(number, position.dtype)), table[number],
-                           chosen)  # fmt: skip
-    return chosen
+        is_at_most = build.add("le", position, build.constant(number, position.dtype))
+        selected = build.add("select", is_at_most, table[number], selected)
+    return selected
 
 
 def row(build: Builder, table: Any, at: Value) -> Any:
@@ -125,10 +125,11 @@ def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation
             starts[axis] = start
         part = window(build, operand, starts, sizes)
         if fill:
-            inside = lies_within(build, operand.shape, starts, sizes)
-            missing = filler(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
-            part = elementwise(lambda x, inside=inside, missing=missing: build.add("select", inside, x, missing),
-                               build, [part])  # fmt: skip
+            is_inside = lies_within(build, operand.shape, starts, sizes)
+            fill_value = filler(build, params["fill_value"], np.dtype(array_type(equation.outvars[0]).dtype))
+            part = elementwise(
+                lambda x, mask=is_inside, other=fill_value: build.add("select", mask, x, other), build, [part]
+            )
         points.append(np.squeeze(part, tuple(numbers.collapsed_slice_dims)))
     stacked = np.empty((len(points), *points[0].shape), object)
     for i, part in enumerate(points):
@@ -141,11 +142,11 @@ def gather(build: Builder, operands: Sequence[Any], params: Parameters, equation
 
 def lies_within(build: Builder, shape: Sequence[int], starts: Sequence[Value], sizes: Sequence[int]) -> Value:
     """Whether a window lies within an array."""
-    inside = build.constant(True, np.dtype(bool))
+    is_inside = build.constant(True, np.dtype(bool))
     for size, start, part in zip(shape, starts, sizes, strict=True):
         for operation, bound in (("ge", 0), ("le", size - part)):
-            inside = build.add("and", build.add(operation, start, build.constant(bound, start.dtype)), inside)
-    return inside
+            is_inside = build.add("and", build.add(operation, start, build.constant(bound, start.dtype)), is_inside)
+    return is_inside
 
 
 def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
@@ -162,7 +163,7 @@ def filler(build: Builder, fill: Any, dtype: np.dtype) -> Value:
     return build.constant(True, dtype)
 
 
-def replaced(
+def with_window(
     build: Builder, operand: Tensor, starts: Sequence[Value], update: Tensor, combine: Callable[[Value, Value], Value]
 ) -> Tensor:
     """An array with a window combined with other values, at indices of the run that lie within it."""
@@ -174,13 +175,13 @@ def replaced(
             range(at, at + size - part + 1) for at, size, part in zip(offset, operand.shape, update.shape, strict=True)
         ]
         for position in product(*choices):
-            hit = build.constant(True, np.dtype(bool))
+            is_in_window = build.constant(True, np.dtype(bool))
             for axis, at in enumerate(position):
                 start = build.constant(at - offset[axis], starts[axis].dtype)
-                hit = build.add("and", build.add("eq", starts[axis], start), hit)
-            old: Any = result[position]
-            new: Any = update[offset]
-            result[position] = build.add("select", hit, combine(old, new), old)
+                is_in_window = build.add("and", build.add("eq", starts[axis], start), is_in_window)
+            old_value: Any = result[position]
+            new_value: Any = update[offset]
+            result[position] = build.add("select", is_in_window, combine(old_value, new_value), old_value)
     return result
 
 
@@ -195,14 +196,15 @@ def dynamic_slice(build: Builder, operands: Sequence[Any], params: Parameters, e
 
 
 def dynamic_update_slice(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
-    """An array with a window replaced."""
+    """Replace a window of an array."""
     operand, update, *starts = operands
     if isinstance(operand, Memory):
         return operand.write(build, wide_index(build, starts[0]), as_tensor(update, build)[0])
     target, new = as_tensor(operand, build), as_tensor(update, build)
     limits = [size - part for size, part in zip(target.shape, new.shape, strict=True)]
-    inside = [clipped(build, wide_index(build, start), limit) for start, limit in zip(starts, limits, strict=True)]
-    return replaced(build, target, inside, new, lambda old, new: new)
+    pairs = zip(starts, limits, strict=True)
+    clipped_starts = [clipped(build, wide_index(build, start), limit) for start, limit in pairs]
+    return with_window(build, target, clipped_starts, new, lambda old, new: new)
 
 
 def scatter(operation: str) -> Callable[..., Tensor]:
@@ -223,7 +225,7 @@ def scatter(operation: str) -> Callable[..., Tensor]:
             for axis, start in zip(numbers.scatter_dims_to_operand_dims, vector, strict=True):
                 limit = target.shape[axis] - update.shape[axis]
                 starts[axis] = clipped(build, start, limit) if clip else start
-            target = replaced(build, target, starts, update, lambda old, new: (
+            target = with_window(build, target, starts, update, lambda old, new: (
                 build.add(operation, old, new) if operation else new))  # fmt: skip
         return target
 

@@ -99,27 +99,27 @@ def clamped(build: Builder, index: Value, length: int) -> Value:
     if index.varying:
         raise Unsupported("an array of the time loop at an index that differs between lanes")
     clipped = build.add("max", index, build.constant(0, index.dtype))
-    inside = build.add("min", clipped, build.constant(length - 1, index.dtype))
-    return build.add("convert", inside, dtype=INDEX_TYPE)
+    clamped_index = build.add("min", clipped, build.constant(length - 1, index.dtype))
+    return build.add("convert", clamped_index, dtype=INDEX_TYPE)
 
 
-def kept_in_memory(build: Builder, begin: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
+def kept_in_memory(build: Builder, initial_state: Sequence[Any], body: Jaxpr, first: int) -> list[Any]:
     """The state before a loop, with a :class:`Memory` in place of each array of zeros that can stay in memory.
 
     Args:
         build: The builder.
-        begin: The state before the loop.
+        initial_state: The state before the loop.
         body: The loop's body; ``first`` of its operands precede the state.
         first: Number of those operands.
     """
-    kept = []
-    for position, value in enumerate(begin):
+    states = []
+    for position, value in enumerate(initial_state):
         dtype = zeros_of(value)
         if dtype is not None and stays_in_place(body, first + position, position):
             slot = Slot(len(value), dtype)
             value = Memory(slot, build.memory(slot))
-        kept.append(value)
-    return kept
+        states.append(value)
+    return states
 
 
 def zeros_of(value: Any) -> np.dtype | None:
@@ -142,39 +142,42 @@ def stays_in_place(body: Jaxpr, operand: int, result: int) -> bool:
 
 def versions(jaxpr: Jaxpr, array: Var) -> list[int] | None:
     """Which results are later versions of an array; None if the program does more than access single elements of it."""
-    known: set[Any] = {array}
+    version_variables: set[Any] = {array}
     for equation in jaxpr.eqns:
-        used = [i for i, atom in enumerate(equation.invars) if isinstance(atom, Var) and atom in known]
-        if not used:
+        operands = enumerate(equation.invars)
+        operand_positions = [i for i, atom in operands if isinstance(atom, Var) and atom in version_variables]
+        if not operand_positions:
             continue
-        changed = versions_of(equation, used)
+        changed = versions_of(equation, operand_positions)
         if changed is None:
             return None
-        known |= {equation.outvars[i] for i in changed}
-    return [i for i, atom in enumerate(jaxpr.outvars) if isinstance(atom, Var) and atom in known]
+        version_variables |= {equation.outvars[i] for i in changed}
+    return [i for i, atom in enumerate(jaxpr.outvars) if isinstance(atom, Var) and atom in version_variables]
 
 
-def versions_of(equation: JaxprEqn, used: list[int]) -> list[int] | None:
-    """As :func:`versions`, for one equation; ``used`` are the positions of the array among its operands."""
+def versions_of(equation: JaxprEqn, operand_positions: list[int]) -> list[int] | None:
+    """As :func:`versions`, for one equation, with the positions of the array among its operands."""
     name = equation.primitive.name
     params = equation.params
     if name == "dynamic_slice":
-        return [] if used == [0] and tuple(params["slice_sizes"]) == (1,) else None
+        return [] if operand_positions == [0] and tuple(params["slice_sizes"]) == (1,) else None
     if name == "dynamic_update_slice":
         single = getattr(equation.invars[1].aval, "shape", None) == (1,)
-        return [0] if used == [0] and single else None
-    if len(used) > 1 or name == "cond":
+        return [0] if operand_positions == [0] and single else None
+    if len(operand_positions) > 1 or name == "cond":
         return None
-    (operand,) = used
+    (operand,) = operand_positions
     if name == "while":
-        outside = params["cond_nconsts"]
-        state = operand - outside - params["body_nconsts"]
-        tests = versions(params["cond_jaxpr"].jaxpr, params["cond_jaxpr"].jaxpr.invars[outside + state])
-        return carried(params["body_jaxpr"].jaxpr, operand - outside, state) if state >= 0 and tests == [] else None
+        condition_constants = params["cond_nconsts"]
+        state = operand - condition_constants - params["body_nconsts"]
+        tests = versions(params["cond_jaxpr"].jaxpr, params["cond_jaxpr"].jaxpr.invars[condition_constants + state])
+        if state < 0 or tests != []:
+            return None
+        return carried_versions(params["body_jaxpr"].jaxpr, operand - condition_constants, state)
     if name == "scan":
         constants, count = parts_of_scan(equation)
         state = operand - constants
-        return carried(params["jaxpr"].jaxpr, operand, state) if 0 <= state < count else None
+        return carried_versions(params["jaxpr"].jaxpr, operand, state) if 0 <= state < count else None
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if not isinstance(inner, ClosedJaxpr | Jaxpr):
         return None
@@ -182,6 +185,6 @@ def versions_of(equation: JaxprEqn, used: list[int]) -> list[int] | None:
     return versions(program, program.invars[operand]) if len(program.invars) == len(equation.invars) else None
 
 
-def carried(body: Jaxpr, operand: int, state: int) -> list[int] | None:
+def carried_versions(body: Jaxpr, operand: int, state: int) -> list[int] | None:
     """As :func:`versions`, for a loop that carries the array as one of its states."""
     return [state] if stays_in_place(body, operand, state) else None

@@ -80,8 +80,8 @@ class OriginTranslator(Translator):
             origin = origin._replace(name="")
         for result in results:
             if isinstance(result, Value) and result.operation != "constant":
-                known = self.origins.get(id(result))
-                if known is None or (origin.name and not known.name):
+                previous_origin = self.origins.get(id(result))
+                if previous_origin is None or (origin.name and not previous_origin.name):
                     self.origins[id(result)] = origin
         return results
 

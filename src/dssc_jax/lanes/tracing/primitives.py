@@ -73,23 +73,23 @@ def division(operation: str) -> ElementRule:
     return translate
 
 
-def shift(operation: str, taken_as: str = "") -> ElementRule:
+def shift(operation: str, treated_as: str = "") -> ElementRule:
     """A shift; by the width of the type or more it leaves nothing, or the sign.
 
     Args:
         operation: ``shl`` or ``shr``.
-        taken_as: The kind of integer whose shift it is, whatever the type: "i" copies the sign bit, "u" moves zeros in.
+        treated_as: The kind of integer that is shifted, whatever the type: "i" copies the sign bit, "u" moves zeros in.
     """
 
     def translate(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-        width, plain = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
-        kind = np.dtype(f"{taken_as or dtype.kind}{dtype.itemsize}")
+        width, unsigned = 8 * dtype.itemsize, np.dtype(f"u{dtype.itemsize}")
+        kind = np.dtype(f"{treated_as or dtype.kind}{dtype.itemsize}")
         x, count = (build.add("bitcast", value, dtype=kind) for value in operands)
         limit = build.constant(width - 1, kind)
-        inside = build.add("lt", build.add("bitcast", count, dtype=plain), build.constant(width, plain))
-        shifted = build.add(operation, x, build.add("select", inside, count, limit))
-        past_end = shifted if taken_as == "i" else build.constant(0, kind)
-        return build.add("bitcast", build.add("select", inside, shifted, past_end), dtype=dtype)
+        is_within_width = build.add("lt", build.add("bitcast", count, dtype=unsigned), build.constant(width, unsigned))
+        shifted = build.add(operation, x, build.add("select", is_within_width, count, limit))
+        past_end = shifted if treated_as == "i" else build.constant(0, kind)
+        return build.add("bitcast", build.add("select", is_within_width, shifted, past_end), dtype=dtype)
 
     return translate
 
@@ -112,7 +112,7 @@ def clamp(build: Builder, operands: Sequence[Value], params: Parameters, dtype: 
 
 
 def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """One of the operands after the first: the first is the index of the chosen one, or a boolean for two of them.
+    """Select one of the cases: the first operand is the index of the case, or a boolean for two of them.
 
     An index below 0 chooses the first case, one beyond the end the last.
     """
@@ -120,11 +120,11 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
     if index.dtype == BOOL:
         if_false, if_true = cases[0], cases[-1]
         return build.add("select", index, if_true, if_false)
-    chosen = cases[-1]
+    selected = cases[-1]
     for number in reversed(range(len(cases) - 1)):
-        at_most = build.add("le", index, build.constant(number, index.dtype))
-        chosen = build.add("select", at_most, cases[number], chosen)
-    return chosen
+        is_at_most = build.add("le", index, build.constant(number, index.dtype))
+        selected = build.add("select", is_at_most, cases[number], selected)
+    return selected
 
 
 def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:

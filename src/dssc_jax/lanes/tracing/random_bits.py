@@ -99,8 +99,8 @@ def counter_blocks(build: Builder, key: Key, shape: tuple[int, ...]) -> list[tup
     return [threefry(build, key, zero, build.constant(i, WORD)) for i in range(int(np.prod(shape)))]
 
 
-def shaped(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
-    """Elements as an array; a scalar by itself."""
+def with_shape(elements: Sequence[Any], shape: tuple[int, ...]) -> Any:
+    """The elements as an array of a shape; of shape (), the one element itself."""
     if not shape:
         return elements[0]
     tensor = np.empty(len(elements), object)
@@ -118,7 +118,7 @@ def bits(build: Builder, operands: Sequence[Any], params: Parameters, equation: 
             words.append(build.add("or", upper, build.add("convert", low, dtype=dtype)))
         else:
             words.append(build.add("convert", build.add("xor", high, low), dtype=dtype))
-    return shaped(words, shape)
+    return with_shape(words, shape)
 
 
 def split_key(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
@@ -139,7 +139,7 @@ def shaped_keys(keys: Sequence[Key], shape: tuple[int, ...]) -> Any:
 
 def unwrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Any:
     """The two words of a key as an array."""
-    return shaped([operands[0].high, operands[0].low], (2,))
+    return with_shape([operands[0].high, operands[0].low], (2,))
 
 
 def wrap(build: Builder, operands: Sequence[Any], params: Parameters, equation: JaxprEqn) -> Key:

@@ -53,7 +53,7 @@ def result_type(value: Any, equation: JaxprEqn) -> bool:
 
 
 def one_of(*values: object) -> Condition:
-    """One of a few values, or of their names in an enumeration."""
+    """Whether a parameter is one of a few values, or of their names in an enumeration."""
     return lambda value, equation: getattr(value, "name", value) in values
 
 

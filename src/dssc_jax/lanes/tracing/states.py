@@ -39,8 +39,8 @@ def refuse_recordings(operands: Sequence[Any]) -> None:
         raise Unsupported("an array that a loop records or carries, as an operand")
 
 
-def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
-    """Values of the same kinds from their scalars, the inverse of :func:`components`."""
+def assemble(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
+    """Build values of the given kinds from their scalars; the inverse of :func:`components`."""
     remaining, values = list(scalars), []
     for like in likes:
         if isinstance(like, Value):
@@ -57,8 +57,8 @@ def assembled(likes: Sequence[Any], scalars: Sequence[Value]) -> list[Any]:
     return values
 
 
-def flat(values: Sequence[Any], build: Builder) -> list[Value]:
-    """All scalars of some values."""
+def flatten(values: Sequence[Any], build: Builder) -> list[Value]:
+    """The scalars of several values in one list."""
     return [scalar for value in values for scalar in components(value, build)]
 
 

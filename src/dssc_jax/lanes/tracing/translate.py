@@ -22,7 +22,7 @@ from dssc_jax.lanes.tracing.memory import Memory, kept_in_memory
 from dssc_jax.lanes.tracing.primitives import ELEMENT_RULES
 from dssc_jax.lanes.tracing.random_bits import Key
 from dssc_jax.lanes.tracing.specification import SCALARS, WHOLE, TranslationRule, absent, anything, require_type, rule
-from dssc_jax.lanes.tracing.states import assembled, components, flat, is_varying, refuse_recordings
+from dssc_jax.lanes.tracing.states import assemble, components, flatten, is_varying, refuse_recordings
 from dssc_jax.lanes.tracing.varying import VaryingResults, is_key, parts_of_scan
 from dssc_jax.lanes.unsupported import Unsupported
 
@@ -137,40 +137,42 @@ class Translator:
             (FOREIGN_RULES, self.array),
         )
 
-    def program(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def program(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an equation with inner programs, or over several lanes."""
-        return chosen.translate(self, equation, operands)
+        return translation.translate(self, equation, operands)
 
-    def element(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def element(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an operation on each element."""
         refuse_recordings(operands)
         dtype = np.dtype(type_of(equation.outvars[0]).dtype)
 
         def scalar(*scalars: Value) -> Value:
-            return chosen.translate(self.build, scalars, equation.params, dtype)
+            return translation.translate(self.build, scalars, equation.params, dtype)
 
         return [elementwise(scalar, self.build, operands)]
 
-    def elementary(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def elementary(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The result of an elementary function of each element."""
         refuse_recordings(operands)
         types = [np.dtype(type_of(atom).dtype) for atom in equation.invars]
-        function = self.function(chosen.translate, types)
-        if not isinstance(chosen, RareRule):
+        function = self.function(translation.translate, types)
+        if not isinstance(translation, RareRule):
             return [elementwise(lambda *scalars: self.run(function, scalars)[0], self.build, operands)]
-        condition, subroutine = self.function(chosen.is_rare, types), self.subroutine(chosen.rarely, types)
+        condition, subroutine = self.function(translation.is_rare, types), self.subroutine(translation.rarely, types)
 
         def usual_or_rare(*scalars: Value) -> Value:
-            usual, rare = self.run(function, scalars)[0], self.run(condition, scalars)[0]
-            return self.build.add("rarely", rare, usual, *scalars, dtype=usual.dtype, detail=subroutine)
+            usual_result = self.run(function, scalars)[0]
+            is_rare = self.run(condition, scalars)[0]
+            operands = is_rare, usual_result, *scalars
+            return self.build.add("rarely", *operands, dtype=usual_result.dtype, detail=subroutine)
 
         return [elementwise(usual_or_rare, self.build, operands)]
 
-    def array(self, chosen: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
+    def array(self, translation: TranslationRule, equation: JaxprEqn, operands: list[Any]) -> Sequence[Any]:
         """The results of an operation that moves or combines elements."""
-        if chosen not in MEMORY_RULES:
+        if translation not in MEMORY_RULES:
             refuse_recordings(operands)
-        results = chosen.translate(self.build, operands, equation.params, equation)
+        results = translation.translate(self.build, operands, equation.params, equation)
         return results if equation.primitive.multiple_results else [results]
 
     def function(self, function: Callable[..., Any], types: Sequence[np.dtype]) -> ClosedJaxpr:
@@ -223,66 +225,67 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
     params, build = equation.params, translator.build
     head, body = params["cond_jaxpr"], params["body_jaxpr"]
     first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-    head_constants, constants, begin = operands[:first], operands[first:second], operands[second:]
+    head_constants, constants, initial_state = operands[:first], operands[first:second], operands[second:]
     if translator.has_memory:
-        begin = kept_in_memory(build, begin, body.jaxpr, second - first)
-    flags = [is_varying(value) for value in (*operands[:second], *begin)]
+        initial_state = kept_in_memory(build, initial_state, body.jaxpr, second - first)
+    flags = [is_varying(value) for value in (*operands[:second], *initial_state)]
     varying, lanes_differ = translator.varying_results.of_while(head.jaxpr, body.jaxpr, flags, first, second)
-    if lanes_differ and any(isinstance(value, Memory) for value in begin):
+    if lanes_differ and any(isinstance(value, Memory) for value in initial_state):
         raise Unsupported("an array in memory in a loop that lanes leave at different times")
-    enter = translator.run(head, [*head_constants, *begin])[0]
-    scalars = flat(begin, build)
-    differs = [bool(flag) for flag, value in zip(varying, begin, strict=True) for _ in components(value, build)]
+    enter = translator.run(head, [*head_constants, *initial_state])[0]
+    scalars = flatten(initial_state, build)
+    differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
     loop = build.loop(
         [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
     )
     states = loop.states[: len(scalars)]
-    following = translator.run(body, [*constants, *assembled(begin, states)])
-    after = flat(following, build)
-    proceed = translator.run(head, [*head_constants, *following])[0]
+    next_state = translator.run(body, [*constants, *assemble(initial_state, states)])
+    next_scalars = flatten(next_state, build)
+    proceed = translator.run(head, [*head_constants, *next_state])[0]
     if lanes_differ:
-        running = loop.states[-1]
-        after = [build.add("select", running, new, old) for new, old in zip(after, states, strict=True)]
-        proceed = build.add("and", running, proceed)
-        after.append(proceed)
+        is_running = loop.states[-1]
+        pairs = zip(next_scalars, states, strict=True)
+        next_scalars = [build.add("select", is_running, new, old) for new, old in pairs]
+        proceed = build.add("and", is_running, proceed)
+        next_scalars.append(proceed)
         proceed = build.add("any", proceed)
-    return assembled(begin, build.end_loop(loop, after, proceed)[: len(scalars)])
+    return assemble(initial_state, build.end_loop(loop, next_scalars, proceed)[: len(scalars)])
 
 
 def scan_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
     """A loop of known length over the rows of some arrays; what it stacks is recorded."""
     params, build = equation.params, translator.build
     length, body = params["length"], params["jaxpr"]
-    first, carried = parts_of_scan(equation)
-    second = first + carried
-    constants, begin, rows = operands[:first], operands[first:second], operands[second:]
+    first, state_count = parts_of_scan(equation)
+    second = first + state_count
+    constants, initial_state, rows = operands[:first], operands[first:second], operands[second:]
     if translator.has_memory:
-        begin = kept_in_memory(build, begin, body.jaxpr, first)
-    kept = equation.outvars[carried:]
-    if kept and (length == 0 or params["reverse"]):
+        initial_state = kept_in_memory(build, initial_state, body.jaxpr, first)
+    recorded_variables = equation.outvars[state_count:]
+    if recorded_variables and (length == 0 or params["reverse"]):
         raise Unsupported("a loop that records nothing, or backwards")
     if length == 0:
-        return begin
-    recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in kept]
-    if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in kept):
+        return initial_state
+    recordings = [Recording(length, np.dtype(type_of(variable).dtype)) for variable in recorded_variables]
+    if any(type_of(variable).shape != (length,) or is_key(type_of(variable)) for variable in recorded_variables):
         raise Unsupported("a loop that records arrays")
     flags = translator.varying_results.of_scan(
-        body.jaxpr, [is_varying(value) for value in (*constants, *begin, *rows)], first, second
+        body.jaxpr, [is_varying(value) for value in (*constants, *initial_state, *rows)], first, second
     )
-    scalars, index = flat(begin, build), np.dtype(np.int32)
-    differs = [bool(flag) for flag, value in zip(flags, begin, strict=True) for _ in components(value, build)]
+    scalars, index = flatten(initial_state, build), np.dtype(np.int32)
+    differs = [bool(flag) for flag, value in zip(flags, initial_state, strict=True) for _ in components(value, build)]
     loop = build.loop([build.constant(0, index), *scalars], [False, *differs], None)
     turn, *states = loop.states
     at = build.add("sub", build.constant(length - 1, index), turn) if params["reverse"] else turn
     slices = [indexing.row(build, table, at) for table in rows]
-    results = translator.run(body, [*constants, *assembled(begin, states), *slices])
-    for recording, value in zip(recordings, results[carried:], strict=True):
+    results = translator.run(body, [*constants, *assemble(initial_state, states), *slices])
+    for recording, value in zip(recordings, results[state_count:], strict=True):
         build.record(recording, turn, *components(value, build))
-    after = build.add("add", turn, build.constant(1, index))
-    proceed = build.add("lt", after, build.constant(length, index))
-    ended = build.end_loop(loop, [after, *flat(results[:carried], build)], proceed)
-    return [*assembled(begin, ended[1:]), *recordings]
+    next_turn = build.add("add", turn, build.constant(1, index))
+    proceed = build.add("lt", next_turn, build.constant(length, index))
+    loop_results = build.end_loop(loop, [next_turn, *flatten(results[:state_count], build)], proceed)
+    return [*assemble(initial_state, loop_results[1:]), *recordings]
 
 
 def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> list[Any]:
@@ -292,7 +295,7 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
     build, branches = translator.build, equation.params["branches"]
     condition = index.operands[0] if index.operation == "convert" and index.operands[0].dtype == BOOL else None
 
-    def chosen(number: int) -> list[Any]:
+    def case(number: int) -> list[Any]:
         if number == len(branches) - 1:
             return translator.run(branches[number], remaining)
         if condition is not None:  # a truth value that JAX has made a number
@@ -304,15 +307,15 @@ def cond(translator: Translator, equation: JaxprEqn, operands: list[Any]) -> lis
         def side(results: Callable[[], list[Any]]) -> Callable[[], list[Value]]:
             def scalars() -> list[Value]:
                 kinds.append(results())
-                return flat(kinds[-1], build)
+                return flatten(kinds[-1], build)
 
             return scalars
 
-        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: chosen(number + 1))
-        joined = build.branch(predicate, sides)
-        return assembled(kinds[0], joined)
+        sides = side(lambda: translator.run(branches[number], remaining)), side(lambda: case(number + 1))
+        scalars = build.branch(predicate, sides)
+        return assemble(kinds[0], scalars)
 
-    return chosen(0)
+    return case(0)
 
 
 def this_axis(axes: Any, equation: JaxprEqn) -> bool:

@@ -41,11 +41,11 @@ class VaryingResults:
     """
 
     def __init__(self) -> None:
-        self._known: dict[int, tuple[Jaxpr, list[int]]] = {}
+        self._masks: dict[int, tuple[Jaxpr, list[int]]] = {}
 
     def of(self, jaxpr: Jaxpr, operands: Sequence[int]) -> list[int]:
         """The mask of each result, from that of each operand."""
-        if id(jaxpr) not in self._known:
+        if id(jaxpr) not in self._masks:
             scope: dict[Var, int] = {variable: 2 << i for i, variable in enumerate(jaxpr.invars)}
 
             def read(atoms: Iterable[Any]) -> list[int]:
@@ -53,8 +53,8 @@ class VaryingResults:
 
             for equation in jaxpr.eqns:
                 scope.update(zip(equation.outvars, self._equation(equation, read(equation.invars)), strict=True))
-            self._known[id(jaxpr)] = jaxpr, read(jaxpr.outvars)
-        return [varying_mask(mask, operands) for mask in self._known[id(jaxpr)][1]]
+            self._masks[id(jaxpr)] = jaxpr, read(jaxpr.outvars)
+        return [varying_mask(mask, operands) for mask in self._masks[id(jaxpr)][1]]
 
     def of_while(
         self, head: Jaxpr, body: Jaxpr, operands: Sequence[int], first: int, second: int
@@ -63,19 +63,21 @@ class VaryingResults:
         head_constants, constants, state = operands[:first], operands[first:second], list(operands[second:])
         while True:
             condition = self.of(head, [*head_constants, *state])[0]
-            after = [old | new | condition for old, new in zip(state, self.of(body, [*constants, *state]), strict=True)]
-            if after == state:
+            body_masks = self.of(body, [*constants, *state])
+            next_state = [old | new | condition for old, new in zip(state, body_masks, strict=True)]
+            if next_state == state:
                 return state, condition
-            state = after
+            state = next_state
 
     def of_scan(self, body: Jaxpr, operands: Sequence[int], first: int, second: int) -> list[int]:
         """The mask of each part of a scan's state."""
         constants, state, rows = operands[:first], list(operands[first:second]), operands[second:]
         while True:
-            after = [old | new for old, new in zip(state, self.of(body, [*constants, *state, *rows]), strict=False)]
-            if after == state:
+            body_masks = self.of(body, [*constants, *state, *rows])
+            next_state = [old | new for old, new in zip(state, body_masks, strict=False)]
+            if next_state == state:
                 return state
-            state = after
+            state = next_state
 
     def _equation(self, equation: JaxprEqn, operands: list[int]) -> list[int]:
         """The masks of one equation's results."""
@@ -89,8 +91,8 @@ class VaryingResults:
             first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
             return self.of_while(params["cond_jaxpr"].jaxpr, params["body_jaxpr"].jaxpr, operands, first, second)[0]
         if name == "scan":
-            constants, carried = parts_of_scan(equation)
-            state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + carried)
+            constants, state_count = parts_of_scan(equation)
+            state = self.of_scan(params["jaxpr"].jaxpr, operands, constants, constants + state_count)
             return [*state, *[1] * (count - len(state))]
         if name == "cond":
             index, *arguments = operands
@@ -106,9 +108,9 @@ class VaryingResults:
 
 def varying_mask(mask: int, operands: Sequence[int]) -> int:
     """A result's mask in terms of what the operands come from."""
-    joined = mask & 1
+    result_mask = mask & 1
     while mask := mask & ~1:
         lowest = mask & -mask
-        joined |= operands[lowest.bit_length() - 2]
+        result_mask |= operands[lowest.bit_length() - 2]
         mask ^= lowest
-    return joined
+    return result_mask

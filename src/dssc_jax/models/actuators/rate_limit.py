@@ -48,9 +48,9 @@ def moments(params: RateLimitParams, state: tuple[Scalar], command: Scalar, dt: 
     """
     (z,) = state
     reach = params.rate * dt
-    covered = saturate(command - z, reach)
-    share = jnp.abs(covered) / reach
-    return Moments(z + covered * (1.0 - 0.5 * share), covered * share * (3.0 - 2.0 * share))
+    change = saturate(command - z, reach)
+    share = jnp.abs(change) / reach
+    return Moments(z + change * (1.0 - 0.5 * share), change * share * (3.0 - 2.0 * share))
 
 
 def without_rate_limit(params: RateLimitParams) -> tuple[Unmodelled, RateLimitParams]:

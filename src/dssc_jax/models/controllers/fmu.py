@@ -13,12 +13,12 @@ from dssc_jax.core.native.fmu_tables import (
     FILE_KEYS,
     OUTPUTS_KEY,
     WITHOUT_DERIVATIVE,
-    chosen_parameters,
     connection,
     connections,
     fmu_of,
+    parameter_connections,
     params_type,
-    reported,
+    reported_outputs,
     require_distinct,
     values_of,
 )
@@ -75,8 +75,8 @@ class FmuController:
                 raise ConfigError(f"inputs.{signal}", f"is no signal of a controller; {nearest(signal, SIGNALS)}")
         require_distinct(self.inputs)
         self.command = connection(fmu, table, COMMAND_KEY, OUTPUT)
-        self.outputs = reported(fmu, table)
-        self.parameters = chosen_parameters(fmu, table, self.inputs)
+        self.outputs = reported_outputs(fmu, table)
+        self.parameters = parameter_connections(fmu, table, self.inputs)
         connected = (self.parameters, self.inputs, (self.command, *self.outputs))
         ports = FmuPorts(fmu, *(tuple(variable.reference for _, variable in part) for part in connected))
         self.functions = FmuFunctions(ports)

@@ -100,8 +100,8 @@ F = TypeVar("F", bound=Factored)
 def one_factor(gains: F) -> F:
     """Require that exactly one of k_o and tau_av is given; raises ConfigError."""
     if (gains.k_o is None) == (gains.tau_av is None):
-        found = "neither" if gains.k_o is None else "both"
-        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {found}")
+        given_factors = "neither" if gains.k_o is None else "both"
+        raise ConfigError("", f"give one of k_o and tau_av, the other follows from their product; got {given_factors}")
     return gains
 
 

@@ -94,7 +94,7 @@ class NativeCalls:
         """The parameters in the order of the library."""
         return [getattr(gains, number.name) for number in self.controller.parameters]
 
-    def called(self, function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
+    def call(self, function: ForeignFunction, *operands: Scalar) -> list[jax.Array]:
         """The results of a call.
 
         Raises:
@@ -111,9 +111,9 @@ class NativeCalls:
         Raises:
             ConfigError: The loop's precision lacks the type of the library's numbers.
         """
-        results = self.called(self.step, *operands)
+        results = self.call(self.step, *operands)
         if self.step_without_telemetry is not None:
-            outputs = self.called(self.step_without_telemetry, *operands)
+            outputs = self.call(self.step_without_telemetry, *operands)
             results[: len(outputs)] = outputs
         return results
 
@@ -126,12 +126,12 @@ class NativeCalls:
 @cache
 def controller_of(library: NativeLibrary, name: str) -> Controller:
     """The controller of a name in a library."""
-    (controller,) = (known for known in library.controllers if known.name == name)
+    (controller,) = (candidate for candidate in library.controllers if candidate.name == name)
     calls = NativeCalls(library, controller)
     info = info_type(controller)
 
     def init(gains: Params, measurement: Measurement, reference: ReferencePoint) -> Words:
-        return tuple(calls.called(calls.reset, *calls.values(gains), *calls.begin))
+        return tuple(calls.call(calls.reset, *calls.values(gains), *calls.begin))
 
     def step(
         gains: Params, state: Words, measurement: Measurement, reference: ReferencePoint, dt: Scalar
@@ -142,8 +142,8 @@ def controller_of(library: NativeLibrary, name: str) -> Controller:
         signals = (measurement.y, measurement.y_dot, *reference, *measurement.signals[: len(controller.measured)])
         results = calls.sample(*calls.values(gains), *state, *signals)
         words = tuple(results[: len(state)])
-        robust, nominal, flag, *reported = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
-        return words, Command(robust, nominal), info(*reported, flag)
+        robust, nominal, flag, *telemetry = (x.astype(jnp.result_type(float)) for x in results[len(state) :])
+        return words, Command(robust, nominal), info(*telemetry, flag)
 
     return Controller(
         gains_type(controller, default_values(controller)),
@@ -172,8 +172,8 @@ def gains_type(controller: NativeController, defaults: dict[str, float]) -> Any:
 
 def info_type(controller: NativeController) -> Any:
     """The type of the controller's info: its telemetry, and the flag of its step."""
-    reported = {number.name: number.quantity for number in controller.telemetry}
-    return named_type("Info", {**reported, "flag": FLAG}, {})
+    telemetry = {number.name: number.quantity for number in controller.telemetry}
+    return named_type("Info", {**telemetry, "flag": FLAG}, {})
 
 
 def loaded_controller(table: TomlTable) -> Controller:

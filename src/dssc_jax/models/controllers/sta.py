@@ -172,14 +172,14 @@ def twisting_controller(gains_type: type, sampled: IntegralUpdate, inverse: Inte
     )
 
 
-def sta(update: Update, carried: Carried) -> Controller:
+def sta(update: Update, inverse_update: Carried) -> Controller:
     """The STA with the given sampled form."""
 
     def sampled(gains: StaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
         return update(error.sigma, v, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     def inverse(gains: StaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
-        return carried(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
+        return inverse_update(error.sigma, w, gains.k_n * gains.kappa1, 0.5 * gains.k_n * gains.kappa2, dt)
 
     controller = twisting_controller(StaGains, sampled, inverse)
     return controller._replace(describing=sta_balance, tunable=("kappa1", "kappa2"), from_dssc=sta_of_dssc)

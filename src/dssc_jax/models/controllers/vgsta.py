@@ -143,7 +143,7 @@ def vgsta_of_dssc(gains: DsscGains) -> dict[str, float]:
     return {name: float(value) for name, value in numbers.items()} | {"k_n": nominal_input_gain(gains)}
 
 
-def vgsta(update: Update, carried: Carried) -> Controller:
+def vgsta(update: Update, inverse_update: Carried) -> Controller:
     """The VGSTA with the given sampled form."""
 
     def sampled(gains: VgstaGains, error: TrackingError, v: Scalar, dt: Scalar) -> tuple[Scalar, Scalar]:
@@ -152,7 +152,7 @@ def vgsta(update: Update, carried: Carried) -> Controller:
 
     def inverse(gains: VgstaGains, error: TrackingError, w: Scalar, dt: Scalar) -> Scalar:
         shape = shape_at(gains, error.sigma)
-        return carried(error.sigma, w, shape, gains_of_sample(gains, error), gains.k_n, dt)
+        return inverse_update(error.sigma, w, shape, gains_of_sample(gains, error), gains.k_n, dt)
 
     controller = twisting_controller(VgstaGains, sampled, inverse)
     return controller._replace(tunable=("kappa_d", "gamma"), from_dssc=vgsta_of_dssc)

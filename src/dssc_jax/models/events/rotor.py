@@ -35,14 +35,14 @@ def prepare(params: RotorParams) -> RotorParams:
 def change(params: RotorParams, condition: Condition, share: Scalar, rotors: int) -> Condition:
     """The condition with less of a rotor's thrust."""
     shares = condition.effectiveness or (1.0,) * rotors
-    remaining = 1.0 - share * (1.0 - params.effectiveness)
-    after = []
+    remaining_share = 1.0 - share * (1.0 - params.effectiveness)
+    effectiveness = []
     for index, value in enumerate(shares, start=1):
         if is_known(params.rotor):
-            after.append(value * remaining if round(float(params.rotor)) == index else value)
+            effectiveness.append(value * remaining_share if round(float(params.rotor)) == index else value)
         else:
-            after.append(jnp.where(jnp.abs(params.rotor - index) < 0.5, value * remaining, value))
-    return condition._replace(effectiveness=tuple(after))
+            effectiveness.append(jnp.where(jnp.abs(params.rotor - index) < 0.5, value * remaining_share, value))
+    return condition._replace(effectiveness=tuple(effectiveness))
 
 
 ROTOR = VehicleEvent(RotorParams, change, "the thrust of a rotor", prepare)

@@ -13,13 +13,13 @@ from dssc_jax.core.native.fmu_tables import (
     OUTPUTS_KEY,
     WITHOUT_DERIVATIVE,
     Connection,
-    chosen_parameters,
     connection,
     connections,
     fmu_of,
     named_signals,
+    parameter_connections,
     params_type,
-    reported,
+    reported_outputs,
     require_distinct,
     values_of,
 )
@@ -74,16 +74,16 @@ class FmuPlant:
         self.inputs = tuple(sorted(connections(fmu, table, "inputs", INPUT)))
         self.y = connection(fmu, table, "y", OUTPUT)
         self.rate = connection(fmu, table, RATE_KEY, OUTPUT) if RATE_KEY in table else None
-        self.outputs = reported(fmu, table)
-        require_distinct(self.driven)
-        self.parameters = chosen_parameters(fmu, table, self.driven)
+        self.outputs = reported_outputs(fmu, table)
+        require_distinct(self.connected_inputs)
+        self.parameters = parameter_connections(fmu, table, self.connected_inputs)
         read = (self.y, *([self.rate] if self.rate else []), *self.outputs)
-        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.driven, read)))
+        ports = FmuPorts(fmu, *(places(part) for part in (self.parameters, self.connected_inputs, read)))
         self.functions = FmuFunctions(ports)
 
     @property
-    def driven(self) -> tuple[Connection, ...]:
-        """What is set before each step."""
+    def connected_inputs(self) -> tuple[Connection, ...]:
+        """The connected inputs, which are set before each step."""
         return (self.command, *([self.disturbance] if self.disturbance else []), *self.inputs)
 
     @property

@@ -22,7 +22,7 @@ from dssc_jax.core.quantities import Quantity, nominal
 from dssc_jax.core.sampled_linear import Column
 from dssc_jax.core.signals import Info, Measurement, PlantInput, Scalar
 from dssc_jax.core.smoothness import SMOOTH
-from dssc_jax.models.plants.named import Inputs, Outputs, described, reported, require_named
+from dssc_jax.models.plants.named import Inputs, Outputs, named_signals, output_report, require_named
 
 MOST_STATES = 20
 ENTRY = Quantity("SI", "entry of A, row by row")
@@ -116,7 +116,7 @@ def state_space_measure(params: StateSpaceParams, state: LinearState, drive: Pla
 
 def state_space_report(params: StateSpaceParams, state: LinearState, drive: PlantInput) -> Info:
     """The named outputs."""
-    return reported(params.outputs, params.inputs, state.x, drive, matched=params.disturbance is None)
+    return output_report(params.outputs, params.inputs, state.x, drive, is_matched=params.disturbance is None)
 
 
 def state_space_gain(params: StateSpaceParams) -> Scalar:
@@ -222,8 +222,8 @@ STATE_SPACE = Plant(
     monitor=state_space_report,
     linear=state_space_dynamics,
     smooth=SMOOTH,
-    outputs=lambda params: described(params.outputs),
-    inputs=lambda params: described(params.inputs),
+    outputs=lambda params: named_signals(params.outputs),
+    inputs=lambda params: named_signals(params.inputs),
 )
 RATIONAL_PLANT = Plant(
     RationalParams,

@@ -38,12 +38,12 @@ Outputs = dict[str, OutputRow] | None
 Inputs = dict[str, InputColumn] | None
 
 
-def described(items: Mapping[str, OutputRow] | Mapping[str, InputColumn] | None) -> tuple[NamedSignal, ...]:
+def named_signals(items: Mapping[str, OutputRow] | Mapping[str, InputColumn] | None) -> tuple[NamedSignal, ...]:
     """Name, unit and meaning of each output or input, in the order of their names."""
     return tuple(NamedSignal(name, str(item.unit), str(item.meaning)) for name, item in by_names(items))
 
 
-def reported(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: PlantInput, matched: bool) -> Info:
+def output_report(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: PlantInput, is_matched: bool) -> Info:
     """The named outputs; () without any.
 
     Args:
@@ -51,12 +51,12 @@ def reported(outputs: Outputs, inputs: Inputs, x: tuple[Scalar, ...], drive: Pla
         inputs: The named inputs.
         x: The state.
         drive: The plant's input.
-        matched: Whether the disturbance beside the command acts as the command does, and passes through as it does.
+        is_matched: Whether the disturbance beside the command acts as the command does, and passes through as it does.
     """
     if not outputs:
         return ()
     disturbances = dict(zip([name for name, _ in by_names(inputs)], drive.inputs, strict=False))
-    command = drive.command + drive.disturbance if matched else drive.command
+    command = drive.command + drive.disturbance if is_matched else drive.command
     values = []
     for _, row in by_names(outputs):
         value = dot((*row.c, row.d), (*x, command))
@@ -76,9 +76,11 @@ def require_named(outputs: Outputs, inputs: Inputs, order: int) -> None:
         with errors_under(f"outputs.{name}"):
             require_length("c", row.c, order)
             require_unit(row.unit)
-            for known, _ in by_names(row.inputs):
-                if known not in (inputs or {}):
-                    raise ConfigError(f"inputs.{known}", f"is no input of the plant; {nearest(known, inputs or ())}")
+            for input_name, _ in by_names(row.inputs):
+                if input_name not in (inputs or {}):
+                    raise ConfigError(
+                        f"inputs.{input_name}", f"is no input of the plant; {nearest(input_name, inputs or ())}"
+                    )
 
 
 def require_length(place: str, numbers: tuple[Scalar, ...], order: int) -> None:

@@ -14,7 +14,7 @@ from dssc_jax.core.contracts import Reference
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import ReferencePoint, Scalar
-from dssc_jax.models.references.steps import AT, BASELINE, reached
+from dssc_jax.models.references.steps import AT, BASELINE, has_reached
 
 
 class Spacing(StrEnum):
@@ -70,13 +70,13 @@ def chirp(spacing: Spacing) -> Reference:
 
     def at(params: ChirpParams, t: Scalar) -> ReferencePoint:
         elapsed = jnp.maximum(t - params.at, 0.0)
-        within = jnp.minimum(elapsed, params.duration)
-        angle, rate, sweep = sweep_phase(params, within)
-        angle = angle + math.tau * params.end * (elapsed - within)
-        on = jnp.where(reached(t, params.at), params.amplitude, 0.0)
+        sweep_time = jnp.minimum(elapsed, params.duration)
+        angle, rate, sweep = sweep_phase(params, sweep_time)
+        angle = angle + math.tau * params.end * (elapsed - sweep_time)
+        amplitude = jnp.where(has_reached(t, params.at), params.amplitude, 0.0)
         sweep = jnp.where(elapsed < params.duration, sweep, 0.0)
-        sine = on * jnp.sin(angle)
-        cosine = on * jnp.cos(angle)
+        sine = amplitude * jnp.sin(angle)
+        cosine = amplitude * jnp.cos(angle)
         return ReferencePoint(params.offset + sine, rate * cosine, sweep * cosine - rate * rate * sine)
 
     return Reference(ChirpParams, at, level=lambda params: params.offset)

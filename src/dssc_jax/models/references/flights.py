@@ -39,7 +39,7 @@ def three_values(params: Placed) -> Placed:
     return params
 
 
-def resting(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
+def fixed_point(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
     """A fixed point."""
     x, y, z, psi = (ReferencePoint(value, 0.0, 0.0) for value in (*position, yaw))
     return x, y, z, psi
@@ -48,15 +48,15 @@ def resting(position: tuple[Scalar, ...], yaw: Scalar) -> Flight:
 def steps_at(params: StepsParams, t: Scalar) -> Flight:
     """Zero before the step, the given point afterwards; exact to rounding at samples t = k T_s."""
     on = jnp.where(t >= params.at * (1.0 - 1e-12), 1.0, 0.0)
-    return resting(tuple(on * value for value in params.position), on * params.yaw)
+    return fixed_point(tuple(on * value for value in params.position), on * params.yaw)
 
 
 def whole_mission(params: NoParams, t: Scalar) -> Flight:
-    """All four axes."""
+    """The mission of all four axes."""
     x, y, z, psi = (sine_at(axis, t) for axis in MISSION.values())
     return x, y, z, psi
 
 
 WHOLE_MISSION = Reference(NoParams, whole_mission)
-HOVER = Reference(HoverParams, lambda params, t: resting(params.position, params.yaw), three_values)
+HOVER = Reference(HoverParams, lambda params, t: fixed_point(params.position, params.yaw), three_values)
 STEPS = Reference(StepsParams, steps_at, three_values)

@@ -17,7 +17,7 @@ AT = Quantity("s", "time at which it begins", at_least=0.0, begins=True)
 BASELINE = Quantity("y", "value before it begins")
 
 
-def reached(t: Scalar, at: Scalar) -> Scalar:
+def has_reached(t: Scalar, at: Scalar) -> Scalar:
     """Whether t >= at, up to the rounding of t = k T_s."""
     return t >= at - 4.0 * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(t)
 
@@ -32,7 +32,7 @@ class StepReferenceParams(NamedTuple):
 
 def step_at(params: StepReferenceParams, t: Scalar) -> ReferencePoint:
     """The step at t."""
-    return ReferencePoint(params.offset + jnp.where(reached(t, params.at), params.size, 0.0), 0.0, 0.0)
+    return ReferencePoint(params.offset + jnp.where(has_reached(t, params.at), params.size, 0.0), 0.0, 0.0)
 
 
 class RampParams(NamedTuple):
@@ -47,9 +47,9 @@ class RampParams(NamedTuple):
 def ramp_at(params: RampParams, t: Scalar) -> ReferencePoint:
     """The ramp at t."""
     elapsed = jnp.maximum(t - params.at, 0.0)
-    rising = reached(t, params.at)
+    rising = has_reached(t, params.at)
     if params.rise is not None:
-        rising = rising & jnp.logical_not(reached(t, params.at + params.rise))
+        rising = rising & jnp.logical_not(has_reached(t, params.at + params.rise))
         elapsed = jnp.minimum(elapsed, params.rise)
     return ReferencePoint(params.offset + params.slope * elapsed, jnp.where(rising, params.slope, 0.0), 0.0)
 

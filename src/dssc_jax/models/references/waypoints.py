@@ -81,9 +81,9 @@ def ecef(latitude: np.ndarray, longitude: np.ndarray, height: np.ndarray) -> np.
     """Earth-centred, Earth-fixed position of geodetic coordinates [rad], [rad], [m]; shape (..., 3) [m]."""
     eccentricity2 = FLATTENING * (2.0 - FLATTENING)
     normal = SEMI_MAJOR_AXIS / np.sqrt(1.0 - eccentricity2 * np.sin(latitude) ** 2)  # prime vertical radius
-    across = (normal + height) * np.cos(latitude)
+    axis_distance = (normal + height) * np.cos(latitude)
     up = (normal * (1.0 - eccentricity2) + height) * np.sin(latitude)
-    return np.stack([across * np.cos(longitude), across * np.sin(longitude), up], axis=-1)
+    return np.stack([axis_distance * np.cos(longitude), axis_distance * np.sin(longitude), up], axis=-1)
 
 
 def enu(params: WaypointParams) -> np.ndarray:
@@ -110,11 +110,11 @@ def check_path(params: WaypointParams) -> None:
             raise ConfigError(name, f"must hold {count} numbers, as latitude_deg does, got {len(values)}")
         quantity = hint.__metadata__[0]
         for i, value in enumerate(values if is_list else (values,)):
-            broken = quantity.violated_by(value, value)
-            if broken is None and not math.isfinite(value):
-                broken = "must be finite"
-            if broken:
-                rule = f"{quantity.meaning} [{quantity.unit}] {broken}, got {value:g}"
+            violation = quantity.violated_by(value, value)
+            if violation is None and not math.isfinite(value):
+                violation = "must be finite"
+            if violation:
+                rule = f"{quantity.meaning} [{quantity.unit}] {violation}, got {value:g}"
                 raise ConfigError(f"{name}.{i}" if is_list else name, rule)
     points = enu(params)
     distances = np.linalg.norm(points, axis=1)
@@ -197,11 +197,11 @@ def quintics(y: np.ndarray, y_dot: np.ndarray, y_ddot: np.ndarray, step: float) 
 def at_length(path: CubicSpline, u: np.ndarray, s: np.ndarray, distances: np.ndarray) -> np.ndarray:
     """The u at which the path has the lengths ``distances`` [m], by Newton's method from the grid (u, s)."""
     k = np.clip(np.searchsorted(s, distances, side="right") - 1, 0, len(u) - 2)
-    reached = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
+    parameters = u[k] + (distances - s[k]) / (s[k + 1] - s[k]) * (u[k + 1] - u[k])
     for _ in range(4):
-        missing = distances - s[k] - length(path, u[k], reached)
-        reached = np.clip(reached + missing / path_speed(path, reached), u[k], u[k + 1])
-    return reached
+        remaining_length = distances - s[k] - length(path, u[k], parameters)
+        parameters = np.clip(parameters + remaining_length / path_speed(path, parameters), u[k], u[k + 1])
+    return parameters
 
 
 def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> float:
@@ -211,9 +211,10 @@ def slow_down(step: float, coefficients: np.ndarray, params: WaypointParams) -> 
     velocity = slope @ powers / step
     gain = polyder(slope, axis=-1) @ powers[:4] / step**2
     speed = np.linalg.norm(velocity, axis=1)
-    along = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
-    excess = max(1.0, speed.max() / float(params.speed), math.sqrt(along.max() / float(params.acceleration)))
-    return float(step * (excess + 0.01 * (excess - 1.0) + 1e-5))  # more, for a peak between the 17 points
+    tangential = np.abs(np.sum(velocity * gain, axis=1)) / np.maximum(speed, np.finfo(float).tiny)
+    root_ratio = math.sqrt(tangential.max() / float(params.acceleration))
+    factor = max(1.0, speed.max() / float(params.speed), root_ratio)
+    return float(step * (factor + 0.01 * (factor - 1.0) + 1e-5))  # more, for a peak between the 17 points
 
 
 def curve(params: WaypointParams) -> Curve:

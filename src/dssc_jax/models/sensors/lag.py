@@ -36,14 +36,14 @@ def lag_step(
     steps = dt / params.mu
     share = -jnp.expm1(-steps)
 
-    def followed(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
+    def filtered_value(true: Scalar, previous: Scalar, shown: Scalar) -> Scalar:
         return true - (true - previous) * share / steps + (shown - previous) * (1.0 - share)
 
     true = state.true
     shown = state.shown
-    y = followed(measurement.y, true.y, shown.y)
-    seen = Measurement(y, followed(measurement.y_dot, true.y_dot, shown.y_dot))
-    return LagState(measurement, seen), seen
+    y = filtered_value(measurement.y, true.y, shown.y)
+    reading = Measurement(y, filtered_value(measurement.y_dot, true.y_dot, shown.y_dot))
+    return LagState(measurement, reading), reading
 
 
 SENSOR_LAG = Sensor(SensorLagParams, lag_init, lag_step, smooth=SMOOTH)

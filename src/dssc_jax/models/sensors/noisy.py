@@ -123,21 +123,21 @@ def noisy_step(
     params: NoisyParams, state: NoisyState, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[NoisyState, Measurement]:
     """Take a reading if one is due, else hold the last one; return the reading of ``delay_samples`` ago."""
-    due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
+    is_due = state.age > sample_count("period_samples", params.period_samples) - 0.5  # a counter, compared halfway
     true = measurement
-    arrives = due
+    is_received = is_due
     if params.loss is not None or params.jitter is not None:
         chance, share = uniforms(jax.random.fold_in(key, EXTRA), 2)
         if params.jitter is not None:
             true = aged_reading(measurement, state.previous[0], params.jitter * share, dt)
         if params.loss is not None and not is_zero(params.loss):
-            arrives = due & (chance >= params.loss)
+            is_received = is_due & (chance >= params.loss)
     fresh = reading(params, true, key)
-    y = jnp.where(arrives, fresh.y, state.held.y)
-    held = Measurement(y, jnp.where(arrives, fresh.y_dot, state.held.y_dot))
-    delivered, *queue = (*state.queue, held)
+    y = jnp.where(is_received, fresh.y, state.held.y)
+    held_reading = Measurement(y, jnp.where(is_received, fresh.y_dot, state.held.y_dot))
+    delivered, *queue = (*state.queue, held_reading)
     previous = () if params.jitter is None else (measurement,)
-    return NoisyState(jnp.where(due, 1.0, state.age + 1.0), held, tuple(queue), previous), delivered
+    return NoisyState(jnp.where(is_due, 1.0, state.age + 1.0), held_reading, tuple(queue), previous), delivered
 
 
 def noisy_smoothness(params: NoisyParams) -> Smoothness:

@@ -53,14 +53,14 @@ def prepare(params: RecordedNoiseParams) -> RecordedNoise:
 
 
 def step(
-    noise: RecordedNoise, begin: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
+    noise: RecordedNoise, start_time: Scalar, measurement: Measurement, key: jax.Array, t: Scalar, dt: Scalar
 ) -> tuple[Scalar, Measurement]:
     """The measurement with the noise of the record, which is repeated after its end."""
-    at = begin + t
+    at = start_time + t
     at = at - noise.length * jnp.floor(at / noise.length + AHEAD / len(noise.position.begins))
     position = piece_at(noise.position, at).y
     velocity = piece_at(noise.velocity, at).y
-    return begin, Measurement(measurement.y + position, measurement.y_dot + velocity)
+    return start_time, Measurement(measurement.y + position, measurement.y_dot + velocity)
 
 
 def recorded_sensor(start: NoiseStart) -> Sensor:

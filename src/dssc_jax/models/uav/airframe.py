@@ -20,8 +20,8 @@ from dssc_jax.models.uav.airframe_rotors import (
     are_ratios,
     flying_vehicle,
     geometry_of,
+    in_metres,
     placed_rotors,
-    scaled,
 )
 from dssc_jax.models.uav.desaturation import Desaturation
 from dssc_jax.models.uav.inner_loops.px4_parameters import GAIN_PARAMETERS, gains_from
@@ -115,64 +115,64 @@ def require_finite(values: Mapping[str, float]) -> None:
             raise ConfigError(name, f"must be a finite number of at most {LARGEST_PARAMETER:g}, got {value:g}")
 
 
-def left_out(known: Mapping[str, float], taken: tuple[str, ...], notes: list[str]) -> None:
-    """Add a note that names the gains which the file sets and the model has no counterpart of."""
-    gains = [name for name in known if GAIN.fullmatch(name) and name not in taken]
+def note_unmatched_gains(parameters: Mapping[str, float], used_gains: tuple[str, ...], notes: list[str]) -> None:
+    """Add a note that names the gains of the file for which the model has no counterpart."""
+    gains = [name for name in parameters if GAIN.fullmatch(name) and name not in used_gains]
     if gains:
         notes.append(f"left out, without a counterpart here: {', '.join(sorted(gains))}")
 
 
-def unused(known: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
-    """Add a note of the limits that the file sets and the table does not take, with their values."""
+def note_unused_limits(parameters: Mapping[str, float], cascade: bool, notes: list[str]) -> None:
+    """Add a note of the limits in the file that the table does not use, with their values."""
     names = LIMITS if cascade else LIMITS + CASCADE_LIMITS
-    settings = [f"{name} = {known[name]:g}" for name in names if name in known]
+    settings = [f"{name} = {parameters[name]:g}" for name in names if name in parameters]
     if settings:
         notes.append(f"not used: {', '.join(settings)}")
 
 
-def missing_places(known: Mapping[str, float]) -> list[str]:
-    """A warning of the coordinates that only some rotors lack in the file; they count as 0, PX4's default."""
+def missing_coordinates(parameters: Mapping[str, float]) -> list[str]:
+    """A warning of coordinates that the file gives for some rotors only; the others count as 0, PX4's default."""
     missing = []
-    count = int(known["CA_ROTOR_COUNT"])
+    count = int(parameters["CA_ROTOR_COUNT"])
     for axis in "XYZ":
         names = [f"CA_ROTOR{index}_P{axis}" for index in range(count)]
-        absent = [name for name in names if name not in known]
+        absent = [name for name in names if name not in parameters]
         if len(absent) < count:
             missing += absent
     return [f"taken as 0, PX4's default, though other rotors have them: {', '.join(missing)}"] if missing else []
 
 
-def require_sizes(rotors: list[PlacedRotor], known: Mapping[str, float]) -> None:
+def require_sizes(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> None:
     """Require a mass, and lengths for positions that are ratios.
 
     Raises:
-        ConfigError: one is not known, and the message names all that are missing; or the mass is not positive.
+        ConfigError: One is missing, and the message names all that are missing; or the mass is not positive.
     """
-    if not known.get("SIH_MASS", 1.0) > 0.0:
-        raise ConfigError("SIH_MASS", f"must be > 0, got {known['SIH_MASS']:g} kg")
+    if not parameters.get("SIH_MASS", 1.0) > 0.0:
+        raise ConfigError("SIH_MASS", f"must be > 0, got {parameters['SIH_MASS']:g} kg")
     missing = []
-    if "SIH_MASS" not in known:
+    if "SIH_MASS" not in parameters:
         missing.append("the file does not set SIH_MASS, the mass; give it with --mass KG")
-    if are_ratios(rotors) and not ("SIH_L_ROLL" in known and "SIH_L_PITCH" in known):
+    if are_ratios(rotors) and not ("SIH_L_ROLL" in parameters and "SIH_L_PITCH" in parameters):
         missing.append("positions are ratios of a generic airframe, not metres; give what they are ratios of, --arm M")
     if missing:
-        raise ConfigError("SIH_MASS" if "SIH_MASS" not in known else "CA_ROTORi_PX, _PY", "; ".join(missing))
+        raise ConfigError("SIH_MASS" if "SIH_MASS" not in parameters else "CA_ROTORi_PX, _PY", "; ".join(missing))
 
 
-def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
+def properties_of(parameters: Mapping[str, float], geometry: TomlTable, notes: list[str]) -> TomlTable:
     """Mass, inertia, largest thrust, lag and drag; what is estimated gets a note.
 
     The inertia is that of the whole vehicle, so the rotors' own is zero. PX4's lag is one of thrust; near hover, where
     thrust is linear in speed, the speed has the same. SIH_KDV v is the propellers' drag at their speed in hover.
     """
-    mass = known["SIH_MASS"]
-    listed = geometry.get("rotor", [])
-    count = len(listed or geometry["spins"])
-    upward = sum(entry["axis"][2] / math.hypot(*entry["axis"]) for entry in listed if "axis" in entry)
+    mass = parameters["SIH_MASS"]
+    listed_rotors = geometry.get("rotor", [])
+    count = len(listed_rotors or geometry["spins"])
+    upward = sum(entry["axis"][2] / math.hypot(*entry["axis"]) for entry in listed_rotors if "axis" in entry)
     lift = mass * GRAVITY / (upward if upward > 0.0 else count)  # tilted rotors push more than they lift
     properties: TomlTable = {"mass": mass, "rotor_inertia_xy": 0.0, "rotor_inertia_z": 0.0}
-    if all(name in known for name in INERTIA):
-        properties["body_inertia"] = [known[name] for name in INERTIA]
+    if all(name in parameters for name in INERTIA):
+        properties["body_inertia"] = [parameters[name] for name in INERTIA]
     else:
         properties["body_inertia"] = [mass * (share * geometry["arm"]) ** 2 for share in GYRATION]
         notes.append("body_inertia is estimated from mass and arm, within a third: the file does not set SIH_IXX, ..")
@@ -181,35 +181,35 @@ def properties_of(known: Mapping[str, float], geometry: TomlTable, notes: list[s
         f"thrust_coefficient only sets the scale of rotor speeds, {HOVER_SPEED:g} rad/s in hover: PX4 has none"
     )
     properties["structure_drag"] = [0.0, 0.0, 0.0]
-    properties["propeller_drag"] = known.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
+    properties["propeller_drag"] = parameters.get("SIH_KDV", 0.0) / (count * HOVER_SPEED)
     notes.append(
         "drag is SIH_KDV v in hover; SIH_KDW, the damping of rotations, is left out"
-        if "SIH_KDV" in known
+        if "SIH_KDV" in parameters
         else "drag is 0, so that a wind has no effect: the file does not set SIH_KDV; structure_drag gives it"
     )
-    if "SIH_T_MAX" in known:
-        properties["max_thrust"] = known["SIH_T_MAX"]
-        if "SIH_Q_MAX" in known:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
-            properties["torque_coefficient"] = known["SIH_Q_MAX"] / known["SIH_T_MAX"]
-    elif "MPC_THR_HOVER" in known:
-        if not 0.0 < known["MPC_THR_HOVER"] <= 1.0:
-            raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {known['MPC_THR_HOVER']:g}")
-        properties["max_thrust"] = lift / known["MPC_THR_HOVER"]
+    if "SIH_T_MAX" in parameters:
+        properties["max_thrust"] = parameters["SIH_T_MAX"]
+        if "SIH_Q_MAX" in parameters:  # the simulated plant; CA_ROTORi_KM is what the allocation believes
+            properties["torque_coefficient"] = parameters["SIH_Q_MAX"] / parameters["SIH_T_MAX"]
+    elif "MPC_THR_HOVER" in parameters:
+        if not 0.0 < parameters["MPC_THR_HOVER"] <= 1.0:
+            raise ConfigError("MPC_THR_HOVER", f"must be > 0 and <= 1, got {parameters['MPC_THR_HOVER']:g}")
+        properties["max_thrust"] = lift / parameters["MPC_THR_HOVER"]
         notes.append(
             "max_thrust follows from MPC_THR_HOVER, with thrust linear in the command; the file sets no SIH_T_MAX"
         )
     else:
         notes.append("max_thrust is twice that of hover: the file sets neither SIH_T_MAX nor MPC_THR_HOVER")
-    if "SIH_T_TAU" in known:
-        properties["motor_lag"] = known["SIH_T_TAU"]
+    if "SIH_T_TAU" in parameters:
+        properties["motor_lag"] = parameters["SIH_T_TAU"]
     else:
         notes.append("motor_lag is left out, so that rotors follow at once: the file does not set SIH_T_TAU")
-    if any(known.get(name, 0.0) for name in PRODUCTS):
+    if any(parameters.get(name, 0.0) for name in PRODUCTS):
         notes.append(f"{', '.join(PRODUCTS)} are left out: the model's axes are principal axes")
     return properties
 
 
-def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
+def control_of(parameters: Mapping[str, float], notes: list[str], cascade: bool) -> TomlTable:
     """Desaturation from MC_AIRMODE, by default 0, and gains of the inner loops from MC_ and MPC_ that the file sets.
 
     MPC_XY_VEL_P_ACC and MPC_XY_VEL_I_ACC are the model's gains. MC_ROLL_P p is the stiffness of an attitude loop with a
@@ -218,30 +218,30 @@ def control_of(known: Mapping[str, float], notes: list[str], cascade: bool) -> T
     Raises:
         ConfigError: MC_AIRMODE is none of PX4's.
     """
-    mode = known.get("MC_AIRMODE", 0.0)
+    mode = parameters.get("MC_AIRMODE", 0.0)
     if mode not in range(len(AIRMODES)):
         raise ConfigError("MC_AIRMODE", f"must be 0, 1 or 2, got {mode:g}")
-    if "MC_AIRMODE" not in known:
+    if "MC_AIRMODE" not in parameters:
         notes.append("desaturation is that of MC_AIRMODE = 0, PX4's default: the file does not set it")
     control: TomlTable = {"desaturation": AIRMODES[int(mode)].value}
     if cascade:
-        inner = gains_from(known)
-        if known.get(LOOP_RATE, 0.0) > 0.0:
-            inner["frequency"] = known[LOOP_RATE]
+        inner = gains_from(parameters)
+        if parameters.get(LOOP_RATE, 0.0) > 0.0:
+            inner["frequency"] = parameters[LOOP_RATE]
             notes.append(f"frequency is {LOOP_RATE}; frequency times loop.sample_time must be a whole number")
         else:
             notes.append(f"frequency is 400 Hz: the file does not set {LOOP_RATE}")
         notes.append("PX4's defaults hold for gains of its cascade that the file does not set")
-        outer = [f"{name} = {known[name]:g}" for name in OUTER_GAINS if name in known]
+        outer = [f"{name} = {parameters[name]:g}" for name in OUTER_GAINS if name in parameters]
         notes.append(f"k_p of [controller], of its .z and of its .psi: {', '.join(outer or OUTER_GAINS)}")
         return control | {"inner_loop": inner}
     gains: TomlTable = {}
-    if "MPC_XY_VEL_P_ACC" in known:
-        gains["kd_velocity"] = known["MPC_XY_VEL_P_ACC"]
-        gains["kp_velocity"] = known.get("MPC_XY_VEL_I_ACC", 0.4)
+    if "MPC_XY_VEL_P_ACC" in parameters:
+        gains["kd_velocity"] = parameters["MPC_XY_VEL_P_ACC"]
+        gains["kp_velocity"] = parameters.get("MPC_XY_VEL_I_ACC", 0.4)
         notes.append("kd_velocity and kp_velocity are those of x and y; the model has the same for z (MPC_Z_VEL_..)")
-    if "MC_ROLL_P" in known:
-        gains |= {"kp_attitude": 4.0 * known["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * known["MC_ROLL_P"]}
+    if "MC_ROLL_P" in parameters:
+        gains |= {"kp_attitude": 4.0 * parameters["MC_ROLL_P"] ** 2, "kd_attitude": 4.0 * parameters["MC_ROLL_P"]}
         notes.append("kp_attitude and kd_attitude follow from MC_ROLL_P; MC_.._RATE gains have no counterpart")
     return control | ({"inner_loop": gains} if gains else {})
 
@@ -256,7 +256,6 @@ def read_airframe(
         mass: Mass of the vehicle [kg]; None: that of the file.
         arm: Length by which positions that are ratios are multiplied [m]; None: positions that are those of PX4's
             generic airframes are multiplied by SIH_L_PITCH and SIH_L_ROLL of the file, others are metres.
-
         cascade: Whether the inner loop is PX4's cascade with the file's gains, and not the article's.
 
     Raises:
@@ -274,13 +273,13 @@ def read_airframe(
             notes.append(f"{', '.join(absent)} are PX4's defaults of the simulation in hardware")
     if mass is not None and parameters.get("SIH_MASS", mass) != mass:
         notes.append(f"the mass is the stated one, {mass:g} kg, in place of SIH_MASS = {parameters['SIH_MASS']:g}")
-    chosen = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
-    parameters |= {name: value for name, value in chosen.items() if value is not None}
+    stated_values = {"SIH_MASS": mass, "SIH_L_ROLL": arm, "SIH_L_PITCH": arm}
+    parameters |= {name: value for name, value in stated_values.items() if value is not None}
     rotors = placed_rotors(parameters)
     relative = arm is not None or are_ratios(rotors)
     require_sizes(rotors, parameters)
     if relative:
-        rotors = scaled(rotors, parameters)
+        rotors = in_metres(rotors, parameters)
         notes.append("positions are ratios, and became metres by the stated length, or SIH_L_PITCH and SIH_L_ROLL")
     geometry = geometry_of(rotors)
     vehicle: TomlTable = {"kind": "m600_quadrotor"} | geometry | properties_of(parameters, geometry, notes)
@@ -289,7 +288,7 @@ def read_airframe(
             entry.pop("torque_coefficient")
     warnings = implausible(flying_vehicle(vehicle, parameters), vehicle)
     control = control_of(parameters, notes, cascade)
-    left_out(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
-    unused(parameters, cascade, notes)
-    warnings += missing_places(parameters)
+    note_unmatched_gains(parameters, TAKEN_BY_CASCADE if cascade else TAKEN_GAINS, notes)
+    note_unused_limits(parameters, cascade, notes)
+    warnings += missing_coordinates(parameters)
     return Airframe(vehicle, tuple(notes), control, tuple(warnings))

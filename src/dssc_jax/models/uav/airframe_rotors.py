@@ -56,8 +56,8 @@ def are_similar(values: list[float]) -> bool:
 def require_common(values: list[float], subject: str) -> None:
     """Require that a number is the same for all rotors; raises ConfigError."""
     if not are_similar(values):
-        listed = ", ".join(f"{value:g}" for value in values)
-        raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {listed}")
+        values_text = ", ".join(f"{value:g}" for value in values)
+        raise ConfigError(subject, f"must be the same for all rotors, which have one largest thrust; got {values_text}")
 
 
 def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
@@ -94,27 +94,27 @@ def placed_rotors(parameters: Mapping[str, float]) -> list[PlacedRotor]:
 def geometry_of(rotors: list[PlacedRotor]) -> TomlTable:
     """The entries of the vehicle that place its rotors: those of a circle where they are on one, else a list."""
     moments = [rotor.moment for rotor in rotors]
-    upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
+    is_upright = all(rotor.axis[:2] == (0.0, 0.0) and rotor.axis[2] > 0.0 for rotor in rotors)
     distances = [math.hypot(rotor.place[0], rotor.place[1]) for rotor in rotors]
     arm = sum(distances) / len(distances)
     size = sum(map(abs, moments)) / len(moments)
-    equal = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
+    is_regular = all(abs(d - arm) <= SIMILAR * arm for d in distances) and all(
         abs(abs(m) - size) <= SIMILAR * size for m in moments
     )
-    level = all(rotor.place[2] == 0.0 for rotor in rotors)
+    is_level = all(rotor.place[2] == 0.0 for rotor in rotors)
     signs = [-math.copysign(1.0, moment) for moment in moments]
-    if upright and equal and level:
+    if is_upright and is_regular and is_level:
         return {
             "arm": arm,
             "torque_coefficient": size,
             "rotor_angles": [math.atan2(rotor.place[1], rotor.place[0]) for rotor in rotors],
             "spins": signs,
         }
-    listed = []
+    rotor_entries = []
     for rotor, sign in zip(rotors, signs, strict=True):
         entry: TomlTable = {"position": list(rotor.place), "direction": sign, "torque_coefficient": abs(rotor.moment)}
-        listed.append(entry if upright else entry | {"axis": list(rotor.axis)})
-    return {"arm": arm, "torque_coefficient": size, "rotor": listed}
+        rotor_entries.append(entry if is_upright else entry | {"axis": list(rotor.axis)})
+    return {"arm": arm, "torque_coefficient": size, "rotor": rotor_entries}
 
 
 def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle:
@@ -125,10 +125,10 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
         parameters: The file's, from which it follows.
     """
     values = {name: value for name, value in table.items() if name in Vehicle._fields and name != "rotor"}
-    listed = tuple(
+    rotor_list = tuple(
         Rotor(**{"torque_coefficient": table["torque_coefficient"], **entry}) for entry in table.get("rotor", ())
     )
-    vehicle = QUADROTOR._replace(**values, rotor=listed)
+    vehicle = QUADROTOR._replace(**values, rotor=rotor_list)
     try:
         flying_allocation(vehicle)
     except ConfigError as error:
@@ -138,7 +138,7 @@ def flying_vehicle(table: TomlTable, parameters: Mapping[str, float]) -> Vehicle
 
 
 def default_text(parameters: Mapping[str, float]) -> str:
-    """That rotors have PX4's default KM because the file does not set theirs; empty if it sets all of them."""
+    """A note that rotors have PX4's default KM where the file does not set theirs; empty if it sets all."""
     names = [f"CA_ROTOR{i}_KM" for i in range(int(parameters.get("CA_ROTOR_COUNT", 0)))]
     missing = [name for name in names if name not in parameters]
     if not missing:
@@ -152,7 +152,7 @@ def are_ratios(rotors: list[PlacedRotor]) -> bool:
     return max(map(abs, values)) >= 0.99 and all(value in RATIOS for value in values)
 
 
-def scaled(rotors: list[PlacedRotor], known: Mapping[str, float]) -> list[PlacedRotor]:
+def in_metres(rotors: list[PlacedRotor], parameters: Mapping[str, float]) -> list[PlacedRotor]:
     """The rotors in metres: ratios of a generic airframe times the arms of the simulation in hardware."""
-    forward, left = known["SIH_L_PITCH"], known["SIH_L_ROLL"]
-    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * left, 0.0)) for rotor in rotors]
+    forward, lateral = parameters["SIH_L_PITCH"], parameters["SIH_L_ROLL"]
+    return [rotor._replace(place=(rotor.place[0] * forward, rotor.place[1] * lateral, 0.0)) for rotor in rotors]

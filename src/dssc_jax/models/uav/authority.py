@@ -81,22 +81,23 @@ def require_hover(vehicle: Vehicle, allocation: np.ndarray) -> None:
     weight = nominal(vehicle.mass) * GRAVITY
     thrusts = weight * allocation[:, 0]
     field = "rotor" if vehicle.rotor else "rotor_angles"
-    used = np.abs(allocation).max(axis=1) > SMALLEST_SHARE * np.abs(allocation).max()
-    pulling = np.flatnonzero(used & (thrusts < SMALLEST_SHARE * weight))
-    if pulling.size:
-        needed = np.where(np.abs(thrusts) < SMALLEST_SHARE * weight, 0.0, thrusts)
-        listed = ", ".join(f"{needed[i]:.3g} N of {field}.{i}" for i in pulling)
-        raise ConfigError(field, f"hover needs {listed}, and a rotor only pushes: {pulling_remedy(vehicle, pulling)}")
+    is_used = np.abs(allocation).max(axis=1) > SMALLEST_SHARE * np.abs(allocation).max()
+    pulling_rotors = np.flatnonzero(is_used & (thrusts < SMALLEST_SHARE * weight))
+    if pulling_rotors.size:
+        hover_thrusts = np.where(np.abs(thrusts) < SMALLEST_SHARE * weight, 0.0, thrusts)
+        thrusts_text = ", ".join(f"{hover_thrusts[i]:.3g} N of {field}.{i}" for i in pulling_rotors)
+        remedy = pulling_remedy(vehicle, pulling_rotors)
+        raise ConfigError(field, f"hover needs {thrusts_text}, and a rotor only pushes: {remedy}")
     limit = vehicle.nominal_thrust_limit
-    excessive = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
-    if excessive.size:
-        listed = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in excessive)
-        rule = f"hover needs {listed}, and a rotor's largest thrust is {limit:.3g} N"
+    excessive_rotors = np.flatnonzero(thrusts > limit * (1.0 + SMALLEST_SHARE))
+    if excessive_rotors.size:
+        thrusts_text = ", ".join(f"{thrusts[i]:.3g} N of {field}.{i}" for i in excessive_rotors)
+        rule = f"hover needs {thrusts_text}, and a rotor's largest thrust is {limit:.3g} N"
         raise ConfigError("max_thrust", f"{rule}: give a larger one, or move the centre of mass between the rotors")
 
 
 def pulling_remedy(vehicle: Vehicle, pulling: np.ndarray) -> str:
-    """What to change where hover needs negative thrusts of some rotors."""
+    """Advice for a vehicle whose hover needs negative thrusts of some rotors."""
     downward = [i for i, rotor in enumerate(vehicle.rotor) if nominal(rotor.axis[2]) < 0.0]
     if len(downward) == vehicle.rotors:
         return "all axes point down; the axis of a rotor that lifts points up, also where it is mounted upside down"
@@ -115,12 +116,12 @@ def largest_accelerations(vehicle: Vehicle, inverse: np.ndarray) -> dict[str, fl
     weight = nominal(vehicle.mass) * GRAVITY
     hover = weight * inverse[:, 0]
     room = np.minimum(hover, vehicle.nominal_thrust_limit - hover)
-    found = {}
+    accelerations = {}
     body = [nominal(value) for value in vehicle.body_inertia]
     hubs = [nominal(vehicle.rotor_inertia_xy)] * 2 + [nominal(vehicle.rotor_inertia_z)]
     for place, axis in enumerate(AXES[1:]):
         inertia = body[place] + vehicle.rotors * hubs[place]
         column = np.abs(inverse[:, place + 1])
-        used = column > SMALLEST_SHARE * column.max()
-        found[axis] = float(np.min(room[used] / column[used])) / inertia
-    return found
+        is_used = column > SMALLEST_SHARE * column.max()
+        accelerations[axis] = float(np.min(room[is_used] / column[is_used])) / inertia
+    return accelerations

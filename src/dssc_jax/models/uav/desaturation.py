@@ -78,12 +78,12 @@ def scales_of(inverse: Sequence[Sequence[float]]) -> Scales:
 def directions_of(inverse: Sequence[Sequence[float]]) -> Directions:
     """The columns of an allocation, (n_r, 4), with the strength of each rotor on PX4's scale."""
     scales = scales_of(inverse)
-    found = []
+    directions = []
     columns = np.array(inverse, dtype=float).T
     for column, scale in zip(columns, (scales.thrust, scales.turning, scales.turning, scales.yaw), strict=True):
-        strong = np.abs(column) >= WEAK * scale if scale > 0.0 else np.abs(column) >= WEAK
-        found.append(Direction(tuple(column.tolist()), tuple(strong.tolist())))
-    return Directions(*found)
+        is_strong = np.abs(column) >= WEAK * scale if scale > 0.0 else np.abs(column) >= WEAK
+        directions.append(Direction(tuple(column.tolist()), tuple(is_strong.tolist())))
+    return Directions(*directions)
 
 
 def root_mean(column: np.ndarray) -> float:

@@ -69,16 +69,16 @@ def contact(ground: Ground, position: Vec3, velocity: Vec3, rotation: Mat3, rate
     force = Vec3(0.0, 0.0, 0.0)
     torque = Vec3(0.0, 0.0, 0.0)
     for x, y in FEET:
-        place = Vec3(x * ground.gear_width, y * ground.gear_width, -ground.gear_height)
-        depth = ground.height - position.z - (rotation @ place).z
-        speed = velocity + rotation @ rate.cross(place)
-        pressed = jnp.maximum(ground.stiffness * depth - ground.damping * speed.z, 0.0)
-        push = jnp.where(depth > 0.0, pressed, 0.0)
+        foot = Vec3(x * ground.gear_width, y * ground.gear_width, -ground.gear_height)
+        depth = ground.height - position.z - (rotation @ foot).z
+        speed = velocity + rotation @ rate.cross(foot)
+        normal_force = jnp.maximum(ground.stiffness * depth - ground.damping * speed.z, 0.0)
+        push = jnp.where(depth > 0.0, normal_force, 0.0)
         sliding = jnp.sqrt(speed.x * speed.x + speed.y * speed.y + SLOW * SLOW)
-        hold = -ground.friction * push / sliding
-        part = Vec3(hold * speed.x, hold * speed.y, push)
+        friction_factor = -ground.friction * push / sliding
+        part = Vec3(friction_factor * speed.x, friction_factor * speed.y, push)
         force = force + part
-        torque = torque + place.cross(rotation.transpose @ part)
+        torque = torque + foot.cross(rotation.transpose @ part)
     return Contact(force, torque)
 
 

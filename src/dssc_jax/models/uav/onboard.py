@@ -172,13 +172,15 @@ def readings_of(state: UavState) -> Readings:
     return Readings(state.velocity + error.velocity, product(error.attitude, state.attitude), state.rate + error.rate)
 
 
-def seen_state(params: UavParams, state: UavState) -> UavState:
+def estimated_state(params: UavParams, state: UavState) -> UavState:
     """The state as the controllers see it, without an error."""
     if state.error == ():
         return state
-    seen = readings_of(state)
+    readings = readings_of(state)
     position = state.position + state.error.position
-    return state._replace(position=position, velocity=seen.velocity, attitude=seen.attitude, rate=seen.rate, error=())
+    return state._replace(
+        position=position, velocity=readings.velocity, attitude=readings.attitude, rate=readings.rate, error=()
+    )
 
 
 def motion_of(state: UavState) -> Motion:
@@ -264,7 +266,7 @@ def rotor_sentences(params: UavParams) -> tuple[str, ...]:
     ]
     for index, (place, sense) in enumerate(zip(places, senses, strict=True)):
         at = ", ".join(f"{value:.4g}" for value in place)
-        turning = "clockwise" if nominal(sense) > 0.0 else "counter-clockwise"
+        direction_text = "clockwise" if nominal(sense) > 0.0 else "counter-clockwise"
         named = f"`rotor_{index}`, rotor {index + 1} of trajectories"
-        sentences.append(f"{named}, is at ({at}) and turns {turning} as seen from above.")
+        sentences.append(f"{named}, is at ({at}) and turns {direction_text} as seen from above.")
     return tuple(sentences)

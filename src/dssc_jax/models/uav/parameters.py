@@ -104,7 +104,9 @@ class UavParams(NamedTuple):
         It differs from the believed weight by the draw's mass, its thrust coefficients and the effect of the ground.
         """
         rotors = zip(self.hover_thrusts, self.vehicle.thrust_coefficients, self.believed_coefficients, strict=True)
-        lift = wrench(self.vehicle, tuple(f * actual / believed for f, actual, believed in rotors)).thrust
+        lift = wrench(
+            self.vehicle, tuple(f * actual / believed_coefficient for f, actual, believed_coefficient in rotors)
+        ).thrust
         if self.ground is not None and self.ground.rotor_radius is not None:
             lift = lift * lift_factor(self.ground, self.position[2])
         return self.inner_model.mass * GRAVITY * (self.vehicle.mass * GRAVITY / lift)
@@ -117,8 +119,8 @@ class UavParams(NamedTuple):
     @property
     def first_carrying(self) -> Scalar:
         """The thrust that carries the weight: of the draw if the integrals start settled, else the believed one [N]."""
-        settled = self.inner_loop.start is Start.SETTLED
-        return self.carrying_thrust if settled else self.inner_model.mass * GRAVITY
+        is_settled = self.inner_loop.start is Start.SETTLED
+        return self.carrying_thrust if is_settled else self.inner_model.mass * GRAVITY
 
     @property
     def first_thrusts(self) -> tuple[Scalar, ...]:
@@ -143,16 +145,18 @@ def prepare(params: UavParams) -> UavParams:
     for name in ("position", "velocity", "body_rate"):
         if len(getattr(params, name)) != 3:
             raise ConfigError(name, f"needs three values, got {len(getattr(params, name))}")
-    plain = vehicle._replace(
+    nominal_vehicle = vehicle._replace(
         body_inertia=tuple(nominal(value) for value in vehicle.body_inertia),
         rotor_inertia_xy=nominal(vehicle.rotor_inertia_xy),
         rotor_inertia_z=nominal(vehicle.rotor_inertia_z),
     )
-    vehicle_values = Believed(nominal(vehicle.mass), tuple(plain.inertia), nominal(vehicle.thrust_coefficient))
-    chosen = {name: value for name, value in params.believed._asdict().items() if value is not None}
-    believed = vehicle_values._replace(**chosen)
-    if len(chosen.get("inertia", (0, 0, 0))) != 3:
-        raise ConfigError("believed.inertia", f"needs three values, got {chosen['inertia']}")
+    vehicle_values = Believed(
+        nominal(vehicle.mass), tuple(nominal_vehicle.inertia), nominal(vehicle.thrust_coefficient)
+    )
+    stated_values = {name: value for name, value in params.believed._asdict().items() if value is not None}
+    believed = vehicle_values._replace(**stated_values)
+    if len(stated_values.get("inertia", (0, 0, 0))) != 3:
+        raise ConfigError("believed.inertia", f"needs three values, got {stated_values['inertia']}")
     if params.inner_loop.start is Start.SETTLED:
         require_known_equilibrium(params)
     return params._replace(
@@ -193,5 +197,8 @@ def believed_rotors(params: UavParams) -> tuple[float, ...]:
     vehicle = params.vehicle
     if not vehicle.rotor:
         return ()
-    believed = params.believed.thrust_coefficient
-    return tuple(nominal(value if believed is None else believed) for value in vehicle.thrust_coefficients)
+    believed_coefficient = params.believed.thrust_coefficient
+    return tuple(
+        nominal(value if believed_coefficient is None else believed_coefficient)
+        for value in vehicle.thrust_coefficients
+    )

@@ -29,6 +29,7 @@ from dssc_jax.models.uav.inner_loops.sampled import Angles, Trim, turned
 from dssc_jax.models.uav.onboard import (
     EstimationError,
     UavState,
+    estimated_state,
     estimator_of,
     first_integrals,
     held_start,
@@ -36,7 +37,6 @@ from dssc_jax.models.uav.onboard import (
     renew_estimate,
     rotor_sentences,
     sampled_loop,
-    seen_state,
     software_period,
     software_sample,
     software_start,
@@ -108,17 +108,19 @@ def rotor_commands(params: UavParams, state: UavState, drive: PlantInput) -> Rot
     """Inner loop and allocation; those of a sampled inner loop are held."""
     gains = params.inner_loop
     if not isinstance(gains, InnerGains):
-        held = state.inner
+        held_loop = state.inner
         limit = params.vehicle.thrust_limit
-        thrusts = tuple(jnp.minimum(f, limit) for f in held.rotor)
-        rotors = Thrusts(thrusts, held.limited > 0.5)
-        return RotorCommands(held.thrust, rotors, held.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held))
+        thrusts = tuple(jnp.minimum(f, limit) for f in held_loop.rotor)
+        rotors = Thrusts(thrusts, held_loop.limited > 0.5)
+        return RotorCommands(
+            held_loop.thrust, rotors, held_loop.software.bounded > 0.5, jax.tree.map(lambda leaf: 0.0, held_loop)
+        )
     model = params.inner_model
-    seen = readings_of(state)
-    rotation = seen.attitude.matrix()
+    readings = readings_of(state)
+    rotation = readings.attitude.matrix()
     command, yaw_command = velocity_commands(drive)
     demanded = demand(
-        gains, model.mass, model.inertia, seen.velocity, rotation, seen.rate, state.inner, command, yaw_command
+        gains, model.mass, model.inertia, readings.velocity, rotation, readings.rate, state.inner, command, yaw_command
     )
     limit = params.vehicle.thrust_limit
     rotors = allocate(params.allocation, demanded.thrust, demanded.moment, limit, params.desaturation)
@@ -140,34 +142,34 @@ def turning_rotors(params: UavParams, state: UavState, drive: PlantInput, comman
     if params.battery is None:
         return Turning(commanded, actual, Supply(1.0, 0.0))
     power = power_at_full_voltage(params.vehicle, params.battery.efficiency, actual.speeds)
-    supplied = supply(params.battery, state.charge, power)
-    return Turning(commanded, scaled_motion(actual, (supplied.voltage,) * len(actual.speeds)), supplied)
+    battery_supply = supply(params.battery, state.charge, power)
+    return Turning(commanded, scaled_motion(actual, (battery_supply.voltage,) * len(actual.speeds)), battery_supply)
 
 
 def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar) -> UavState:
     """Right-hand side of (1) with inner loops, allocation, rotors and aerodynamics."""
     vehicle = params.vehicle
     commands = rotor_commands(params, state, drive)
-    turning = turning_rotors(params, state, drive, commands)
-    motion = turning.actual
+    rotor_state = turning_rotors(params, state, drive, commands)
+    motion = rotor_state.actual
     speeds = motion.speeds
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     ground = params.ground
     if ground is not None and ground.rotor_radius is not None:
         factor = lift_factor(ground, state.position.z)
         lift = tuple(factor * f for f in lift)
-    thrust, moment, across = wrench(vehicle, lift)
+    thrust, moment, side_force = wrench(vehicle, lift)
     rotation = state.attitude.matrix()
     wind = wind_at(drive.wind, state.position.z, drive.condition)
-    air = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
-    force = air.force
-    if across:
-        force = force + rotation @ Vec3(across[0], across[1], 0.0)
-    torque = moment + air.torque + rotor_torque(vehicle, state.rate, motion)
+    drag_effect = drag(vehicle, rotation, state.rate, state.velocity - wind, speeds)
+    force = drag_effect.force
+    if side_force:
+        force = force + rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    torque = moment + drag_effect.torque + rotor_torque(vehicle, state.rate, motion)
     if ground is not None:
-        standing = contact(ground, state.position, state.velocity, rotation, state.rate)
-        force = force + standing.force
-        torque = torque + standing.torque
+        contact_effect = contact(ground, state.position, state.velocity, rotation, state.rate)
+        force = force + contact_effect.force
+        torque = torque + contact_effect.torque
     body = BodyState(state.position, state.velocity, state.attitude, state.rate)
     if drive.condition is not None and drive.condition.load is not None:
         in_body = rotation.transpose @ force + Vec3(0.0, 0.0, thrust)
@@ -175,9 +177,9 @@ def derivative(params: UavParams, state: UavState, drive: PlantInput, t: Scalar)
         slope = loaded_derivative(body, vehicle.mass, vehicle.inertia, load, in_body, torque, rotation)
     else:
         slope = body_derivative(body, vehicle.mass, vehicle.inertia, thrust, force, torque, rotation)
-    at_rest = jax.tree.map(lambda leaf: 0.0, state.error)
-    discharge = () if params.battery is None else -turning.supply.current / params.battery.capacity
-    return UavState(*slope, commands.slope, turning.commanded.accelerations, at_rest, discharge)
+    constant_error = jax.tree.map(lambda leaf: 0.0, state.error)
+    discharge = () if params.battery is None else -rotor_state.supply.current / params.battery.capacity
+    return UavState(*slope, commands.slope, rotor_state.commanded.accelerations, constant_error, discharge)
 
 
 def project(params: UavParams, state: UavState) -> UavState:
@@ -189,10 +191,10 @@ def measure(params: UavParams, state: UavState, drive: PlantInput) -> tuple[Meas
     """Position and yaw with their rates, which do not depend on the input; yaw in (-pi, pi]."""
     del drive
     rotation = state.attitude.matrix()
-    turning = euler_rates(trig_of(rotation), state.rate)
+    angle_rates = euler_rates(trig_of(rotation), state.rate)
     psi = atan2(rotation.b.x, rotation.a.x)
     linear = (Measurement(p, v) for p, v in zip(state.position, state.velocity, strict=True))
-    return (*linear, Measurement(psi, turning.psi))
+    return (*linear, Measurement(psi, angle_rates.psi))
 
 
 def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
@@ -202,10 +204,10 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
     limits = commands.rotors.limited, commands.bounded
     rotors = commands.rotors.commanded, params.vehicle.thrust_limit
-    turning = turning_rotors(params, state, drive, commands)
+    rotor_state = turning_rotors(params, state, drive, commands)
     charge = 1.0 if params.battery is None else jnp.maximum(state.charge, 0.0)
-    voltage = turning.supply.voltage * voltage_of(drive.condition)
-    body = state.attitude, state.rate, turning.actual.speeds, voltage, charge
+    voltage = rotor_state.supply.voltage * voltage_of(drive.condition)
+    body = state.attitude, state.rate, rotor_state.actual.speeds, voltage, charge
     wind = wind_at(drive.wind, state.position.z, drive.condition)
     info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
     if state.error == ():
@@ -216,14 +218,14 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
 
 
 def outputs(params: UavParams) -> tuple[NamedSignal, ...]:
-    """What the vehicle reports, with the errors of an estimate where there is one."""
+    """The signals that the vehicle reports, with the errors of an estimate where there is one."""
     quantities = quantities_of(UavInfo)
     if estimator_of(params) is not None:
         quantities |= quantities_of(EstimateErrors)
     return tuple(NamedSignal(name, q.unit, q.meaning) for name, q in quantities.items())
 
 
-def broken(params: UavParams, state: UavState) -> Scalar:
+def has_flipped(params: UavParams, state: UavState) -> Scalar:
     """Whether the vehicle has flipped or the Euler angles of the inner loop are near their singularity."""
     return state.attitude.matrix().c.z < LEAST_UPRIGHT
 
@@ -271,7 +273,7 @@ UAV = Plant(
     units=(POSITION, POSITION, POSITION, ANGLE),
     project=project,
     monitor=monitor,
-    broken=broken,
+    broken=has_flipped,
     grounded=into_ground,
     onboard=(
         "the velocity loops of x, y and z",
@@ -299,9 +301,9 @@ UAV = Plant(
         taken_over=taken_over,
     ),
     estimation=Estimation(
-        chosen=lambda params: estimator_of(params) is not None,
+        is_enabled=lambda params: estimator_of(params) is not None,
         start=start_estimate,
         step=renew_estimate,
-        seen=seen_state,
+        estimated_state=estimated_state,
     ),
 )

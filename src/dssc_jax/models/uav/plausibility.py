@@ -80,7 +80,7 @@ def distance_of_rotors(vehicle: Vehicle) -> float:
 
 
 def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
-    """One line for each number outside of its usual range that follows from fields which the user gave.
+    """One line for each number outside of its usual range, if it follows from fields that the user gave.
 
     Args:
         vehicle: The vehicle.
@@ -88,13 +88,13 @@ def implausible(vehicle: Vehicle, fields: Collection[str]) -> list[str]:
     """
     lines = []
     for number in usual_ranges(vehicle):
-        inside = number.low <= number.value <= number.high
-        stated = [field for field in number.fields if field in fields]
-        if inside or not stated:
+        is_usual = number.low <= number.value <= number.high
+        stated_fields = [field for field in number.fields if field in fields]
+        if is_usual or not stated_fields:
             continue
-        found = f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
-        usual = f"usual are {number.low:g} to {number.high:g}"
+        value_text = f"{number.name} is {number.value:.3g} {number.unit}".rstrip()
+        range_text = f"usual are {number.low:g} to {number.high:g}"
         if math.isinf(number.high):
-            usual = f"usual is at least {number.low:g}"
-        lines.append(f"{found}, {usual}; see plant.vehicle.{' and '.join(stated)}")
+            range_text = f"usual is at least {number.low:g}"
+        lines.append(f"{value_text}, {range_text}; see plant.vehicle.{' and '.join(stated_fields)}")
     return lines

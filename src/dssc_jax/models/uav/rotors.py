@@ -60,17 +60,17 @@ def wrench(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> Wrench:
 def effect_of(rotor: Rotor, torque_coefficient: Scalar) -> tuple[Scalar, ...]:
     """Force [1] and moment [m] of a rotor per thrust, in body axes: six numbers."""
     axis = rotor.unit_axis
-    turning = Vec3(*rotor.position).cross(axis)
+    lever_moment = Vec3(*rotor.position).cross(axis)
     drag_torque = axis * (rotor.direction * torque_coefficient)
-    return (*axis, *(turning + drag_torque))
+    return (*axis, *(lever_moment + drag_torque))
 
 
 def net(vehicle: Vehicle, thrusts: tuple[Scalar, ...]) -> tuple[Scalar, Vec3]:
     """f = sum f_i and M = sum p_bi x (f_i e3) + e3 sum s_i c_tau f_i of rotors on a circle."""
     x, y = vehicle.directions()
     ones = (1.0,) * vehicle.rotors
-    turning = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
-    return dot(ones, thrusts), turning._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))
+    moment = Vec3(dot(y, thrusts), -dot(x, thrusts), 0.0) * vehicle.arm
+    return dot(ones, thrusts), moment._replace(z=vehicle.torque_coefficient * dot(vehicle.spins, thrusts))
 
 
 def gyroscopic_torque(rate: Vec3, rotor_inertia: Scalar, spin: Scalar, spin_up: Scalar) -> Vec3:

@@ -43,7 +43,7 @@ def trim(params: UavParams, wind: Vec3) -> Trim:
     """
 
     def nearer(_: Scalar, guess: Guess) -> Guess:
-        return as_arrays(balanced(params, wind, guess))
+        return as_arrays(improved_guess(params, wind, guess))
 
     weight = params.inner_model.mass * GRAVITY
     first = Guess(Vec3(0.0, 0.0, 1.0), weight, Vec3(0.0, 0.0, 0.0))
@@ -57,21 +57,21 @@ def commanded_thrusts(params: UavParams, guess: Guess) -> tuple[Scalar, ...]:
     return tuple(dot(row, (guess.thrust, *guess.moment)) for row in params.allocation)
 
 
-def balanced(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
-    """A guess that is nearer to the balance."""
+def improved_guess(params: UavParams, wind: Vec3, guess: Guess) -> Guess:
+    """The next guess of a fixed-point iteration, nearer to the balance of forces and moments."""
     vehicle = params.vehicle
     rotors = zip(commanded_thrusts(params, guess), params.believed_coefficients, strict=True)
-    speeds = tuple(root_abs(f / believed) for f, believed in rotors)
+    speeds = tuple(root_abs(f / coefficient) for f, coefficient in rotors)
     lift = tuple(k * w * w for k, w in zip(vehicle.thrust_coefficients, speeds, strict=True))
     if params.ground is not None and params.ground.rotor_radius is not None:
         factor = lift_factor(params.ground, params.position[2])
         lift = tuple(factor * f for f in lift)
-    thrust, moment, across = wrench(vehicle, lift)
+    thrust, moment, side_force = wrench(vehicle, lift)
     rotation = turned(body_angles(guess.upward, params.yaw)).matrix()
-    air = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
-    needed = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - air.force
-    if across:
-        needed = needed - rotation @ Vec3(across[0], across[1], 0.0)
-    size = root_abs(needed.dot(needed))
+    drag_effect = drag(vehicle, rotation, Vec3(0.0, 0.0, 0.0), -wind, speeds)
+    required_force = Vec3(0.0, 0.0, vehicle.mass * GRAVITY) - drag_effect.force
+    if side_force:
+        required_force = required_force - rotation @ Vec3(side_force[0], side_force[1], 0.0)
+    size = root_abs(required_force.dot(required_force))
     share = guess.thrust / thrust
-    return Guess(needed / size, share * size, guess.moment - (moment + air.torque) * share)
+    return Guess(required_force / size, share * size, guess.moment - (moment + drag_effect.torque) * share)

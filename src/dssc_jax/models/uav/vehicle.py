@@ -77,8 +77,8 @@ class Vehicle(NamedTuple):
         common = self.thrust_coefficient
         if not self.rotor:
             return (common,) * self.rotors
-        found = (rotor.thrust_coefficient for rotor in self.rotor)
-        return tuple(common if value is None else value for value in found)
+        own_values = (rotor.thrust_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in own_values)
 
     @property
     def torque_coefficients(self) -> tuple[Scalar, ...]:
@@ -86,8 +86,8 @@ class Vehicle(NamedTuple):
         common = self.torque_coefficient
         if not self.rotor:
             return (common,) * self.rotors
-        found = (rotor.torque_coefficient for rotor in self.rotor)
-        return tuple(common if value is None else value for value in found)
+        own_values = (rotor.torque_coefficient for rotor in self.rotor)
+        return tuple(common if value is None else value for value in own_values)
 
     @property
     def inertia(self) -> Vec3:

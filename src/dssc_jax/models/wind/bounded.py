@@ -16,7 +16,7 @@ VERTICAL_SHARE = 0.5  # default bound of |w_z| relative to that of the horizonta
 
 
 class BoundedWindParams(NamedTuple):
-    """All winds whose horizontal vector, vertical component and rates stay within bounds; a draw is an extreme one.
+    """Winds whose horizontal vector, vertical component and rates stay within bounds; a draw is an extreme one.
 
     A draw switches at random times between extremes: a horizontal vector of length ``speed`` in a random direction, and
     a vertical component ``vertical`` up or down. It moves along straight lines at ``rate``, or jumps.

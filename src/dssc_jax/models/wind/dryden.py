@@ -165,11 +165,11 @@ def dryden_step(params: DrydenParams, state: DrydenState, key: jax.Array, t: Sca
 def dryden_value(params: DrydenParams, state: DrydenState, t: Scalar) -> Vec3:
     """Mean wind and turbulence, turned from the mean wind's axes to the inertial ones."""
     law = dryden_law(params)
-    along = law.mean + law.sigma_uv * state.u
-    across = law.sigma_uv * state.v.output
+    longitudinal = law.mean + law.sigma_uv * state.u
+    lateral = law.sigma_uv * state.v.output
     c = jnp.cos(params.direction)
     s = jnp.sin(params.direction)
-    return Vec3(along * c - across * s, along * s + across * c, law.sigma_w * state.w.output) * state.on
+    return Vec3(longitudinal * c - lateral * s, longitudinal * s + lateral * c, law.sigma_w * state.w.output) * state.on
 
 
 def dryden_mean(params: DrydenParams, dt: Scalar) -> Vec3:

@@ -122,9 +122,10 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
         if len(getattr(params, name)) != rows:
             count = len(getattr(params, name))
             raise ConfigError(name, f"must hold {rows} numbers, one for each of times, got {count}")
-    for i, (previous, following) in enumerate(pairwise(map(extent, params.times)), start=1):
-        if not following[0] > previous[1]:
-            rule = f"times must increase strictly: must be > {previous[1]:g}, the one before, got {following[0]:g}"
+    for i, (previous_extent, next_extent) in enumerate(pairwise(map(extent, params.times)), start=1):
+        if not next_extent[0] > previous_extent[1]:
+            bounds = f"must be > {previous_extent[1]:g}, the one before, got {next_extent[0]:g}"
+            rule = f"times must increase strictly: {bounds}"
             raise ConfigError(f"times.{i}", rule)
     return params
 
@@ -132,11 +133,11 @@ def check_table(params: PiecewiseParams) -> PiecewiseParams:
 def piecewise_step(params: PiecewiseParams, state: Vec3, key: jax.Array, t: Scalar, dt: Scalar) -> Vec3:
     """Mean of the table over [t, t + dt): at each instant the last row that has begun."""
     wind = Vec3(0.0, 0.0, 0.0)
-    covered = 0.0
+    covered_share = 0.0
     for at, x, y, z in reversed(list(zip(*params, strict=True))):
-        share = jnp.maximum(elapsed_share(at, t, dt) - covered, 0.0)
+        share = jnp.maximum(elapsed_share(at, t, dt) - covered_share, 0.0)
         wind = wind + Vec3(x, y, z) * share
-        covered = covered + share
+        covered_share = covered_share + share
     return wind
 
 
@@ -175,13 +176,13 @@ def spline_wind(params: SplineWindParams, state: State, t: Scalar) -> Vec3:
 def spline_bounds(params: SplineWindParams) -> WindBounds:
     """A cubic B-spline is a weighted mean of its knots, and its slope one of their differences over the interval."""
     count = max(len(params.x), len(params.y), len(params.z))
-    columns = (padded(knots, count) for knots in (params.x, params.y, params.z))
+    columns = (padded_knots(knots, count) for knots in (params.x, params.y, params.z))
     knots = [Vec3(*row) for row in zip(*columns, strict=True)]
-    slopes = [(following - previous) / params.interval for previous, following in pairwise(knots)]
+    slopes = [(next_knot - previous_knot) / params.interval for previous_knot, next_knot in pairwise(knots)]
     return enclosing(knots, slopes)
 
 
-def padded(knots: Sequence[Scalar], count: int) -> list[Scalar]:
+def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
     """Knots with zeros up to a count, and one zero on each side."""
     return [0.0, *knots, *[0.0] * (count - len(knots)), 0.0]
 
