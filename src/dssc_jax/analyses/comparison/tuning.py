@@ -147,8 +147,8 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     best = min(range(len(all_scores)), key=all_scores.__getitem__)
     pair = {name: column[[0, best]] for name, column in candidates.items()}
     given_score, best_score = scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
-    chosen = int(best_score < given_score)
-    return {name: float(column[chosen]) for name, column in pair.items()}
+    winner = int(best_score < given_score)
+    return {name: float(column[winner]) for name, column in pair.items()}
 
 
 def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:

@@ -27,7 +27,7 @@ def require_known(study: Study, requirement: str) -> None:
         ConfigError: It is not.
     """
     if not counted_places(study.requirements, requirement):
-        labels = [known.label for known in study.requirements]
+        labels = [candidate.label for candidate in study.requirements]
         rule = f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
         raise ConfigError("requirement", rule)
 
@@ -39,9 +39,11 @@ def without_other_margins(study: Study, requirement: str) -> Study:
         study: The study.
         requirement: Label of the only requirement that counts; empty: all count, and the study stays as it is.
     """
-    counted = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
-    if any(required.measure.metric.margin is not None for required in counted):
+    relevant_requirements = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
+    if any(required.measure.metric.margin is not None for required in relevant_requirements):
         return study
     tables = list(zip(study.table.get("requirement", []), study.config.requirement, strict=True))
-    kept = [table for table, parsed in tables if parsed.margin is None]
-    return study if len(kept) == len(tables) else study.override({"requirement": kept})
+    tables_without_margin = [table for table, parsed in tables if parsed.margin is None]
+    if len(tables_without_margin) == len(tables):
+        return study
+    return study.override({"requirement": tables_without_margin})

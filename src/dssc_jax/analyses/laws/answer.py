@@ -56,16 +56,16 @@ class WeightedAnswer:
     reason: Annotated[str, Quantity("", "why the weights say no more; empty: they reach the limit")]
 
     @classmethod
-    def of(cls, found: LargestChange, change: Change) -> Self:
+    def of(cls, largest: LargestChange, change: Change) -> Self:
         """The answer in the units of the change."""
         return cls(
-            bound=change.amount(found.bound),
-            estimate=None if found.estimate is None else change.amount(found.estimate),
-            explored=change.amount(found.explored),
-            probability=found.worst.probability,
-            effective=found.worst.effective,
-            effective_failures=found.worst.failing,
-            reason=found.reason,
+            bound=change.amount(largest.bound),
+            estimate=None if largest.estimate is None else change.amount(largest.estimate),
+            explored=change.amount(largest.explored),
+            probability=largest.worst.probability,
+            effective=largest.worst.effective,
+            effective_failures=largest.worst.failing,
+            reason=largest.reason,
         )
 
 

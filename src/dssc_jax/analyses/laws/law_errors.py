@@ -271,7 +271,7 @@ def laws(
         interval=(low, high),
         interval_method=result.method.name,
         guaranteed=guaranteed,
-        weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in changes},
+        weights={part.draws.change.name: WeightedAnswer.of(part.largest, part.draws.change) for part in changes},
         stated=amounts.errors(draws, (low, high), confidence),
         fresh=fresh_limits(new, changes, limit) if fresh and draws.failed.any() else None,
         seconds=time.perf_counter() - began,

@@ -47,10 +47,10 @@ def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
     """Values of the mixture from uniform levels: the first of B equal parts of them gives the first law, and so on."""
     laws = components(law)
     scaled = levels * len(laws)
-    chosen = np.minimum(scaled.astype(int), len(laws) - 1)
+    component_indices = np.minimum(scaled.astype(int), len(laws) - 1)
     tiny = np.finfo(float).eps
-    inner = np.clip(scaled - chosen, tiny, 1.0 - tiny)
-    return np.choose(chosen, [component.quantile(inner) for component in laws])
+    inner = np.clip(scaled - component_indices, tiny, 1.0 - tiny)
+    return np.choose(component_indices, [component.quantile(inner) for component in laws])
 
 
 def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
@@ -120,8 +120,10 @@ class RangedDraws:
         middle = np.mean(self.bounds, axis=1)
         if 2 ** len(self.bounds) <= MOST_CORNERS:
             return np.array([*product(*self.bounds), middle])
-        chosen = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
-        return np.array([*np.take_along_axis(np.array(self.bounds)[None], chosen[..., None], axis=2)[..., 0], middle])
+        end_indices = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
+        return np.array(
+            [*np.take_along_axis(np.array(self.bounds)[None], end_indices[..., None], axis=2)[..., 0], middle]
+        )
 
     @cached_property
     def least_effective(self) -> float:

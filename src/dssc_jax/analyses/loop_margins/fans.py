@@ -22,14 +22,14 @@ def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[
         poles: Of L, shape (draws, states).
         angles: omega T_s, shape (frequencies,).
     """
-    known = np.all(np.isfinite(response), axis=1)
-    response = response[known]
+    has_response = np.all(np.isfinite(response), axis=1)
+    response = response[has_response]
     if not len(response):
         return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
     loop = -response / (1.0 + response)
     columns = {
         "loop_gain": np.abs(loop),
-        "loop_phase": joint_phase(loop, poles[known], angles),
+        "loop_phase": joint_phase(loop, poles[has_response], angles),
         "sensitivity": np.abs(1.0 + response),
         "complementary": np.abs(response),
     }

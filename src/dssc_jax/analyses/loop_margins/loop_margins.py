@@ -57,9 +57,9 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     require_independent(study, "a tolerance limit")
     began = time.perf_counter()
     study = study.without_sweep()
-    operating_points, taken = operation(study, tuple(times))
+    operating_points, notes = operation(study, tuple(times))
     for operating in operating_points.values():
-        taken += operating.taken
+        notes += operating.taken
     parts = {name: parts_of(study, operating) for name, operating in operating_points.items()}
     if not any(parts.values()):
         raise ConfigError(
@@ -84,7 +84,7 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     dataset = margins_dataset(study, broken_loops, common / sample_time)
     multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in operating_points.items()}
     dataset = dataset.merge(multiloop_columns(multiloop))
-    return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
+    return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
 
 
 class Part(NamedTuple):
@@ -111,11 +111,11 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
         closed = operating.closed(point)
-        kept = matrices.loop_states(point, closed)
-        if kept.size:
-            a = matrices.a[np.ix_(closed, kept, kept)]
-            b = matrices.b[closed][:, kept, point]
-            c = matrices.c[closed][:, point, kept]
+        state_indices = matrices.loop_states(point, closed)
+        if state_indices.size:
+            a = matrices.a[np.ix_(closed, state_indices, state_indices)]
+            b = matrices.b[closed][:, state_indices, point]
+            c = matrices.c[closed][:, point, state_indices]
             parts[name] = Part(closed, a, b, c, np.linalg.eigvals(a))
     return parts
 

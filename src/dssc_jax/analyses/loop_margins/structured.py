@@ -45,8 +45,8 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
 
 def scaled_norms(matrices: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest singular values of D M D^-1, shape (n,), and a subgradient of their logarithms in log D."""
-    left, values, right = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
-    slopes = np.abs(left[:, :, 0]) ** 2 - np.abs(right[:, 0, :]) ** 2
+    left_vectors, values, right_vectors = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
+    slopes = np.abs(left_vectors[:, :, 0]) ** 2 - np.abs(right_vectors[:, 0, :]) ** 2
     return values[:, 0], slopes
 
 

@@ -128,8 +128,8 @@ def admissible_walk(
 def lane_numbers(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
     """(drawn numbers, values of the walk) -> the numbers of each lane: a value replaces the law, or widens all laws."""
     if over != SPREAD:
-        return lambda drawn, values: {**drawn, over: values}
-    return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
+        return lambda numbers, values: {**numbers, over: values}
+    return lambda numbers, values: {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
 
 def require_spread(study: Study, bounds: tuple[float, float]) -> None:

@@ -61,9 +61,9 @@ class StratifiedEstimate:
 
 def strata_edges(predictions: np.ndarray) -> np.ndarray:
     """Edges of strata whose probabilities grow on both sides of a prediction of 0."""
-    ordered = np.sort(predictions)
-    count = len(ordered)
-    border = int(np.searchsorted(ordered, 0.0))
+    sorted_predictions = np.sort(predictions)
+    count = len(sorted_predictions)
+    border = int(np.searchsorted(sorted_predictions, 0.0))
     positions = {border}
     for direction in (-1, 1):
         mass = FIRST_MASS * count
@@ -72,8 +72,8 @@ def strata_edges(predictions: np.ndarray) -> np.ndarray:
             positions.add(int(place))
             mass *= GROWTH
             place += direction * mass
-    kept = sorted(place for place in positions if 0 < place < count)
-    return np.unique(ordered[kept])
+    inner_positions = sorted(place for place in positions if 0 < place < count)
+    return np.unique(sorted_predictions[inner_positions])
 
 
 def stratified_probability(
@@ -105,8 +105,8 @@ def stratified_probability(
     for net in range(NETS):
         predictions = surrogate(inside(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
         weights[net] = np.bincount(np.searchsorted(edges, predictions), minlength=strata) / size
-    chosen, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
-    failed = counter(chosen, counter.fresh(len(chosen))) < 0.0
+    stratum_points, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
+    failed = counter(stratum_points, counter.fresh(len(stratum_points))) < 0.0
     failures = np.bincount(stratum[failed], minlength=strata)
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
 
@@ -118,9 +118,9 @@ def improved(surrogate: Surrogate, sample: np.ndarray, extra: int, counter: Coun
     """
     distances = np.abs(surrogate(sample))
     nearest = np.argsort(distances)[: BAND * extra]
-    chosen = sample[nearest[::BAND]]
-    points = np.concatenate([surrogate.points, chosen])
-    slacks = np.concatenate([surrogate.slacks, counter(chosen, counter.fresh(extra))])
+    border_points = sample[nearest[::BAND]]
+    points = np.concatenate([surrogate.points, border_points])
+    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra))])
     expected = PILOT * len(nearest) / len(sample)
     in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
     return Surrogate(points, slacks, np.where(in_band, expected / (expected + extra), 1.0))

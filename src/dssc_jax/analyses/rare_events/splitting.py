@@ -186,7 +186,7 @@ def split(
     for _ in range(MOST_LEVELS):
         moving = []
         for repeat in repeats:
-            if not done(repeat, splitting):
+            if not is_finished(repeat, splitting):
                 clones = raised(repeat, splitting)
                 if clones is not None:
                     moving.append(clones)
@@ -220,7 +220,7 @@ def started(rng: np.random.Generator, dimension: int, splitting: Splitting, coun
     return Repeat(rng, points, counter.fresh(splitting.particles), np.full(splitting.particles, np.nan))
 
 
-def done(repeat: Repeat, splitting: Splitting) -> bool:
+def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
     """Whether the next level would be at failure or beyond; also marks repeats too small to continue."""
     repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
     return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
@@ -266,10 +266,10 @@ def move(moving: list[Clones], counter: Counter) -> None:
     slacks = counter(np.concatenate(proposals), np.concatenate(indices))
     ends = np.cumsum([len(points) for points in proposals])[:-1]
     batches = zip(moving, proposals, indices, np.split(slacks, ends), strict=True)
-    for (repeat, level, clones), points, noise, reached in batches:
-        accepted = reached < level
+    for (repeat, level, clones), points, noise, proposal_slacks in batches:
+        accepted = proposal_slacks < level
         repeat.points[clones[accepted]] = points[accepted]
         repeat.noise[clones[accepted]] = noise[accepted]
-        repeat.slacks[clones[accepted]] = reached[accepted]
+        repeat.slacks[clones[accepted]] = proposal_slacks[accepted]
         weight = len(clones) / len(repeat.slacks)
         repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), SMALLEST_STEP, 1.0))

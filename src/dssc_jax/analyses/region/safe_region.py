@@ -139,8 +139,8 @@ class SafeRegion(Analysis):
             if ends:
                 ranges = [(float(second_values[low]), float(second_values[high])) for low, high in ends]
                 rows.append(SafeRange(float(value), ranges))
-        chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
-        return [rows[k] for k in chosen]
+        row_indices = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
+        return [rows[k] for k in row_indices]
 
     @property
     def headline(self) -> str:
@@ -254,9 +254,9 @@ def region(
         raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
     count = COARSE * 2**halvings + 1
     if thresholds(study.config.draws, count**2)[0] < 0:
-        needed = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
+        least_draws = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
         raise ConfigError(
-            "draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}"
+            "draws", f"must be at least {least_draws} to decide a point of {count**2}, got {study.config.draws}"
         )
     lattice = Lattice(study, over, count, progress)
     lattice.follow_boundary(2**halvings)

@@ -191,10 +191,10 @@ def select(
                 progress(finished, goal)
         return np.concatenate(rows)
 
-    found = race(failing, candidates, keep, within, most)
-    dataset = selection_dataset(study, points, found)
+    outcome = race(failing, candidates, keep, within, most)
+    dataset = selection_dataset(study, points, outcome)
     seconds = time.perf_counter() - began
-    return Selection(study, dataset, extents, found.within, within, found.left, found.simulations, seconds)
+    return Selection(study, dataset, extents, outcome.within, within, outcome.remaining, outcome.simulations, seconds)
 
 
 def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
@@ -213,16 +213,16 @@ def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> 
     return dict(over)
 
 
-def selection_dataset(study: Study, points: Mapping[str, np.ndarray], found: Race) -> xr.Dataset:
+def selection_dataset(study: Study, points: Mapping[str, np.ndarray], outcome: Race) -> xr.Dataset:
     """The dataset of :class:`Selection`."""
-    place = np.full(len(found.draws), -1)
-    place[found.chosen] = np.arange(len(found.chosen))
+    place = np.full(len(outcome.draws), -1)
+    place[outcome.chosen] = np.arange(len(outcome.chosen))
     columns = {}
     for name, column in points.items():
         quantity = study.quantities[name]
         columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
-    columns["draws"] = ("candidate", found.draws, {"units": "1", "long_name": "number of draws"})
-    columns["failures"] = ("candidate", found.failures, {"units": "1", "long_name": "draws that failed"})
+    columns["draws"] = ("candidate", outcome.draws, {"units": "1", "long_name": "number of draws"})
+    columns["failures"] = ("candidate", outcome.failures, {"units": "1", "long_name": "draws that failed"})
     columns["place"] = (
         "candidate",
         place,

@@ -115,20 +115,20 @@ class Chaos:
         Args:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).
         """
-        known = values[:, : self.fitted.shape[1]]
+        training_values = values[:, : self.fitted.shape[1]]
         products = np.zeros((len(self.replicates), len(self.terms) + 1))
-        for basis, column in zip(self.bases, known, strict=True):
+        for basis, column in zip(self.bases, training_values, strict=True):
             products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
         best = None
-        smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
+        smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((training_values - training_values.mean()) ** 2))
         for count in self.counts:
-            found = self.coefficients(products, count)
+            coefficient_sets = self.coefficients(products, count)
             error = 0.0
-            for basis, column in zip(self.bases, known, strict=True):
-                for rows, coefficients in zip(self.replicates, found, strict=True):
+            for basis, column in zip(self.bases, training_values, strict=True):
+                for rows, coefficients in zip(self.replicates, coefficient_sets, strict=True):
                     error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
             if error < smallest:
-                best, smallest = found, error
+                best, smallest = coefficient_sets, error
         return None if best is None else self.predicted(best[:, 1:])
 
     def predicted(self, coefficients: np.ndarray) -> Predicted:

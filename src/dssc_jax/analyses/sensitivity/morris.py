@@ -40,9 +40,9 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
     rng = generator(*seeds)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
     start = rng.integers(GRID_LEVELS, size=(count, factors))
-    moved = (start + GRID_LEVELS // 2) % GRID_LEVELS
+    moved_level = (start + GRID_LEVELS // 2) % GRID_LEVELS
     place = np.argsort(order, axis=1)
-    level = np.where(place < np.arange(factors + 1)[:, None, None], moved, start)
+    level = np.where(place < np.arange(factors + 1)[:, None, None], moved_level, start)
     return (level + 0.5) / GRID_LEVELS, order
 
 

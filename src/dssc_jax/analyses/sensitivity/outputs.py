@@ -77,8 +77,9 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
     rows = len(f_a)
     carried = carrying(f_a, f_b)
     if carried < FEWEST_ROWS:
-        needed = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / carried))
-        return f"needs {needed:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
+        sufficient_rows = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / carried))
+        carriers = f"about {carried:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
+        return f"needs {sufficient_rows:,} rows: {carriers}"
     return None
 
 

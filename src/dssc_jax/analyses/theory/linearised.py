@@ -75,10 +75,11 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
         ConfigError: they have no continuous-time form.
     """
     if not dynamics.continuous:
-        known = ", ".join(kinds_with(UNMODELLED, "continuous"))
+        continuous_kinds = ", ".join(kinds_with(UNMODELLED, "continuous"))
         raise ConfigError(
             f"{study.source}: {section_of(study.config, 'unmodelled')}.kind",
-            f"the continuous-time analysis covers {known}, got '{kind_of(study, 'unmodelled')}'; use the sampled loop",
+            f"the continuous-time analysis covers {continuous_kinds}, got '{kind_of(study, 'unmodelled')}'; "
+            "use the sampled loop",
         )
 
 
@@ -140,11 +141,11 @@ class AtRest(NamedTuple):
 
     Args:
         matrix: Its derivative, shape (states, states).
-        moved: The state's largest change in one sample: 0 at an equilibrium.
+        displacement: The state's largest change in one sample: 0 at an equilibrium.
     """
 
     matrix: jax.Array
-    moved: jax.Array
+    displacement: jax.Array
 
 
 def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:

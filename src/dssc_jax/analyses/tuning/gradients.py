@@ -186,8 +186,8 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
 
 def predicts(exact: np.ndarray, value: np.ndarray, stride: np.ndarray) -> np.ndarray:
     """Whether derivatives predict the difference over a typical step, by element; any shape, the same for all."""
-    allowed = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
-    return np.abs(exact - stride) <= allowed
+    tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
+    return np.abs(exact - stride) <= tolerance
 
 
 def disagreement(

@@ -119,33 +119,35 @@ class Goal:
             undefined = undefined | np.isnan(results[name])
         return undefined
 
-    def merit(self, results: Arrays, numbers: Sequence[str], added: int = 0) -> Merit:
+    def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
         """Evaluate a batch, with derivatives if the results contain them.
 
         Args:
-            results: Results of the draws, then of ``added`` counterexamples.
+            results: Results of the draws, then of the counterexamples.
             numbers: The loop's numbers with respect to which there are derivatives.
-            added: Number of counterexamples at the end: they have no cost, and must meet the requirements.
+            counterexample_count: Counterexamples at the end: they have no cost, and must meet the requirements.
         """
-        count = len(results["outcome"]) - added
+        count = len(results["outcome"]) - counterexample_count
         ended = int(np.count_nonzero(self.undefined(results)))
         if ended:
             return Merit(float("inf"), {}, {}, {}, ended)
-        drawn = {name: array[:count] for name, array in results.items()}
-        costs = self.cost(drawn)
+        draw_results = {name: array[:count] for name, array in results.items()}
+        costs = self.cost(draw_results)
         share = weights(costs, self.aggregate, self.level)
         excess = {}
         slopes = {}
         for name, bound in self.limits.items():
             scale = bound or 1.0
-            excess[name] = float((np.mean(drawn[name]) - bound) / scale)
-            slopes[name] = {number: float(np.mean(drawn[Derivative(name, number)]) / scale) for number in numbers}
+            excess[name] = float((np.mean(draw_results[name]) - bound) / scale)
+            slopes[name] = {
+                number: float(np.mean(draw_results[Derivative(name, number)]) / scale) for number in numbers
+            }
         if self.requirements:
-            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(drawn, numbers)
-            if added:
+            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(draw_results, numbers)
+            if counterexample_count:
                 counterexamples = {name: array[count:] for name, array in results.items()}
                 excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(counterexamples, numbers)
-        gradient = {number: float(share @ self._slope(drawn, number)) for number in numbers}
+        gradient = {number: float(share @ self._slope(draw_results, number)) for number in numbers}
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
@@ -192,21 +194,21 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
         results: Results of the draws.
         units: Unit of each limited metric.
     """
-    early = ended_early(results["outcome"])
+    ended = ended_early(results["outcome"])
     missed = []
-    if early.any():
-        missed.append(MissedBound("runs to its end", int(np.count_nonzero(early)), math.inf, ""))
+    if ended.any():
+        missed.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, ""))
     for requirement in goal.requirements:
         slacks = results[requirement.name]
-        broken = violated(slacks) & ~early
-        if broken.any():
-            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[broken]))
+        is_missed = violated(slacks) & ~ended
+        if is_missed.any():
+            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[is_missed]))
             value = requirement.bound + (excess if requirement.maximum is not None else -excess)
             excess = abs(requirement.shown(value)[0] - requirement.shown(requirement.bound)[0])
             unit = requirement.shown(value)[1]
-            missed.append(MissedBound(requirement.short, int(np.count_nonzero(broken)), excess, unit))
+            missed.append(MissedBound(requirement.short, int(np.count_nonzero(is_missed)), excess, unit))
     for name, bound in goal.limits.items():
-        excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan
+        excess = float(np.mean(results[name][~ended])) - bound if not ended.all() else math.nan
         if excess > 0.0:
             missed.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
     return tuple(missed)

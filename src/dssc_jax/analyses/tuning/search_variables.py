@@ -186,10 +186,10 @@ class Theorem:
         rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
         excess = {}
         for name, value, bound in rows:
-            known = jnp.isfinite(bound)
-            limit = jnp.where(known, bound, 0.0)
+            is_finite = jnp.isfinite(bound)
+            limit = jnp.where(is_finite, bound, 0.0)
             missed = ((1.0 + slack) * limit - value) / (jnp.abs(limit) + jnp.abs(value))
-            excess[SLACK + name] = jnp.where(known, missed, 1.0)
+            excess[SLACK + name] = jnp.where(is_finite, missed, 1.0)
         return excess
 
 

@@ -19,7 +19,7 @@ UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
-PointsLeft = Callable[[], int]
+RemainingPoints = Callable[[], int]
 """The number of points that may still be evaluated."""
 
 
@@ -68,7 +68,7 @@ class Family:
         """Number of points that may still be linearised, of ``most`` in all."""
         return max(0, most - len(self.cache))
 
-    def allowance(self, points: int) -> PointsLeft:
+    def allowance(self, points: int) -> RemainingPoints:
         """The function that tells how many of a number of new points may still be linearised, from now on."""
         last = len(self.cache) + points
         return lambda: max(0, last - len(self.cache))
@@ -105,13 +105,13 @@ class BrokenFamily:
 
     Args:
         family: The whole loop.
-        kept: Its states that matter here.
+        state_indices: Its states that matter here.
         places: Indices of the break points.
     """
 
-    def __init__(self, family: Family, kept: np.ndarray, places: Sequence[int]) -> None:
+    def __init__(self, family: Family, state_indices: np.ndarray, places: Sequence[int]) -> None:
         self.family = family
-        self.kept = kept
+        self.state_indices = state_indices
         self.places = list(places)
         self.sides = self._influential()
 
@@ -146,10 +146,12 @@ class BrokenFamily:
     def broken(self, matrices: StateMatrices) -> np.ndarray:
         """[[A, B], [C, 0]] of whole loops, broken here, shape (n, states + places, states + places)."""
         _, a, b, c = matrices
-        kept = self.kept
+        state_indices = self.state_indices
         places = self.places
-        top = np.concatenate([a[:, kept][:, :, kept], b[:, kept][:, :, places]], axis=2)
-        bottom = np.concatenate([c[:, places][:, :, kept], np.zeros((len(a), len(places), len(places)))], axis=2)
+        top = np.concatenate([a[:, state_indices][:, :, state_indices], b[:, state_indices][:, :, places]], axis=2)
+        bottom = np.concatenate(
+            [c[:, places][:, :, state_indices], np.zeros((len(a), len(places), len(places)))], axis=2
+        )
         return np.concatenate([top, bottom], axis=1)
 
     def _influential(self) -> list[int]:

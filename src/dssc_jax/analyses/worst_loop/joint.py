@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.analyses.loop_margins.multiloop import JointLoops, JointMargins, balanced_bounds, joint_margins
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, PointsLeft
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, RemainingPoints
 from dssc_jax.analyses.worst_loop.readouts import joint
 from dssc_jax.analyses.worst_loop.search import Worst, radii_of, worst_values
 
@@ -59,17 +59,19 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
     return result
 
 
-def worst_joint_margin(evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: PointsLeft) -> Worst:
+def worst_joint_margin(
+    evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: RemainingPoints
+) -> Worst:
     """The worst margin that a search finds in the box, and its point."""
 
     def values_at(points: np.ndarray) -> np.ndarray:
-        return margins_of(evaluate(points), channels, sample_time).found[:, None]
+        return margins_of(evaluate(points), channels, sample_time).attained[:, None]
 
     return worst_values(values_at, np.negative, sides, budget)[0]
 
 
 def joint_mu_bound(
-    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: PointsLeft
+    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: RemainingPoints
 ) -> Covered:
     """An upper bound of mu over the whole box: 1/mu is the disk margin of all commands at once.
 
@@ -90,7 +92,7 @@ def joint_mu_bound(
 def joint_case(
     broken: BrokenFamily,
     channels: tuple[str, ...],
-    drawn: np.ndarray,
+    drawn_loops: np.ndarray,
     sample_time: float,
     gap: float,
     cells: int,
@@ -101,7 +103,7 @@ def joint_case(
     Args:
         broken: The loops, broken at these commands.
         channels: Names of the channels.
-        drawn: Loops of the draws, shape (n, states + channels, states + channels).
+        drawn_loops: Loops of the draws, shape (n, states + channels, states + channels).
         sample_time: T_s [s].
         gap: Ratio of bound and value found at which the search for a better bound ends.
         cells: Largest number of cells.
@@ -119,7 +121,7 @@ def joint_case(
     return JointCase(
         channels=channels,
         names=broken.names,
-        drawn=float(margins_of(drawn, count, sample_time).found.min()),
+        drawn=float(margins_of(drawn_loops, count, sample_time).attained.min()),
         found=worst.value,
         numbers=broken.numbers(worst.point),
         frequency=float(at_worst.frequency[0]),
