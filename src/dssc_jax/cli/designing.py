@@ -28,8 +28,8 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
     if as_json:
         modulation = None
         if design.modulation:
-            needed = design.modulation.needed_rho(certificate.practice)
-            modulation = {"needed_rho": needed, "first_sliding": design.modulation.first_sliding}
+            needed_rho = design.modulation.needed_rho(certificate.practice)
+            modulation = {"needed_rho": needed_rho, "first_sliding": design.modulation.first_sliding}
         content = {
             "design": design.name,
             "parameters": design.parameters._asdict(),

@@ -104,9 +104,10 @@ def with_options(text: str, arguments: list[str]) -> str:
 
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn an exception that ends it into an exit code."""
-    meant = MEANT.get(arguments[0].lower()) if arguments else None
-    if meant is not None:
-        say(f"error: '{arguments[0]}' is no command; dssc-jax {meant} answers that, see dssc-jax {meant} --help")
+    suggestion = MEANT.get(arguments[0].lower()) if arguments else None
+    if suggestion is not None:
+        answer = f"dssc-jax {suggestion} answers that, see dssc-jax {suggestion} --help"
+        say(f"error: '{arguments[0]}' is no command; {answer}")
         return BAD_INPUT
     try:
         code = app(arguments or ["--help"], standalone_mode=False)

@@ -55,15 +55,15 @@ def print_trajectory(
         (options.mcap, lambda path: write_mcap(trajectory, path)),
         (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
     ]
-    written = [*flight_files]
+    file_paths = [*flight_files]
     for path, write in writers:
         if path is not None:
             attempt(path, partial(write, path))
-            written.append(path)
+            file_paths.append(path)
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(trajectory.attrs, units, written)
+        show_draw(trajectory.attrs, units, file_paths)
 
 
 def write_table(trajectory: xr.Dataset, path: Path) -> None:

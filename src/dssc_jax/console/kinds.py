@@ -209,13 +209,13 @@ def entries_named(name: str) -> dict[str, Entry]:
 
 def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
     """The rows of a field, or of a table within one, of every kind that has it, by table and kind."""
-    found: dict[tuple[str, str], list[FieldRow]] = {}
+    rows_by_kind: dict[tuple[str, str], list[FieldRow]] = {}
     for slot, registry in registries().items():
         for kind, entry in registry.items():
             rows = [row for row in rows_of(entry) if row[0] == name or row[0].startswith(f"{name}.")]
             if rows:
-                found[slot, kind] = rows
-    return found
+                rows_by_kind[slot, kind] = rows
+    return rows_by_kind
 
 
 def described_name(name: str) -> dict[str, Any]:

@@ -25,9 +25,9 @@ def value_text(value: float | None, end: float, unit: str = "") -> str:
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
     """The lower tolerance limit, or the reason why there is none."""
-    needed = wilks_draws(CONTENT, CONFIDENCE)
-    if draws < needed:
-        return f"none of {draws} draws, {needed} are needed"
+    least_draws = wilks_draws(CONTENT, CONFIDENCE)
+    if draws < least_draws:
+        return f"none of {draws} draws, {least_draws} are needed"
     return value_text(limit, end, unit)
 
 

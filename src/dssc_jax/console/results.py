@@ -199,10 +199,10 @@ def show_points(result: "Result") -> None:
     for point in islice(result.points(), WIDEST_ROWS):
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
-        shown = "inf" if middle is None else f"{middle:.4g}"
+        median_text = "inf" if middle is None else f"{middle:.4g}"
         worst = [most_violated(point)] if has_several_requirements else []
         marks = [VERDICT_MARKS[point["certified"]]] if certifiable else []
-        rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, shown, *marks))
+        rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, median_text, *marks))
     worst = ["most violated"] if has_several_requirements else []
     show_table((*axes, "failures", *share, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
     hidden = math.prod(map(len, axes.values())) - len(rows)

@@ -95,7 +95,7 @@ def label(attributes: Mapping[str, object]) -> str:
     return text.replace("$", r"\$")
 
 
-def named(name: str, attributes: Mapping[str, object]) -> str:
+def axis_label(name: str, attributes: Mapping[str, object]) -> str:
     """An axis label: the dotted name, and below it the label of its attributes."""
     return f"{name}\n{textwrap.fill(label(attributes), 42)}"
 

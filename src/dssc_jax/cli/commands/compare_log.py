@@ -42,14 +42,15 @@ def run(options: CompareLog) -> int:
     (log,) = logs
     if options.fit:
         return fit(study, log, options)
-    folder = free_folder(study, "compare-log", options.out, *asked(options), name=f"compare-log-{options.log[0].stem}")
+    name = f"compare-log-{options.log[0].stem}"
+    folder = free_folder(study, "compare-log", options.out, *question_of(options), name=name)
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)
     return DONE
 
 
-def asked(options: CompareLog) -> tuple[object, ...]:
+def question_of(options: CompareLog) -> tuple[object, ...]:
     """The options that change the question."""
     reading = (options.columns, options.column, options.start, options.segment, options.allow_damaged)
     return options.settings, options.draws, options.seed, *reading
@@ -59,7 +60,7 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
     """Tell what several flights say of the next one."""
     probability = PROBABILITY if options.probability is None else options.probability
     names = [str(path) for path in options.log]
-    question = (*asked(options), names, options.probability)
+    question = (*question_of(options), names, options.probability)
     folder = free_folder(study, "next-flight", options.out, *question)
     for log in logs:
         for name, text in replay_log(study, log, commands=False).hints.all().items():
@@ -69,8 +70,8 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
         length = short.end - short.start
         say(f"warning: {short.name} ends after {length:.4g} s, and all flights are compared up to there only")
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
-        found = next_flight(study, logs, probability=probability, progress=advance)
-    finish(found, folder, options, show_next_flight)
+        outlook = next_flight(study, logs, probability=probability, progress=advance)
+    finish(outlook, folder, options, show_next_flight)
     return DONE
 
 

@@ -47,7 +47,7 @@ def run(options: Report) -> int:
 
 def print_index(root: Path, as_json: bool) -> int:
     """Write the index of a folder of results and analyses, and show its content."""
-    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))
+    page, rows = write_index(root, lambda file: None if as_json else show_page(file, "it was missing or out of date"))
     troubled = sum(bool(row.trouble) for row in rows)
     if as_json:
         results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]
