@@ -78,7 +78,7 @@ def finish(
         folder: Its folder.
         options: Of the command.
         show: Prints the analysis for people, and the files written.
-        written: Other files written, by their names in the JSON.
+        other_files: Other files written, by their names in the JSON.
     """
     print_analysis(analysis, save_analysis(analysis, folder, options), options, show, other_files or {"result": folder})
 

@@ -197,15 +197,15 @@ class LiveStudy:
         program = self._program(study, progress)
         count = study.config.draws
         batches = []
-        done = 0
+        finished_draws = 0
         start = time.monotonic()
         for batch in program.batches(study, np.arange(count)):
             batches.append(batch)
-            done += len(batch["outcome"])
+            finished_draws += len(batch["outcome"])
             if stale():
                 return None
             if time.monotonic() - start > QUIET_SECONDS:
-                progress(f"{done:,} of {count:,} draws")
+                progress(f"{finished_draws:,} of {count:,} draws")
         return LiveRun(study, all_draws(batches), drawn(study, slice(0, count)), program.times)
 
     @cached_property

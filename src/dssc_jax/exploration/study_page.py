@@ -75,7 +75,7 @@ class StudyPage(Page):
         self._make_widgets()
         self._make_figures()
         for widget in self.sliders.values():
-            widget.param.watch(self._moved, "value")
+            widget.param.watch(self._on_move, "value")
         self.show(live.first)
 
     def _make_widgets(self) -> None:
@@ -173,7 +173,7 @@ class StudyPage(Page):
             self._moving = False
         self.start()
 
-    def _moved(self, _: object) -> None:
+    def _on_move(self, _: object) -> None:
         if not self._moving:
             self.start()
 

@@ -95,8 +95,8 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
 
 def stored_dataset(folder: Path) -> xr.Dataset:
     """The dataset in the folder of an analysis, with codes in place of text."""
-    stored = ArrayFiles(folder / DATA, read_only=True)
-    return xr.open_zarr(stored, consolidated=False, zarr_format=3, chunks=None).load()
+    array_files = ArrayFiles(folder / DATA, read_only=True)
+    return xr.open_zarr(array_files, consolidated=False, zarr_format=3, chunks=None).load()
 
 
 def with_one_nan(dataset: xr.Dataset) -> xr.Dataset:
@@ -186,10 +186,10 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     description = read_description(folder, kind)
     try:
         dataset = stored_dataset(folder)
-        intact = sums_of(dataset) == description["sums"]
+        is_intact = sums_of(dataset) == description["sums"]
         dataset = with_labels(dataset, description.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
-    if not intact:
+    if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
     return Stored(received(description, description["source"], trust_code), dataset, description["settings"])

@@ -89,12 +89,12 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         result = result.with_theorem()
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
-    written = [into_place(path, lambda file: writers[form](result, file))]
+    exported_files = [into_place(path, lambda file: writers[form](result, file))]
     if form is Format.CSV:
         metadata_file = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
-        written.append(into_place(metadata_file, lambda file: file.write(content.encode())))
-    return written
+        exported_files.append(into_place(metadata_file, lambda file: file.write(content.encode())))
+    return exported_files
 
 
 def require(package: str, form: Format) -> None:
@@ -160,10 +160,10 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     data = result.dataset
     codes = outcome_codes(study)
     for block in Layout.of(study, TABLE_ROWS).blocks():
-        drawn = {name: data[name].values[block[-1]] for name in study.laws}
-        flat, draws = lanes_of(study, block, drawn)
-        table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in drawn}
-        table |= {name: data[name].values[block].reshape(-1) for name in variables(study) if name not in drawn}
+        law_values = {name: data[name].values[block[-1]] for name in study.laws}
+        flat, draws = lanes_of(study, block, law_values)
+        table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in law_values}
+        table |= {name: data[name].values[block].reshape(-1) for name in variables(study) if name not in law_values}
         meaning = pd.Categorical.from_codes(
             np.searchsorted(list(codes), table["outcome"]), categories=list(codes.values())
         )
@@ -247,22 +247,22 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
     savemat(file, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
 
 
-def matlab_name(name: str, taken: Iterable[str]) -> str:
+def matlab_name(name: str, used_names: Iterable[str]) -> str:
     """A valid and unused MATLAB name."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
     plain = plain if plain[:1].isalpha() else f"v{plain}"
-    alike = sum(taken_name == plain or taken_name.startswith(f"{plain}_v") for taken_name in taken)
-    return f"{plain}_v{alike + 1}" if alike and plain in taken else plain
+    alike = sum(used_name == plain or used_name.startswith(f"{plain}_v") for used_name in used_names)
+    return f"{plain}_v{alike + 1}" if alike and plain in used_names else plain
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
     """The study as run and its hash, by which a file can be traced."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
-    made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
-    made += [str(manifest["started"])] if "started" in manifest else []
+    history = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
+    history += [str(manifest["started"])] if "started" in manifest else []
     return {
         **{name: str(value) for name, value in result.dataset.attrs.items()},
         "study": json.dumps(result.study.table),
         "study_hash": result.study.hash,
-        "history": ", ".join(made),
+        "history": ", ".join(history),
     }

@@ -27,8 +27,8 @@ def is_idle(result: Result, axis: str) -> bool:
     failed = result.failed
     if bool((failed != failed.isel({axis: 0})).any()):
         return False
-    judged = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
-    return all(largest_change(result.dataset[name], axis) <= IDLE for name in judged)
+    metric_names = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
+    return all(largest_change(result.dataset[name], axis) <= IDLE for name in metric_names)
 
 
 def largest_change(metric: xr.DataArray, axis: str) -> float:

@@ -124,19 +124,22 @@ def in_memory(study: Study) -> xr.Dataset:
         shape = [sizes[dim] for dim in variable.dims]
         fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
         blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    described = coordinates(study)
+    axes = coordinates(study)
     return xr.Dataset(
         blank,
-        coords={name: ((name,), values, dict(described[name].attributes)) for name, values in coords.items()},
+        coords={name: ((name,), values, dict(axes[name].attributes)) for name, values in coords.items()},
         attrs=dataset_attributes(study),
     )
 
 
-def put(
-    dataset: xr.Dataset, box: tuple[slice, ...], results: Mapping[str, np.ndarray], drawn: Mapping[str, np.ndarray]
+def copy_block(
+    dataset: xr.Dataset,
+    block: tuple[slice, ...],
+    results: Mapping[str, np.ndarray],
+    law_values: Mapping[str, np.ndarray],
 ) -> None:
     """Copy a block of the grid, and the drawn values of its draws, into a dataset of :func:`in_memory`."""
     for name, array in results.items():
-        dataset[name].values[box] = array
-    for name, column in drawn.items():
-        dataset[name].values[box[-1]] = column
+        dataset[name].values[block] = array
+    for name, column in law_values.items():
+        dataset[name].values[block[-1]] = column

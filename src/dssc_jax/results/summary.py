@@ -202,13 +202,13 @@ def requirements(
 
 def values_missing(point: SummaryRow) -> list[str]:
     """For the required margins and metrics of a point: how many draws have none, and why, in words."""
-    named: dict[tuple[int, int], list[str]] = {}
+    names_by_counts: dict[tuple[int, int], list[str]] = {}
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)
         if any(counts):
-            named.setdefault(counts, []).append(row["text"])
+            names_by_counts.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, unsettled), names in named.items():
+    for (unstable, unsettled), names in names_by_counts.items():
         reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
         reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")

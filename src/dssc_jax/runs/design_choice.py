@@ -131,10 +131,10 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     if not records_this_study or not (has_same_draws or extends):
         return None
     request = study.hash, study.config.draws
-    stored = manifest["study"]
-    if stored["sampling"] == "random":
+    recorded_study = manifest["study"]
+    if recorded_study["sampling"] == "random":
         return DesignChoice(plain(study), entry["reason"], entry["pilot"], request)
-    nets = stored["replicates"]
+    nets = recorded_study["replicates"]
     points = math.ceil(study.config.draws / nets)
     size = 1 << (points - 1).bit_length()  # rounded up to a power of two, as a Sobol net needs
     return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], request)

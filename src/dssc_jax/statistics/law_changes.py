@@ -95,8 +95,8 @@ class Shift(Change):
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""
-        solved = self.precision @ amounts
-        return scores @ solved - 0.5 * amounts @ solved
+        weighted_amounts = self.precision @ amounts
+        return scores @ weighted_amounts - 0.5 * amounts @ weighted_amounts
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""

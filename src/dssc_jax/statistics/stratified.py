@@ -102,13 +102,13 @@ def allocation(
         return np.argmin(numbers + np.exp(logarithm) * (below + above), axis=1)
 
     def excess(logarithm: float) -> float:
-        chosen = best(logarithm)
-        length = np.sqrt(below[rows, chosen].sum()) + np.sqrt(above[rows, chosen].sum())
-        total = numbers[chosen].sum()
+        sizes = best(logarithm)
+        length = np.sqrt(below[rows, sizes].sum()) + np.sqrt(above[rows, sizes].sum())
+        total = numbers[sizes].sum()
         return 1.0 if length > width and total < most else -1.0
 
     cheapest, narrowest = -20.0, 80.0
     if excess(cheapest) < 0.0:
         return numbers[best(cheapest)].astype(int)
-    found = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
-    return numbers[best(found)].astype(int)
+    log_multiplier = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
+    return numbers[best(log_multiplier)].astype(int)

@@ -119,10 +119,10 @@ class WeightedDraws:
             slope = self.change.mean_slope(amounts, failing, weights / weights.sum())
             return -sign * value, -sign * slope * self.free
 
-        found = []
+        minima = []
         for start in self._starts(failing, sign, low, high):
-            found.append(optimize.minimize(cost, start * self.free, jac=True, bounds=limits, method="L-BFGS-B"))
-        return np.asarray(min(found, key=lambda result: result.fun).x)
+            minima.append(optimize.minimize(cost, start * self.free, jac=True, bounds=limits, method="L-BFGS-B"))
+        return np.asarray(min(minima, key=lambda result: result.fun).x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
         """No change, and corners: towards the mean of the failing draws, and towards some of them."""
