@@ -70,15 +70,15 @@ def end(number: int, _: FrameType | None) -> None:
 
 def discard_closed_output() -> bool:
     """Send further output nowhere if its terminal is closed; return whether it is."""
-    closed = False
+    is_closed = False
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             try:
                 os.write(stream, b"")
             except OSError:
                 os.dup2(nowhere.fileno(), stream)
-                closed = True
-    return closed
+                is_closed = True
+    return is_closed
 
 
 def continuation(arguments: list[str]) -> str:

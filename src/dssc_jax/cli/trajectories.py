@@ -90,11 +90,11 @@ def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     columns = [pa.array(trajectory[name].values) for name in names]
     fields = []
     for name, column in zip(names, columns, strict=True):
-        described = {key: str(value) for key, value in trajectory[name].attrs.items()}
-        fields.append(pa.field(name, column.type, metadata=described))
-    described = {name: str(value) for name, value in trajectory.attrs.items()}
+        metadata = {key: str(value) for key, value in trajectory[name].attrs.items()}
+        fields.append(pa.field(name, column.type, metadata=metadata))
+    metadata = {name: str(value) for name, value in trajectory.attrs.items()}
     if "attitude_w" in trajectory:
-        described["axes"] = AXES
-    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=described))
+        metadata["axes"] = AXES
+    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
     with files.replacing(path) as file:
         parquet.write_table(table, file)

@@ -91,9 +91,9 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
         legend = answer.quantities[ranking].legend
         rows = [(name, leading_factors(sensitivity, name)) for name in brief]
         show_table(("required metric", f"depends most on ({legend})"), rows)
-    refused = [f"{name} ({answer.reasons[name]})" for name in reported if name in answer.reasons]
-    if refused:
-        console.print(f"no answer: {'; '.join(refused)}", markup=False, soft_wrap=True)
+    refusals = [f"{name} ({answer.reasons[name]})" for name in reported if name in answer.reasons]
+    if refusals:
+        console.print(f"no answer: {'; '.join(refusals)}", markup=False, soft_wrap=True)
     show_files(files)
 
 

@@ -220,20 +220,20 @@ def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
 
 def described_name(name: str) -> dict[str, Any]:
     """What :func:`show_kind` prints of a name, for JSON; arguments and errors as of :func:`entries_named`."""
-    described: dict[str, Any] = {}
+    description: dict[str, Any] = {}
     kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
     if kinds_by_table:
-        described["kinds"] = kinds_by_table
+        description["kinds"] = kinds_by_table
     fields_by_kind: dict[str, dict[str, dict[str, dict[str, str]]]] = {}
     for (slot, kind), rows in fields_named(name).items():
         fields_by_kind.setdefault(slot, {})[kind] = columns_by_field(rows)
     if fields_by_kind:
-        described["fields"] = fields_by_kind
+        description["fields"] = fields_by_kind
     if name in LAWS:
-        described["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
+        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
     if name in KNOWN:
-        described["metric"] = metric_description(KNOWN[name])
-    return described
+        description["metric"] = metric_description(KNOWN[name])
+    return description
 
 
 def metric_description(metric: Metric) -> MetricDescription:

@@ -48,9 +48,9 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
     shift = answer.estimates.mean_shift
     widening = answer.estimates.widening
     wide = answer.guaranteed.widening
-    shifted = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
+    shift_row = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
     widened = ("relative width of all laws", f"{answer.widening:.3g}", known_text(widening))
-    rows.append((*shifted, f"{answer.guaranteed.mean_shift:.3g}"))
+    rows.append((*shift_row, f"{answer.guaranteed.mean_shift:.3g}"))
     rows.append((*widened, "none, correlated" if wide is None else f"{wide:.3g}"))
     head = (
         f"at most {100 * answer.limit:g} % fail up to",

@@ -108,14 +108,14 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
 
 def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
     """The statistics under the names of all break points that share them, as where a controller takes y alone."""
-    gathered: list[tuple[list[str], LoopStatistics]] = []
+    groups: list[tuple[list[str], LoopStatistics]] = []
     for name, statistics in loops.items():
-        group = next((names for names, margins in gathered if same_margins(margins, statistics)), None)
+        group = next((names for names, margins in groups if same_margins(margins, statistics)), None)
         if group is None:
-            gathered.append(([name], statistics))
+            groups.append(([name], statistics))
         else:
             group.append(name)
-    return {tuple(names): statistics for names, statistics in gathered}
+    return {tuple(names): statistics for names, statistics in groups}
 
 
 def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:

@@ -85,8 +85,8 @@ def effect_text(effect: "DesignEffect", draws: int) -> str:
     """What a design of so many draws saved, in words."""
     low, high = effect.ratio_interval
     ratio = f"variance {effect.variance_ratio:.2g} in [{low:.2g}, {high:.2g}] of that of independent draws"
-    saved = effect.plain_draws - draws
-    cost = f"{saved:,} saved" if saved >= 0 else f"{-saved:,} more than they would take"
+    saved_draws = effect.plain_draws - draws
+    cost = f"{saved_draws:,} saved" if saved_draws >= 0 else f"{-saved_draws:,} more than they would take"
     return f"{ratio}; an interval as narrow takes {effect.plain_draws:,} of these: {cost}"
 
 
@@ -205,9 +205,9 @@ def show_points(result: "Result") -> None:
         rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, median_text, *marks))
     worst = ["most violated"] if has_several_requirements else []
     show_table((*axes, "failures", *share, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
-    hidden = math.prod(map(len, axes.values())) - len(rows)
-    if hidden:
-        output().print(f"... and {hidden} more points in summary.json")
+    hidden_count = math.prod(map(len, axes.values())) - len(rows)
+    if hidden_count:
+        output().print(f"... and {hidden_count} more points in summary.json")
 
 
 def percent_text(percent: float, failures: int) -> str:

@@ -158,18 +158,18 @@ class Brushing:
         show = CustomJS(
             args={"source": self.source, "parts": parts}, code="for (const part of parts) part.execute(source)"
         )
-        selected = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
-        clicked = self._callback(
+        on_selection = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
+        on_click = self._callback(
             "showClicked(source, command, picked, start, axes)",
             command=self.command,
             picked=self.clicked_row,
             start=start,
             axes=axes,
         )
-        self.source.selected.js_on_change("indices", selected, clicked)
+        self.source.selected.js_on_change("indices", on_selection, on_click)
         self.parallel.brush(show)
-        enclosed = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
-        self.scatter.js_on_event(SelectionGeometry, self._callback(enclosed, show=show))
+        select_enclosed = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
+        self.scatter.js_on_event(SelectionGeometry, self._callback(select_enclosed, show=show))
         nearest = "nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
         self.scatter.js_on_event(Tap, self._callback(f"source.selected.indices = {nearest}", **scatter))
         self.scatter.js_on_event(Reset, show_all)

@@ -120,9 +120,9 @@ class FanFigure:
 
 def fill_fan(source: ColumnDataSource, times: np.ndarray, values: np.ndarray) -> None:
     """Fill a source with quantiles over time, where draws are running."""
-    running = ~np.isnan(values[0])
-    rows = drawable(values[:, running])
-    source.data = {"t": times[running], **dict(zip(LEVEL_NAMES, rows, strict=True))}
+    is_running = ~np.isnan(values[0])
+    rows = drawable(values[:, is_running])
+    source.data = {"t": times[is_running], **dict(zip(LEVEL_NAMES, rows, strict=True))}
 
 
 class PathFigure:

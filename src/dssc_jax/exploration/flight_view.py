@@ -89,12 +89,12 @@ class FlightView:
         for source in models.values():
             source.js_on_change("data", redraw)
         self.slider.js_on_change("value", redraw)
-        turning = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
+        turn = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
         ranges = {"ranges": [self.figure.x_range, self.figure.y_range]}
-        self.figure.js_on_event(Pan, turning)
+        self.figure.js_on_event(Pan, turn)
         self.figure.js_on_event(MouseWheel, CustomJS(args=ranges, code=f"{SCRIPT}\nmagnify(ranges, cb_obj.delta)"))
-        playing = {"button": self.button, "slider": self.slider}
-        self.button.js_on_change("active", CustomJS(args=playing, code=f"{SCRIPT}\nplay(button, slider)"))
+        play_arguments = {"button": self.button, "slider": self.slider}
+        self.button.js_on_change("active", CustomJS(args=play_arguments, code=f"{SCRIPT}\nplay(button, slider)"))
         self.figure.js_on_change("inner_width", redraw)  # when the page is laid out
 
     @property

@@ -120,10 +120,10 @@ class LiveRun:
     def fan(self, name: str) -> Fan:
         """Quantiles of a signal over time."""
         if name not in self._fans:
-            ordered = np.sort(self.signal(name), axis=0)  # NaN are last
-            running = np.count_nonzero(~np.isnan(ordered), axis=0)
-            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
-            self._fans[name] = Fan(np.take_along_axis(ordered, rows, axis=0), running)
+            sorted_signal = np.sort(self.signal(name), axis=0)  # NaN are last
+            running_counts = np.count_nonzero(~np.isnan(sorted_signal), axis=0)
+            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running_counts - 1, 0))).astype(int)
+            self._fans[name] = Fan(np.take_along_axis(sorted_signal, rows, axis=0), running_counts)
         return self._fans[name]
 
     @cached_property

@@ -70,9 +70,9 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     """
     if names is not None:
         return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
-    leading = leading_names(study)
-    if leading:
-        groups = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *leading, CLOCK_SLIDER])]
+    usual = leading_names(study)
+    if usual:
+        groups = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *usual, CLOCK_SLIDER])]
         return [slider for group in groups for slider in group][:MOST_SLIDERS]
     movable = [number for number in study.numbers.values() if is_movable(number)]
     sorted_names = [number.name for number in sorted(movable, key=precedence)]

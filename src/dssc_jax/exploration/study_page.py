@@ -160,9 +160,9 @@ class StudyPage(Page):
             ConfigError: There is no such slider.
         """
         by_key = {slider.key: slider for slider in self.sliders}
-        unknown = sorted(positions.keys() - by_key.keys())
-        if unknown:
-            raise ConfigError("move", f"'{unknown[0]}' is none of the sliders: {', '.join(by_key)}")
+        unknown_names = sorted(positions.keys() - by_key.keys())
+        if unknown_names:
+            raise ConfigError("move", f"'{unknown_names[0]}' is none of the sliders: {', '.join(by_key)}")
         self._moving = True
         try:
             for key, position in positions.items():

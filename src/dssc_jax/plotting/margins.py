@@ -61,13 +61,13 @@ def margin(margins: Analysis) -> Figure:
     return figure
 
 
-def degradation_panel(ax: Axes, walked: xr.DataArray, summary: MarginSummary) -> None:
+def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummary) -> None:
     """Draw the failure probability along the walk, with its simultaneous band."""
     curve = summary["degradation"]
     level = f"{100 * summary['confidence']:g} % band over all values together"
     ax.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
     ax.plot(curve["value"], curve["probability"], "o-", color=RED, label="failed draws")
-    ax.set(xlabel=axis_label(summary["parameter"], walked.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
+    ax.set(xlabel=axis_label(summary["parameter"], walk_values.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -105,8 +105,8 @@ def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary)
 def in_order_of_walk(values: np.ndarray, summary: MarginSummary) -> np.ndarray:
     """Sort values in the order in which the walk meets them."""
     start, end = summary["bounds"]
-    ordered = np.sort(values)
-    return ordered if end > start else ordered[::-1]
+    sorted_values = np.sort(values)
+    return sorted_values if end > start else sorted_values[::-1]
 
 
 def certificate(ax: Axes, summary: MarginSummary) -> None:

@@ -58,5 +58,5 @@ def envelope(
 
 def spaced_indices(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
     """At most ``limit`` indices of 0 .. count-1, evenly spaced, including both ends."""
-    spaced = np.linspace(0, count - 1, min(count, limit))
-    return np.unique(spaced.round().astype(int))
+    places = np.linspace(0, count - 1, min(count, limit))
+    return np.unique(places.round().astype(int))

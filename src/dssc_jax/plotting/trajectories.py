@@ -173,8 +173,8 @@ def flight(run: xr.Dataset) -> Figure:
         place = ax.get_subplotspec()
         if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
             mark_events(ax, run, with_names=place.is_last_row())
-    hidden = [channel for channel in channels if channel not in active]
-    note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
+    omitted = [channel for channel in channels if channel not in active]
+    note = f"\nnot shown: {', '.join(omitted)}, whose error and command are rounding noise" if omitted else ""
     title(figure, how_it_ended(run) + note)
     return figure
 
@@ -229,10 +229,10 @@ def largest_magnitude(run: xr.Dataset, name: str) -> float:
 def path_in_space(ax: Axes3D, run: xr.Dataset) -> None:
     """Draw the path and its reference in three dimensions."""
     indices = spaced_indices(run.sizes["t"])
-    desired = [run[f"{axis}_y_ref"].values[indices] for axis in "xyz"]
-    flown = [run[f"{axis}_y"].values[indices] for axis in "xyz"]
-    ax.plot(*desired, color=GREY, label="desired", linestyle="--")
-    ax.plot(*flown, color=BLUE, label="flown", linestyle="-")
+    reference_path = [run[f"{axis}_y_ref"].values[indices] for axis in "xyz"]
+    flown_path = [run[f"{axis}_y"].values[indices] for axis in "xyz"]
+    ax.plot(*reference_path, color=GREY, label="desired", linestyle="--")
+    ax.plot(*flown_path, color=BLUE, label="flown", linestyle="-")
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     ax.legend(loc="upper left", frameon=False)
 
@@ -273,12 +273,12 @@ def rotors(ax: Axes, run: xr.Dataset) -> None:
         line(ax, run, f"rotor_{number}", colour, number, linewidth=1.0, linestyle=style)
     limit = largest_magnitude(run, "rotor_limit")
     bottom, top = ax.get_ylim()
-    limited = list(run["rotor_limited"].values > 0.5)
-    if any(limited):
+    is_limited = list(run["rotor_limited"].values > 0.5)
+    if any(is_limited):
         bottom = min(bottom, 0.0)
         top = max(top, limit)
         text = "one at its limit"
-        ax.fill_between(run["t"].values, bottom, top, where=limited, color=RED, alpha=0.2, linewidth=0.0, label=text)
+        ax.fill_between(run["t"].values, bottom, top, where=is_limited, color=RED, alpha=0.2, linewidth=0.0, label=text)
     if top >= limit:
         line(ax, run, "rotor_limit", RED, "limit", linewidth=1.0, linestyle="--")
         ax.set_ylabel("rotor thrust [N]")
@@ -293,9 +293,9 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
         if largest_magnitude(run, name) > 0.0:
             line(ax, run, name, colour, name[-1])
     speeds = np.abs([run[name].values for name in WIND])
-    blowing = np.flatnonzero((speeds > 0.0).any(axis=0))
-    if blowing[0] > 1:
-        onset = float(run["t"].values[blowing[0]])
+    windy_samples = np.flatnonzero((speeds > 0.0).any(axis=0))
+    if windy_samples[0] > 1:
+        onset = float(run["t"].values[windy_samples[0]])
         ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
     ax.set_ylabel("wind [m/s]")
     ax.legend(loc="best", frameon=False, ncols=2)

@@ -134,9 +134,9 @@ def index_html(root: Path, rows: list[IndexRow]) -> str:
         head = ("study", "analysis", "folder", "answer")
         body.append(section("analyses", "Analyses", table("Each analysis with its answer", head, cells, words=4)))
     if bad:
-        troubled = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
+        troubled_rows = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
         caption = "Folders without a result that can be shown"
-        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled, words=3)))
+        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled_rows, words=3)))
     counts = [f"{len(runs):,} {'run' if len(runs) == 1 else 'runs'}"] if runs else []
     counts += [f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}"] if analyses else []
     lead = f"{' and '.join(counts) or 'No result'} in {root.resolve().name}"

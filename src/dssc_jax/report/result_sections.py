@@ -208,8 +208,8 @@ def metrics(subject: Subject) -> Section:
     for measure in study.measures:
         quantiles = upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
         unit = unit_of(result, measure)
-        bounding = [requirement for requirement in study.requirements if requirement.measure == measure]
-        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounding]
+        bounds_of_metric = [requirement for requirement in study.requirements if requirement.measure == measure]
+        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounds_of_metric]
         meaning = result.dataset[measure.name].attrs["long_name"]
         rows.append((h.code[measure.name], meaning, unit, *map(number, quantiles), " ".join(bounds)))
     head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
@@ -331,8 +331,8 @@ def sampling_ratio_sentence(subject: Subject) -> str:
         return ""
     ratios = np.max([subject.result.dataset[name].values for name in names], axis=0)
     ended = np.count_nonzero(np.isfinite(ratios))
-    exceeding = np.count_nonzero(ratios > 1.0)
-    return f" Of {ended:,} simulated loops that ran to their end, {exceeding:,} have one at some time."
+    exceeding_count = np.count_nonzero(ratios > 1.0)
+    return f" Of {ended:,} simulated loops that ran to their end, {exceeding_count:,} have one at some time."
 
 
 def off_reference_sentence(subject: Subject) -> str:

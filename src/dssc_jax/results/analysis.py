@@ -74,8 +74,8 @@ class Analysis(ABC):
 
     def summary(self) -> JsonObject:
         """The answer in plain numbers, for JSON; infinite values and NaN become None."""
-        checked = {} if self.integration is None else {"integration": self.integration}
-        return {"study": self.study.name} | jsonable(self.answer) | checked
+        integration = {} if self.integration is None else {"integration": self.integration}
+        return {"study": self.study.name} | jsonable(self.answer) | integration
 
     def save(self, folder: str | Path) -> Path:
         """Write description, dataset and summary into a folder.

@@ -152,10 +152,10 @@ class Chunks:
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
-            altered = self._altered(block, self._ranges(block), values)
-            if altered:
+            altered_variable = self._altered(block, self._ranges(block), values)
+            if altered_variable:
                 rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {MEND}"
-                raise ConfigError(str(self.folder / DATA / altered), rule)
+                raise ConfigError(str(self.folder / DATA / altered_variable), rule)
         if seal is not None and seal != over_all(self.folder, self.layout):
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
 

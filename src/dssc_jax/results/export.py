@@ -144,8 +144,8 @@ def table_of_analysis(analysis: Analysis) -> Rows:
 
 def table_of_lanes(result: Result) -> Rows:
     """One row for each lane."""
-    described = {**coordinates(result.study), **variables(result.study)}
-    columns = {name: dict(variable.attributes) for name, variable in described.items()} | {
+    variables_by_name = {**coordinates(result.study), **variables(result.study)}
+    columns = {name: dict(variable.attributes) for name, variable in variables_by_name.items()} | {
         MEANING: {"long_name": OUTCOME}
     }
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
@@ -179,19 +179,19 @@ def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
     """The table's description, as "CSV on the Web" defines it."""
     table = table_of(result)
-    described = []
+    column_metadata = []
     for column, attributes in table.columns.items():
         unit = {"schema:unitText": attributes["units"]} if "units" in attributes else {}
         law = {"dc:source": attributes["law"]} if "law" in attributes else {}
         entry = {"name": column, "datatype": table.datatypes[column], "dc:description": attributes["long_name"]}
-        described.append(entry | unit | law)
+        column_metadata.append(entry | unit | law)
     return {
         "@context": CSVW,
         "url": name,
         "dc:title": result.study.name,
         "dc:description": result.study.config.description,
         "dc:identifier": result.study.hash,
-        "tableSchema": {"columns": described},
+        "tableSchema": {"columns": column_metadata},
     }
 
 
@@ -223,8 +223,8 @@ def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
             flags = np.asarray(variable.attrs["flag_values"], dtype=variable.dtype)  # CF: of the variable's type
             variable.attrs["flag_values"] = flags
     memory = io.BytesIO()
-    packed = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
-    data.to_netcdf(memory, engine="h5netcdf", encoding=packed)
+    encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
+    data.to_netcdf(memory, engine="h5netcdf", encoding=encoding)
     file.write(memory.getbuffer())
 
 

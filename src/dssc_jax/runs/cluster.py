@@ -148,9 +148,9 @@ class Cluster:
             raise ConfigError(OPTION, f"the workers lack this package: {error}") from error
         reference, *other_workers = machines
         for worker in other_workers:
-            differing = machinery_differences(machines[reference], machines[worker])
-            if differing:
-                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differing)}"
+            differences = machinery_differences(machines[reference], machines[worker])
+            if differences:
+                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differences)}"
                 raise ConfigError(OPTION, text)
         return machines[reference]
 
@@ -181,14 +181,14 @@ class Cluster:
 
     def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
         distributed = importlib.import_module("distributed")
-        waiting = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
+        unfinished = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
         try:
-            while waiting:
+            while unfinished:
                 try:
-                    finished, waiting = distributed.wait(waiting, timeout=POLL, return_when="FIRST_COMPLETED")
+                    finished, unfinished = distributed.wait(unfinished, timeout=POLL, return_when="FIRST_COMPLETED")
                 except TimeoutError:
                     finished = set()
-                if time.monotonic() > self._last_look + POLL or not waiting:
+                if time.monotonic() > self._last_look + POLL or not unfinished:
                     self._look()
                 for future in finished:
                     yield future.result()

@@ -77,9 +77,9 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
         reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
         return DesignChoice(plain(study), reason, 2 * PROBES, request)
     failures = pilot_failures(engine)
-    expected = (failures + 0.5) / (PILOT + 1) * study.config.draws
+    expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws
     share = f"{failures} of {PILOT} pilot draws fail{place}"
-    if min(expected, study.config.draws - expected) < SEEN:
+    if min(expected_failures, study.config.draws - expected_failures) < SEEN:
         reason = f"plain draws: {share}; Sobol points save nothing with fewer than {SEEN} failures, or draws without"
         return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, request)
     nets, size = nets_of(study.config.draws)

@@ -94,8 +94,8 @@ def run_until(
         progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
-    joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
-    copy_block(dataset, (slice(0, draws),), joined, drawn(final, slice(0, draws)))
+    columns = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
+    copy_block(dataset, (slice(0, draws),), columns, drawn(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),

@@ -203,16 +203,17 @@ def column_attributes(name: str, study: Study) -> dict[str, str]:
     units = study.units[index]
     vector, _, part = signal.rpartition("_")
     controllers = study.loop.controller
-    loaded = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
-    quantities = SIGNALS | measured_quantities(study) | quantities_of(controllers[index].info if loaded else None)
-    observed = {} if has_channel else study.loop.quantities
-    if signal in quantities or signal in observed:
-        quantity = quantities[signal] if signal in quantities else observed[signal]
+    has_controllers = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
+    info = controllers[index].info if has_controllers else None
+    quantities = SIGNALS | measured_quantities(study) | quantities_of(info)
+    signal_quantities = {} if has_channel else study.loop.quantities
+    if signal in quantities or signal in signal_quantities:
+        quantity = quantities[signal] if signal in quantities else signal_quantities[signal]
         unit = units.of(quantity.unit)
         meaning = units.named(quantity.meaning)
-    elif vector in observed:
-        unit = observed[vector].unit
-        meaning = f"{observed[vector].meaning} {part}"
+    elif vector in signal_quantities:
+        unit = signal_quantities[vector].unit
+        meaning = f"{signal_quantities[vector].meaning} {part}"
     else:
         unit = ""
         meaning = signal
@@ -250,9 +251,9 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
     index = point_of(result, draw, point)
     exact = {name: study.axes[name][i] for name, i in index.items()}
     trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
-    compared = agreement_of(result, trajectory)
-    trajectory.attrs["deviation"] = float(compared.deviation[0])
-    trajectory.attrs["agreement"] = compared.verdict
+    comparison = agreement_of(result, trajectory)
+    trajectory.attrs["deviation"] = float(comparison.deviation[0])
+    trajectory.attrs["agreement"] = comparison.verdict
     return trajectory
 
 

@@ -119,9 +119,9 @@ class Drift(NamedTuple):
         transition[:, 1, 1] = decay
         # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
         position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
-        mixed = np.expm1(-w) ** 2
+        squared_loss = np.expm1(-w) ** 2
         speed = -np.expm1(-2.0 * w)
-        covariance = np.stack([np.stack([position, mixed], -1), np.stack([mixed, speed], -1)], -1)
+        covariance = np.stack([np.stack([position, squared_loss], -1), np.stack([squared_loss, speed], -1)], -1)
         scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
         transition[:, 0, 1] *= scale[0]
         return transition, covariance * np.outer(scale, scale)
@@ -138,8 +138,8 @@ class Drift(NamedTuple):
         early = np.minimum(first, second) / self.time
         decay = np.exp(-early)
         at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
-        relaxed = -np.expm1(-np.abs(first - second) / self.time)
-        return (at + np.expm1(-early) ** 2 * relaxed) / self.mean_square
+        difference_loss = -np.expm1(-np.abs(first - second) / self.time)
+        return (at + np.expm1(-early) ** 2 * difference_loss) / self.mean_square
 
 
 def small_drift(w: np.ndarray) -> np.ndarray:
@@ -165,8 +165,8 @@ def correlation_time(noise: Noise) -> float:
         sizes = np.sqrt(noise.covariance(times, times) * noise.covariance(noise.span, noise.span))
         return float(ago[np.argmax(noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes)])
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
-    decayed = noise.correlation(lags) <= math.exp(-1.0)
-    return float(lags[np.argmax(decayed)])
+    has_decayed = noise.correlation(lags) <= math.exp(-1.0)
+    return float(lags[np.argmax(has_decayed)])
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:

@@ -42,13 +42,13 @@ def stratified_interval(
     limits = clopper_pearson(failures[dense], draws[dense], confidence)
     below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
     above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
-    failing = ~dense & (failures > passes)
-    passing = ~dense & ~failing
+    has_few_passes = ~dense & (failures > passes)
+    has_few_failures = ~dense & ~has_few_passes
     event_weights = mean / draws
-    lower, upper = distances(event_weights[passing], failures[passing], confidence)
+    lower, upper = distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
     below += lower**2
     above += upper**2
-    lower, upper = distances(event_weights[failing], passes[failing], confidence)
+    lower, upper = distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
     below += upper**2
     above += lower**2
     by_net = weights @ shares

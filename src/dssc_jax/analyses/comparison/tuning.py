@@ -171,9 +171,9 @@ def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np
         lanes = {name: np.tile(column, count) for name, column in laws.items()}
         lanes |= {name: np.repeat(column, len(draws)) for name, column in part.items()}
         results = evaluator(np.tile(draws, count), lanes)
-        shaped = {name: array.reshape(count, len(draws)) for name, array in results.items()}
-        failures = np.count_nonzero(shaped["outcome"] != Outcome.OK, axis=-1)
-        low = np.quantile(merit(evaluator.swept, shaped), 0.01 * LOW, axis=-1, method="inverted_cdf")
+        result_table = {name: array.reshape(count, len(draws)) for name, array in results.items()}
+        failures = np.count_nonzero(result_table["outcome"] != Outcome.OK, axis=-1)
+        low = np.quantile(merit(evaluator.swept, result_table), 0.01 * LOW, axis=-1, method="inverted_cdf")
         result += list(zip(failures.tolist(), (-low).tolist(), strict=True))
     return result
 

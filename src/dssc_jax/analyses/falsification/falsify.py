@@ -128,26 +128,24 @@ class Falsified(Analysis):
         requirement: str = "",
     ) -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, signed, simulation_counts, ended, failed_at, first, violated_at, single_slacks = (
-            np.concatenate(parts) for parts in zip(*batches, strict=True)
-        )
-        study, distances = region.study, region.distances(points)
+        simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
+        study, distances = region.study, region.distances(simulated.points)
         columns = {
-            "slack": (slacks, "1", "signed slack"),
-            "binding": (binding, "1", "index of the worst requirement"),
-            "distance_to_bound": (signed, "", "slack of the worst requirement in its metric's unit"),
-            "simulations": (simulation_counts, "1", "simulations spent until then"),
-            "ended": (ended, "1", "outcome code of a draw that ended early, else 0"),
-            "failed_at": (failed_at, "s", "time at which it ended early (NaN: it did not)"),
-            "first": (first, "1", "index of the requirement that it violated first, else -1"),
-            "violated_at": (violated_at, "s", "time at which that was certain (NaN: none was violated)"),
+            "slack": (simulated.slacks, "1", "signed slack"),
+            "binding": (simulated.binding, "1", "index of the worst requirement"),
+            "distance_to_bound": (simulated.distances, "", "slack of the worst requirement in its metric's unit"),
+            "simulations": (simulated.simulation_counts, "1", "simulations spent until then"),
+            "ended": (simulated.ended, "1", "outcome code of a draw that ended early, else 0"),
+            "failed_at": (simulated.failed_at, "s", "time at which it ended early (NaN: it did not)"),
+            "first": (simulated.first, "1", "index of the requirement that it violated first, else -1"),
+            "violated_at": (simulated.violated_at, "s", "time at which that was certain (NaN: none was violated)"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
-        for required, column in zip(study.requirements, single_slacks.T, strict=True):
+        for required, column in zip(study.requirements, simulated.single_slacks.T, strict=True):
             columns[required.name] = (column, "", f"slack of {required.text} in its metric's unit")
-        for name, column in region.values(points).items():
+        for name, column in region.values(simulated.points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
         variables = {
             name: ("point", column, {"units": unit, "long_name": meaning})

@@ -227,10 +227,10 @@ class Hunt:
         for _ in range(room // (cost * len(points)) - 1):
             trial = self.region.descended(points, slopes, stride)
             _, results = self.simulate(trial, evaluator, cost)
-            slacks, fresh = self.descent(trial, results, targets)
+            slacks, trial_slopes = self.descent(trial, results, targets)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
-            slopes = np.where(better[:, None], fresh, slopes)
+            slopes = np.where(better[:, None], trial_slopes, slopes)
             best, stride = np.minimum(best, slacks), stride * np.where(better, LONGER, SHORTER)
             if self.worst == -np.inf:
                 return

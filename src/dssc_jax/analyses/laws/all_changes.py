@@ -36,9 +36,9 @@ class AllChanges:
         sizes = np.union1d(np.linspace(0.0, end, POINTS), [self.largest.explored])
         rows = []
         for size in sizes:
-            weighted = (np.nan, np.nan)
+            weighted_estimate = (np.nan, np.nan)
             if size <= self.largest.explored and self.largest.explored > 0.0:
                 worst = self.draws.worst(float(size))
-                weighted = (worst.probability, worst.interval[1])
-            rows.append((*weighted, self.limit_at(float(size))))
+                weighted_estimate = (worst.probability, worst.interval[1])
+            rows.append((*weighted_estimate, self.limit_at(float(size))))
         return sizes, np.array(rows)

@@ -112,7 +112,7 @@ class LawErrors(Analysis):
         """The numbers that summary.json holds."""
         probability = self.failures / self.draws
         requirements = tuple(requirement.text for requirement in self.study.requirements)
-        estimated = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
+        estimated_radii = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
         radii = {name: ball.largest_radius(self.interval[1], self.limit) for name, ball in BALLS.items()}
         shift = self.weights["mean_shift"]
         widening = self.weights["widening"]
@@ -126,7 +126,7 @@ class LawErrors(Analysis):
             mean_shift=max(shift.bound, self.guaranteed.mean_shift),
             widening=max(widening.bound, self.guaranteed.widening or 1.0),
             guaranteed=self.guaranteed,
-            estimates=Estimates(**estimated, mean_shift=shift.estimate, widening=widening.estimate),
+            estimates=Estimates(**estimated_radii, mean_shift=shift.estimate, widening=widening.estimate),
             weights=self.weights,
             most_important=self.most_important(),
             measure_next=self.measure_next(),

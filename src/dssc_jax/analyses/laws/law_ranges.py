@@ -121,10 +121,10 @@ class LawRanges(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         low, high = self.interval
-        checked = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
+        check_text = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
         return (
             f"failure probability in [{low:.3g}, {high:.3g}] for every law within the ranges "
-            f"({100 * CONFIDENCE:g} % confidence; {checked}); a limit of {100 * self.limit:g} % is {self.verdict}"
+            f"({100 * CONFIDENCE:g} % confidence; {check_text}); a limit of {100 * self.limit:g} % is {self.verdict}"
         )
 
     def figure(self) -> Figure:

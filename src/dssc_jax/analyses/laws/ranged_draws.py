@@ -46,11 +46,11 @@ def components(law: RangedLaw) -> list[Law]:
 def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
     """Values of the mixture from uniform levels: the first of B equal parts of them gives the first law, and so on."""
     laws = components(law)
-    scaled = levels * len(laws)
-    component_indices = np.minimum(scaled.astype(int), len(laws) - 1)
+    positions = levels * len(laws)
+    component_indices = np.minimum(positions.astype(int), len(laws) - 1)
     tiny = np.finfo(float).eps
-    inner = np.clip(scaled - component_indices, tiny, 1.0 - tiny)
-    return np.choose(component_indices, [component.quantile(inner) for component in laws])
+    component_levels = np.clip(positions - component_indices, tiny, 1.0 - tiny)
+    return np.choose(component_indices, [component.quantile(component_levels) for component in laws])
 
 
 def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
@@ -164,11 +164,11 @@ class RangedDraws:
         best = min(candidates, key=at_point)
         scale = np.ptp(self.bounds, axis=1)
         low = np.array(self.bounds)[:, 0]
-        polished = optimize.minimize(
+        descent = optimize.minimize(
             lambda share: at_point(low + scale * np.clip(share, 0.0, 1.0)),
             (best - low) / scale,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(low),
         )
-        point = low + scale * np.clip(polished.x, 0.0, 1.0)
+        point = low + scale * np.clip(descent.x, 0.0, 1.0)
         return min((best, point), key=at_point)

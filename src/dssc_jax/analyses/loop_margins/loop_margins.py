@@ -70,18 +70,18 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     poles = []
     for by_loop in parts.values():
         poles += [part.poles.ravel() for part in by_loop.values()]
-    common = common_grid(np.concatenate(poles))
+    common_angles = common_grid(np.concatenate(poles))
     sample_time = study.config.loop.sample_time
     broken_loops: dict[str, dict[str, BrokenLoop]] = {}
     for count, (name, by_loop) in enumerate(parts.items(), start=1):
         broken_loops[name] = {}
         for loop, part in by_loop.items():
-            broken = broken_loop(part, common, sample_time)
+            broken = broken_loop(part, common_angles, sample_time)
             if broken is not None:
                 broken_loops[name][loop] = broken
         if progress:
             progress(count * study.config.draws, len(parts) * study.config.draws)
-    dataset = margins_dataset(study, broken_loops, common / sample_time)
+    dataset = margins_dataset(study, broken_loops, common_angles / sample_time)
     multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in operating_points.items()}
     dataset = dataset.merge(multiloop_columns(multiloop))
     return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
@@ -120,7 +120,7 @@ def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
     return parts
 
 
-def broken_loop(part: Part, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
+def broken_loop(part: Part, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
     """Margins and frequency response at one break point; None if the signal there has no effect.
 
     Args:
@@ -128,20 +128,22 @@ def broken_loop(part: Part, common: np.ndarray, sample_time: float) -> BrokenLoo
         common: Angles of the frequency response, shape (frequencies,).
         sample_time: T_s [s].
     """
-    closed, a, b, c, poles = part
-    g = np.full((len(closed), common.size), np.nan, complex)
-    g[closed] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
+    has_closed_loop, a, b, c, poles = part
+    g = np.full((len(has_closed_loop), common_angles.size), np.nan, complex)
+    g[has_closed_loop] = response_of(a, b, c)(np.broadcast_to(common_angles, (len(a), common_angles.size)))
     if np.nanmax(np.abs(g)) < NO_EFFECT:
         return None
-    opened = np.full((len(closed), a.shape[-1]), np.nan, complex)
-    opened[closed] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    open_loop_poles = np.full((len(has_closed_loop), a.shape[-1]), np.nan, complex)
+    open_loop_poles[has_closed_loop] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
     stable = np.max(np.abs(poles), axis=1) < 1.0
-    status = np.full(len(closed), Status.NO_OPERATING_POINT.value)
-    status[closed] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
-    columns = {field: np.full(len(closed), np.nan) for field in ClassicalMargins._fields}
+    status = np.full(len(has_closed_loop), Status.NO_OPERATING_POINT.value)
+    status[has_closed_loop] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
+    columns = {field: np.full(len(has_closed_loop), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        angles = grid_with_poles(common, np.concatenate([poles, opened[closed]], axis=1)[stable])
+        angles = grid_with_poles(
+            common_angles, np.concatenate([poles, open_loop_poles[has_closed_loop]], axis=1)[stable]
+        )
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values
-    return BrokenLoop(columns, status, g, opened)
+    return BrokenLoop(columns, status, g, open_loop_poles)

@@ -187,16 +187,16 @@ def peak(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> 
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape
     flat = responses.reshape(-1, channels, channels)
-    rough = balanced_bounds(flat).reshape(count, columns)
-    padded = np.pad(rough, ((0, 0), (1, 1)), constant_values=-np.inf)
-    is_top = (rough >= padded[:, :-2]) & (rough >= padded[:, 2:])
-    tops = np.argsort(-np.where(is_top, rough, 0.0), axis=1)[:, :MOST_PEAKS]
+    rough_bounds = balanced_bounds(flat).reshape(count, columns)
+    padded_bounds = np.pad(rough_bounds, ((0, 0), (1, 1)), constant_values=-np.inf)
+    is_top = (rough_bounds >= padded_bounds[:, :-2]) & (rough_bounds >= padded_bounds[:, 2:])
+    tops = np.argsort(-np.where(is_top, rough_bounds, 0.0), axis=1)[:, :MOST_PEAKS]
     peak_responses = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
-    sharp = bound(peak_responses).reshape(count, -1)
-    order = np.argsort(-sharp, axis=1)[:, :REFINED_PEAKS]
+    sharp_bounds = bound(peak_responses).reshape(count, -1)
+    order = np.argsort(-sharp_bounds, axis=1)[:, :REFINED_PEAKS]
     candidates = np.take_along_axis(tops, order, 1)
     places = [np.take_along_axis(angles, candidates, 1)]
-    values = [np.take_along_axis(sharp, order, 1)]
+    values = [np.take_along_axis(sharp_bounds, order, 1)]
     for column in candidates.T:
         at = column[:, None]
         low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)

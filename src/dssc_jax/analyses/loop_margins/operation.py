@@ -69,25 +69,25 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
     places = resting.places
     indices = np.arange(draws)
     values = draw(study, indices)
-    states, matrices, settled, signal_states = resting.settle(values, indices)
-    if not settled.any():
+    states, matrices, is_settled, signal_states = resting.settle(values, indices)
+    if not is_settled.any():
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
     raw_findings = examination(lane_loop(study, places, resting=True), places)(values, indices, states, 1)
     findings = resting.linearise.with_opened(values, indices, states, 1, raw_findings)
-    notes = corner_notes(study, places, findings[settled], EQUILIBRIUM)
-    plain = settled & ~np.any((raw_findings == Finding.CORNER) | (raw_findings == Finding.DEFECT), axis=1)
-    cornered = np.any(findings == Finding.CORNER, axis=1)
+    notes = corner_notes(study, places, findings[is_settled], EQUILIBRIUM)
+    is_smooth = is_settled & ~np.any((raw_findings == Finding.CORNER) | (raw_findings == Finding.DEFECT), axis=1)
+    has_corner = np.any(findings == Finding.CORNER, axis=1)
 
     def after(pushed: np.ndarray) -> np.ndarray:
         return resting.linearise.after(values, indices, pushed, 1, resting.smooth(draws))
 
-    if plain.any():
-        require_derivative(study, after, states, matrices, plain, signal_states)
-    if cornered.any():
+    if is_smooth.any():
+        require_derivative(study, after, states, matrices, is_smooth, signal_states)
+    if has_corner.any():
         matrices = resting.linearise(values, indices, states, 1, findings)
-    return Operating(matrices, settled, np.any(findings == Finding.BEYOND, axis=1), notes), findings
+    return Operating(matrices, is_settled, np.any(findings == Finding.BEYOND, axis=1), notes), findings
 
 
 def operating_points_in_flight(

@@ -94,9 +94,9 @@ def stratified_probability(
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside(rng.random((SAMPLE, dimension)))
     edges, draws = planned(surrogate, surrogate(sample), width, most)
-    extra = min(MORE, int(draws.sum()) // MORE_SHARE)
-    if extra > PILOT // 4:
-        surrogate = improved(surrogate, sample, extra, counter)
+    extra_draws = min(MORE, int(draws.sum()) // MORE_SHARE)
+    if extra_draws > PILOT // 4:
+        surrogate = improved(surrogate, sample, extra_draws, counter)
         sample = inside(rng.random((SAMPLE, dimension)))
         edges, draws = planned(surrogate, surrogate(sample), width, most)
     strata = len(draws)
@@ -111,19 +111,19 @@ def stratified_probability(
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
 
 
-def improved(surrogate: Surrogate, sample: np.ndarray, extra: int, counter: Counter) -> Surrogate:
+def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: Counter) -> Surrogate:
     """The prediction with further draws near the predicted border, chosen from a plain sample.
 
     Within the band from which they are chosen, all draws together count as often as the pilot's are expected to.
     """
     distances = np.abs(surrogate(sample))
-    nearest = np.argsort(distances)[: BAND * extra]
+    nearest = np.argsort(distances)[: BAND * extra_draws]
     border_points = sample[nearest[::BAND]]
     points = np.concatenate([surrogate.points, border_points])
-    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra))])
-    expected = PILOT * len(nearest) / len(sample)
+    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra_draws))])
+    pilot_in_band = PILOT * len(nearest) / len(sample)
     in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    return Surrogate(points, slacks, np.where(in_band, expected / (expected + extra), 1.0))
+    return Surrogate(points, slacks, np.where(in_band, pilot_in_band / (pilot_in_band + extra_draws), 1.0))
 
 
 def planned(surrogate: Surrogate, predictions: np.ndarray, width: float, most: int) -> tuple[np.ndarray, np.ndarray]:

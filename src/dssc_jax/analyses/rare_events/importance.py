@@ -154,11 +154,11 @@ class Candidates(NamedTuple):
 
     def sample_size(self, variation: float) -> int:
         """Number of points with which the predicted coefficient of variation is so small."""
-        expected = self.masses * self.failing
-        total = float(expected.sum())
+        failing_masses = self.masses * self.failing
+        total = float(failing_masses.sum())
         if total == 0.0:
             return LEAST_SAMPLED
-        squares = float(np.sum(self.masses * expected / self.efficient_chances(1)))
+        squares = float(np.sum(self.masses * failing_masses / self.efficient_chances(1)))
         return max(LEAST_SAMPLED, int(np.ceil(RESERVE * squares / (total * variation) ** 2)))
 
 
@@ -236,14 +236,14 @@ def importance_sampling(
     least = np.argsort(slacks, kind="stable")[:LEARNT]
     search = Search(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
     new_points = WIDE * search.rng.standard_normal((EXPLORED, dimension))
-    for finished in range(MOST_ROUNDS):
+    for round_index in range(MOST_ROUNDS):
         slacks, _ = search.simulated(new_points)
-        between = 0 < finished < ROUNDS
-        search.learn(new_points, slacks, (search.prediction.smoothing,) if between else SMOOTHINGS)
+        is_middle_round = 0 < round_index < ROUNDS
+        search.learn(new_points, slacks, (search.prediction.smoothing,) if is_middle_round else SMOOTHINGS)
         if not search.design_points:
             return "no search ended at the border of failure"
         candidates = search.candidates(FIT_CANDIDATES)
-        if finished >= ROUNDS and candidates.sample_size(settings.variation) <= ENOUGH:
+        if round_index >= ROUNDS and candidates.sample_size(settings.variation) <= ENOUGH:
             break
         informative = candidates.points[systematic_sample(candidates.informative_chances(ADDED), search.rng)]
         designs = [design_point.point for design_point in search.design_points[:MOST_DESIGNS]]
@@ -297,18 +297,18 @@ def sampled(search: Search, settings: ImportanceSampling) -> Sample:
         failed = indices[slacks < 0.0]
         share = batch_size / (count + batch_size)
         weights = share * candidates.masses / chances
-        likely = np.argsort(-weights)
-        expected = np.cumsum((chances * candidates.failing)[likely])
-        unseen = weights[likely[min(np.searchsorted(expected, UNSEEN), len(likely) - 1)]]
+        by_weight = np.argsort(-weights)
+        expected_failures = np.cumsum((chances * candidates.failing)[by_weight])
+        likely_weight = weights[by_weight[min(np.searchsorted(expected_failures, UNSEEN), len(by_weight) - 1)]]
         sample = Sample(
             np.concatenate([sample.points, candidates.points[failed]]),
             np.concatenate([sample.noise, noise[slacks < 0.0]]),
             np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
-            max((1.0 - share) * sample.largest, float(unseen), float(weights[failed].max(initial=0.0))),
+            max((1.0 - share) * sample.largest, float(likely_weight), float(weights[failed].max(initial=0.0))),
         )
         count += batch_size
         if variation_of(sample.weights) <= settings.variation or 2 * count > settings.most:
             return sample
-        surprising = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
-        search.learn(candidates.points[indices[surprising]], slacks[surprising])
+        surprises = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
+        search.learn(candidates.points[indices[surprises]], slacks[surprises])
         batch_size = count

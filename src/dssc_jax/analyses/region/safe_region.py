@@ -296,16 +296,16 @@ class Lattice:
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
         """Simulate the points among these that have not been."""
-        fresh = sorted({point for point in points if self.failures[point] < 0})
-        if not fresh:
+        new_points = sorted({point for point in points if self.failures[point] < 0})
+        if not new_points:
             return
         draws = self.study.config.draws
-        values = {name: np.tile(column, len(fresh)) for name, column in self.drawn.items()}
-        for axis, lattice, places in zip(self.over, self.axes, zip(*fresh, strict=True), strict=True):
+        values = {name: np.tile(column, len(new_points)) for name, column in self.drawn.items()}
+        for axis, lattice, places in zip(self.over, self.axes, zip(*new_points, strict=True), strict=True):
             values[axis.name] = np.repeat(lattice[list(places)], draws)
-        indices = np.tile(np.arange(draws), len(fresh))
-        failed = self.evaluator.fails(indices, values).reshape(len(fresh), draws)
-        for point, count in zip(fresh, np.count_nonzero(failed, axis=1), strict=True):
+        indices = np.tile(np.arange(draws), len(new_points))
+        failed = self.evaluator.fails(indices, values).reshape(len(new_points), draws)
+        for point, count in zip(new_points, np.count_nonzero(failed, axis=1), strict=True):
             self.failures[point] = count
         if self.progress:
             self.progress(int(np.count_nonzero(self.failures >= 0)) * draws, None)

@@ -101,25 +101,27 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
     failed = np.zeros((count, 0), bool)
     goal = FIRST
     while True:
-        fresh = tally.simulate(running, slice(failed.shape[1], goal))
-        failed = np.concatenate([failed, fresh], axis=1)
+        new_outcomes = tally.simulate(running, slice(failed.shape[1], goal))
+        failed = np.concatenate([failed, new_outcomes], axis=1)
         tally.draws[running] = goal
         tally.failures[running] = failed.sum(axis=1)
-        alone = only_first(failed)
-        worse_than = log_evidence_of_less(alone, alone.T, goal, 0.0) >= evidence_threshold
-        stays = worse_than.sum(axis=0) < keep
-        running, failed, alone = running[stays], failed[stays], alone[np.ix_(stays, stays)]
+        sole_failures = only_first(failed)
+        worse_than = log_evidence_of_less(sole_failures, sole_failures.T, goal, 0.0) >= evidence_threshold
+        is_racing = worse_than.sum(axis=0) < keep
+        running = running[is_racing]
+        failed = failed[is_racing]
+        sole_failures = sole_failures[np.ix_(is_racing, is_racing)]
         order = np.argsort(tally.failures[running], kind="stable")
         best, rivals = order[:keep], order[keep:]
-        against = (alone[np.ix_(best, rivals)], alone[np.ix_(rivals, best)].T, goal)
+        counts_against = (sole_failures[np.ix_(best, rivals)], sole_failures[np.ix_(rivals, best)].T, goal)
         winners = running[best]
         proved_within = within
-        if rivals.size and not np.all(log_evidence_of_less(*against, within) >= evidence_threshold):
-            small = hardly_failing(tally, running[order], keep, within, evidence_threshold)
-            if small is not None:
-                winners = small
+        if rivals.size and not np.all(log_evidence_of_less(*counts_against, within) >= evidence_threshold):
+            safe_candidates = hardly_failing(tally, running[order], keep, within, evidence_threshold)
+            if safe_candidates is not None:
+                winners = safe_candidates
             elif tally.simulations >= most:
-                proved_within = proved_difference(against, evidence_threshold)
+                proved_within = proved_difference(counts_against, evidence_threshold)
             else:
                 goal = math.ceil(GROWTH * goal)
                 continue
@@ -162,12 +164,12 @@ def only_first(failed: np.ndarray) -> np.ndarray:
     return failures @ (1.0 - failures.T)
 
 
-def proved_difference(against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
+def proved_difference(counts_against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
     """The smallest difference, as far as bisection tells, that the evidence excludes for every pair; at most 1."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.all(log_evidence_of_less(*against, middle) >= evidence_threshold):
+        if np.all(log_evidence_of_less(*counts_against, middle) >= evidence_threshold):
             high = middle
         else:
             low = middle

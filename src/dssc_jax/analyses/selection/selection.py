@@ -169,15 +169,15 @@ def select(
     trial = study.override({"seed": seed, **plain_values(study, extents)})
     points = candidate_points(trial, extents, candidates, seed)
     evaluator = Evaluator(trial, extents, BLOCK)
-    finished = 0
+    simulation_count = 0
 
     def failing(running: np.ndarray, draws: slice) -> np.ndarray:
-        nonlocal finished
+        nonlocal simulation_count
         fresh = evaluator.drawn(draws)
         count = draws.stop - draws.start
-        goal = finished + len(running) * count
+        goal = simulation_count + len(running) * count
         if progress:
-            progress(finished, goal)
+            progress(simulation_count, goal)
         per_batch = max(1, BLOCK // count)
         rows = []
         for begin in range(0, len(running), per_batch):
@@ -186,9 +186,9 @@ def select(
             values |= {name: np.repeat(column[part], count) for name, column in points.items()}
             failed = evaluator.fails(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
             rows.append(failed.reshape(len(part), count))
-            finished += len(part) * count
+            simulation_count += len(part) * count
             if progress:
-                progress(finished, goal)
+                progress(simulation_count, goal)
         return np.concatenate(rows)
 
     outcome = race(failing, candidates, keep, within, most)

@@ -89,11 +89,11 @@ class Chaos:
 
     def basis(self, points: np.ndarray) -> np.ndarray:
         """The constant and the terms at points of shape (n, d); shape (n, 1 + terms)."""
-        scaled = 2.0 * points - 1.0
+        symmetric_points = 2.0 * points - 1.0
         table = np.ones((MOST_DEGREE + 1, *points.shape))
-        table[1] = scaled
+        table[1] = symmetric_points
         for k in range(1, MOST_DEGREE):
-            table[k + 1] = ((2 * k + 1) * scaled * table[k] - k * table[k - 1]) / (k + 1)
+            table[k + 1] = ((2 * k + 1) * symmetric_points * table[k] - k * table[k - 1]) / (k + 1)
         table *= np.sqrt(2.0 * np.arange(MOST_DEGREE + 1) + 1.0)[:, None, None]
         first, p, second, q = self.terms.T
         return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T

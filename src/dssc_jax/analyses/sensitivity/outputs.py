@@ -75,10 +75,10 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
     if np.ptp([f_a, f_b]) == 0.0:
         return "does not vary"
     rows = len(f_a)
-    carried = carrying(f_a, f_b)
-    if carried < FEWEST_ROWS:
-        sufficient_rows = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / carried))
-        carriers = f"about {carried:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
+    effective_rows = carrying(f_a, f_b)
+    if effective_rows < FEWEST_ROWS:
+        sufficient_rows = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / effective_rows))
+        carriers = f"about {effective_rows:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
         return f"needs {sufficient_rows:,} rows: {carriers}"
     return None
 

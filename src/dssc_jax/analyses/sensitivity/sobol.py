@@ -73,7 +73,7 @@ def sobol_indices(
         Communications 181 (2010) 259-270; A. B. Owen, Monte Carlo theory, methods and examples, section 17.2, on
         replicates.
     """
-    carried = carrying(f_a, f_b)
+    effective_rows = carrying(f_a, f_b)
     middle = 0.5 * (f_a.mean() + f_b.mean())
     f_a = f_a - middle
     f_b = f_b - middle
@@ -83,12 +83,12 @@ def sobol_indices(
     predicted = None if chaos is None else chaos.predict(np.stack([f_a, f_b, *f_ab]))
     if predicted is not None:
         shares, variance = corrected(shares, variance, predicted)
-    if carried**2 / len(f_a) >= JOINT:
+    if effective_rows**2 / len(f_a) >= JOINT:
         pairs = zip(shares, [*f_ab, *f_ab], strict=True)
         shares = np.stack([controlled(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
     indices = shares.mean(1, keepdims=True) / variance.mean()
     low, high = replicate_interval((shares - indices * variance) / variance.mean(), REPLICATES, confidence).T
-    half = np.hypot(0.5 * (high - low), unseen(carried, confidence))[:, None]
+    half = np.hypot(0.5 * (high - low), unseen(effective_rows, confidence))[:, None]
     table = np.concatenate([indices, indices - half, indices + half], axis=1)
     return Indices(table[: len(f_ab)], table[len(f_ab) :])
 

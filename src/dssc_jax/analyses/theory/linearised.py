@@ -132,8 +132,8 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     law = loop.controller[0].synthesised
     assert law is not None  # held by require_continuous, before tracing
     proportional, integral = law(params.controller[0])
-    closed = a - proportional * jnp.outer(b, c)
-    return jnp.block([[closed, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
+    closed_loop = a - proportional * jnp.outer(b, c)
+    return jnp.block([[closed_loop, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
 
 
 class AtRest(NamedTuple):

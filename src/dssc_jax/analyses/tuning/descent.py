@@ -47,8 +47,8 @@ class Multipliers:
         """max(0, lambda + c g) of each limit: its weight in the gradient, and its next multiplier."""
         pushes = {}
         for name, excess in point.merit.excess.items():
-            shifted = excess + headroom(name) + self.gaps.get(name, 0.0)
-            pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * shifted)
+            tightened_excess = excess + headroom(name) + self.gaps.get(name, 0.0)
+            pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * tightened_excess)
         return pushes
 
     def gradient(self, point: Point) -> np.ndarray:
@@ -66,8 +66,8 @@ class Multipliers:
         """Update the multipliers in the usual way, and compute the gaps anew."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
-            trained = train.merit.excess
-            self.gaps = {name: max(0.0, excess - trained[name]) for name, excess in validation.merit.excess.items()}
+            training = train.merit.excess
+            self.gaps = {name: max(0.0, excess - training[name]) for name, excess in validation.merit.excess.items()}
 
 
 def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
@@ -121,8 +121,8 @@ def smoothing_width(first: float, finished_share: float) -> float:
 
     It decreases geometrically from ``first``, and is 0 in the final steps.
     """
-    smoothed = 1.0 - EXACT_SHARE
-    return first * FINAL_WIDTH ** (finished_share / smoothed) if finished_share < smoothed else 0.0
+    smoothed_share = 1.0 - EXACT_SHARE
+    return first * FINAL_WIDTH ** (finished_share / smoothed_share) if finished_share < smoothed_share else 0.0
 
 
 def shortened_step(
@@ -237,8 +237,8 @@ class Iteration:
     def room(self, x: np.ndarray) -> np.ndarray:
         """The distance to every limit, less its headroom, plus the largest excess."""
         excess = self.at(x)[0].merit.excess
-        shifted = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
-        return x[-1] - np.array(shifted)
+        tightened_excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(tightened_excesses)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the room, shape (limits, n + 1)."""

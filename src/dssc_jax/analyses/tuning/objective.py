@@ -109,8 +109,8 @@ class Goal:
 
     def _relative(self, results: Arrays) -> np.ndarray:
         """How far each draw misses each requirement, relative to the bound, finite; shape (requirements, draws)."""
-        missed = np.array([-results[r.name] / r.scale for r in self.requirements])
-        return np.where(np.isnan(missed) | (missed == np.inf), ENDLESS, missed)
+        relative_excess = np.array([-results[r.name] / r.scale for r in self.requirements])
+        return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
     def undefined(self, results: Arrays) -> np.ndarray:
         """Which draws have no cost, or no value of a limited metric: those that ended early, or have no margin."""
@@ -143,10 +143,10 @@ class Goal:
                 number: float(np.mean(draw_results[Derivative(name, number)]) / scale) for number in numbers
             }
         if self.requirements:
-            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(draw_results, numbers)
+            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._mean_excess(draw_results, numbers)
             if counterexample_count:
                 counterexamples = {name: array[count:] for name, array in results.items()}
-                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(counterexamples, numbers)
+                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._mean_excess(counterexamples, numbers)
         gradient = {number: float(share @ self._slope(draw_results, number)) for number in numbers}
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 
@@ -156,16 +156,16 @@ class Goal:
             total = total + weight * results[Derivative(name, number)]
         return total
 
-    def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
+    def _mean_excess(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
         """Mean over the draws of how far the worst requirement is missed, and its derivatives."""
-        missed = self._relative(results)
-        worst = np.argmax(missed, axis=0)
-        counts = np.max(missed, axis=0) > 0.0
+        relative_excess = self._relative(results)
+        worst = np.argmax(relative_excess, axis=0)
+        is_violated = np.max(relative_excess, axis=0) > 0.0
         slopes = {}
         for number in numbers:
             rows = np.array([-results[Derivative(r.name, number)] / r.scale for r in self.requirements])
             slope = np.take_along_axis(rows, worst[None], 0)[0]
-            slopes[number] = float(np.mean(np.where(counts & np.isfinite(slope), slope, 0.0)))
+            slopes[number] = float(np.mean(np.where(is_violated & np.isfinite(slope), slope, 0.0)))
         return float(np.mean(self.excess(results))), slopes
 
 
@@ -195,9 +195,9 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
         units: Unit of each limited metric.
     """
     ended = ended_early(results["outcome"])
-    missed = []
+    rows = []
     if ended.any():
-        missed.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, ""))
+        rows.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, ""))
     for requirement in goal.requirements:
         slacks = results[requirement.name]
         is_missed = violated(slacks) & ~ended
@@ -206,12 +206,12 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
             value = requirement.bound + (excess if requirement.maximum is not None else -excess)
             excess = abs(requirement.shown(value)[0] - requirement.shown(requirement.bound)[0])
             unit = requirement.shown(value)[1]
-            missed.append(MissedBound(requirement.short, int(np.count_nonzero(is_missed)), excess, unit))
+            rows.append(MissedBound(requirement.short, int(np.count_nonzero(is_missed)), excess, unit))
     for name, bound in goal.limits.items():
         excess = float(np.mean(results[name][~ended])) - bound if not ended.all() else math.nan
         if excess > 0.0:
-            missed.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
-    return tuple(missed)
+            rows.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
+    return tuple(rows)
 
 
 RESAMPLES = 2000
@@ -294,7 +294,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
     level = goal.level if goal.aggregate == "cvar" else 0.5
-    paired = compare_metrics(costs, start_costs)
+    difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)
     failures = compare_failures(failed, start_failed)
@@ -315,7 +315,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
         reduction=1.0 - objective / start_objective,
         reduction_interval=reduction_interval(goal, start_costs, costs),
         quantile=(quantile_interval(start_costs, level), quantile_interval(costs, level)),
-        difference=(paired.difference, *paired.interval),
+        difference=(difference.difference, *difference.interval),
         limits=limits,
         failures=(start_count, count),
         requirements=by_requirement,

@@ -98,8 +98,8 @@ def tune(
         counterexamples=tuple(hunts),
         seconds=time.perf_counter() - began,
     )
-    searched = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
-    values = {name: float(numbers.get(name, value)) for name, value in searched.items()}
+    result_values = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
+    values = {name: float(numbers.get(name, value)) for name, value in result_values.items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
     start_values = dict(plan.mirror.start)
@@ -189,10 +189,10 @@ def require_certified(plan: Plan) -> None:
     assert plan.theorem is not None
     numbers = plan.numbers_at(plan.mirror.origin)
     if plan.table.slack is not None:
-        missed = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
-        worst = max(missed, key=missed.__getitem__)
-        if missed[worst] > 0.0:
-            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {missed[worst]:.3g} (relative)"
+        excesses = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
+        worst = max(excesses, key=excesses.__getitem__)
+        if excesses[worst] > 0.0:
+            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {excesses[worst]:.3g} (relative)"
             raise ConfigError(plan.study.source, f"tune.slack: {rule}")
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"

@@ -51,12 +51,12 @@ class Family:
         """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
-        waiting = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
-        fresh = list(waiting.values())
-        for first in range(0, len(fresh), BATCH_POINTS):
-            batch = np.array(fresh[first : first + BATCH_POINTS])
-            padded = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
-            matrices = self.linearised(padded, np.zeros(BATCH_POINTS, int))
+        new_points = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
+        missing_points = list(new_points.values())
+        for first in range(0, len(missing_points), BATCH_POINTS):
+            batch = np.array(missing_points[first : first + BATCH_POINTS])
+            padded_batch = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
+            matrices = self.linearised(padded_batch, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
                 self.row_of_point[point.tobytes()] = len(self.cache)
                 self.cache.append(StateMatrices(*(part[row] for part in matrices)))
@@ -70,8 +70,8 @@ class Family:
 
     def allowance(self, points: int) -> RemainingPoints:
         """The function that tells how many of a number of new points may still be linearised, from now on."""
-        last = len(self.cache) + points
-        return lambda: max(0, last - len(self.cache))
+        last_row = len(self.cache) + points
+        return lambda: max(0, last_row - len(self.cache))
 
     def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Matrices at points, with the random keys of the draws ``indices``."""
@@ -163,5 +163,5 @@ class BrokenFamily:
         reference = self._matrices(bases)
         variants = self._matrices(neighbours.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
-        unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
-        return np.flatnonzero(np.any(~unchanged, axis=(0, 2, 3))).tolist()
+        is_unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
+        return np.flatnonzero(np.any(~is_unchanged, axis=(0, 2, 3))).tolist()

@@ -90,7 +90,7 @@ def joint_mu_bound(
 
 
 def joint_case(
-    broken: BrokenFamily,
+    broken_family: BrokenFamily,
     channels: tuple[str, ...],
     drawn_loops: np.ndarray,
     sample_time: float,
@@ -109,21 +109,21 @@ def joint_case(
         cells: Largest number of cells.
         points: Largest number of points to linearise.
     """
-    sides = len(broken.sides)
+    sides = len(broken_family.sides)
     count = len(channels)
-    budget = broken.family.allowance(points)
-    worst = worst_joint_margin(broken.at, sides, count, sample_time, broken.family.allowance(points // 3))
-    at_worst = margins_of(broken.at(worst.point[None]), count, sample_time)
+    budget = broken_family.family.allowance(points)
+    worst = worst_joint_margin(broken_family.at, sides, count, sample_time, broken_family.family.allowance(points // 3))
+    at_worst = margins_of(broken_family.at(worst.point[None]), count, sample_time)
     covered = Covered(np.array([np.inf]), 0)
     if worst.value > 0.0:
-        covered = joint_mu_bound(broken.at, sides, count, gap / worst.value, cells, budget)
+        covered = joint_mu_bound(broken_family.at, sides, count, gap / worst.value, cells, budget)
     bounded = 1.0 / covered.gains[0] if covered.stable else np.nan
     return JointCase(
         channels=channels,
-        names=broken.names,
+        names=broken_family.names,
         drawn=float(margins_of(drawn_loops, count, sample_time).attained.min()),
         found=worst.value,
-        numbers=broken.numbers(worst.point),
+        numbers=broken_family.numbers(worst.point),
         frequency=float(at_worst.frequency[0]),
         factors=at_worst.factors[0],
         bounded=float(bounded),

@@ -54,7 +54,7 @@ def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
     return radii
 
 
-def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> np.ndarray:
+def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: float) -> np.ndarray:
     """The margins of loops, shape (n, margins); unstable ones have the worst value.
 
     Args:
@@ -68,8 +68,8 @@ def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> 
         a = matrices[stable, :-1, :-1]
         b = matrices[stable, :-1, -1]
         c = matrices[stable, -1, :-1]
-        opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-        angles = grid_with_poles(common, np.concatenate([np.linalg.eigvals(a), opened], axis=1))
+        open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+        angles = grid_with_poles(common_angles, np.concatenate([np.linalg.eigvals(a), open_loop_poles], axis=1))
         margins: ClassicalMargins = classical_margins(response_of(a, b, c), angles, sample_time)
         result[stable] = np.stack([getattr(margins, name) for name in MARGINS], axis=1)
     return result
@@ -83,14 +83,14 @@ def badness(margins: np.ndarray) -> np.ndarray:
 def worst_margins(
     evaluate: Evaluate,
     sides: int,
-    common: np.ndarray,
+    common_angles: np.ndarray,
     sample_time: float,
     remaining_points: RemainingPoints = unlimited,
 ) -> list[Worst]:
     """The worst value found of each margin of a loop that is broken in one channel."""
 
     def margins(points: np.ndarray) -> np.ndarray:
-        return margins_at(evaluate(points), common, sample_time)
+        return margins_at(evaluate(points), common_angles, sample_time)
 
     return worst_values(margins, badness, sides, remaining_points)
 
@@ -112,13 +112,13 @@ def worst_values(
     points = start_points(sides)[: max(1, remaining_points())]
     values = values_at(points)
     best = np.argmax(badness(values), axis=0)
-    at = points[best]
+    worst_points = points[best]
     quantities = values.shape[1]
     worst = values[best, range(quantities)]
     step = FIRST_STEP
     moves = np.concatenate([np.eye(sides), -np.eye(sides)])
     while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
-        trials = np.clip(at[:, None] + step * moves, -1.0, 1.0)
+        trials = np.clip(worst_points[:, None] + step * moves, -1.0, 1.0)
         if remaining_points() < len(moves) * quantities:
             break
         trial_values = values_at(trials.reshape(-1, sides)).reshape(*trials.shape[:2], quantities)
@@ -128,10 +128,10 @@ def worst_values(
             k = int(np.argmax(scores[index, :, index]))
             if scores[index, k, index] > badness(worst)[index] + 1e-12:
                 worst[index] = trial_values[index, k, index]
-                at[index] = trials[index, k]
+                worst_points[index] = trials[index, k]
                 has_improved = True
         step = step if has_improved else 0.5 * step
-    return [Worst(float(value), point) for value, point in zip(worst, at, strict=True)]
+    return [Worst(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
 def nearest_instability(

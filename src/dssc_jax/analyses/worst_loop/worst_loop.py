@@ -90,8 +90,8 @@ def worst_loop(
         raise ConfigError("points", f"must be within [1, {MOST_LINEARISED}], got {points}")
     study = study.without_sweep()
     names = break_points(study.loop)
-    selected = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
-    for name in selected:
+    selected_names = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
+    for name in selected_names:
         if name not in names:
             raise ConfigError(
                 "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
@@ -102,40 +102,40 @@ def worst_loop(
         progress(0, points)
     resting = RestingLoop(study, places)
     operating, findings = resting_operation(resting, study.config.draws)
-    settled = findings[operating.reached]
-    differing = np.flatnonzero(np.any(settled != settled[0], axis=0))
-    if differing.size:
-        place = places[differing[0]]
+    settled_findings = findings[operating.reached]
+    differing_parts = np.flatnonzero(np.any(settled_findings != settled_findings[0], axis=0))
+    if differing_parts.size:
+        place = places[differing_parts[0]]
         boundary = place.remaining.meaning.partition(";")[0]
-        count = int(np.count_nonzero(settled[:, differing[0]] != Finding.SMOOTH))
+        count = int(np.count_nonzero(settled_findings[:, differing_parts[0]] != Finding.SMOOTH))
         raise ConfigError(
             study.source,
-            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled)} draws, so that no one linear "
-            "loop covers all; give it room, or narrow the laws that bring it there",
+            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled_findings)} draws, so that "
+            "no one linear loop covers all; give it room, or narrow the laws that bring it there",
         )
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
 
-    def advance(linearised: int) -> None:
+    def advance(linearised_points: int) -> None:
         if progress:
-            progress(min(linearised, most), most)
+            progress(min(linearised_points, most), most)
 
-    family = Family(resting, box, settled[0], advance)
+    family = Family(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
     broken_loops = {}
-    for name in selected:
+    for name in selected_names:
         state_indices = operating.matrices.loop_states(names.index(name), operating.reached)
         if state_indices.size:
             broken_loops[name] = BrokenFamily(family, state_indices, [names.index(name)])
     if not broken_loops:
         raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
     joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
-    waiting = len(broken_loops) + (joint is not None)
+    remaining_loops = len(broken_loops) + (joint is not None)
     cases = {}
     for name, broken in broken_loops.items():
         if not broken.sides:
             raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
-        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // waiting)
-        waiting -= 1
+        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // remaining_loops)
+        remaining_loops -= 1
     multiloop = None
     if joint is not None:
         broken = BrokenFamily(family, joint.states, joint.points.tolist())
@@ -175,15 +175,15 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
     """The worst case of one broken loop, from a number of cells and of points to linearise."""
     family = broken.family
     remaining_points = family.allowance(points)
-    searched = round(SEARCHED * points)
+    search_points = round(SEARCHED * points)
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
     drawn_loops = broken.broken(reached_matrices(operating))
-    common = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
-    drawn_margins = margins_at(drawn_loops, common, sample_time)
+    common_angles = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
+    drawn_margins = margins_at(drawn_loops, common_angles, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
-    worst_cases = worst_margins(broken.at, sides, common, sample_time, family.allowance(searched))
-    growable, instability = defined_instability(study, broken, lambda: family.allowance(searched))
+    worst_cases = worst_margins(broken.at, sides, common_angles, sample_time, family.allowance(search_points))
+    growable, instability = defined_instability(study, broken, lambda: family.allowance(search_points))
     bounds = bounds_of(broken, worst_cases, instability, growable, sample_time, cells, remaining_points)
     return LoopCase(
         names=broken.names,

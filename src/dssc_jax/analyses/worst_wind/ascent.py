@@ -157,14 +157,14 @@ class Ascent:
         count = len(winds)
         laws = self.flights.flying.laws
         middle = medians(self.flights.flying)
-        usual = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
+        median_points = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
         if not self.flights.numbers:
-            return usual
+            return median_points
         corners = {}
         for name in self.flights.numbers:
             random_values = laws[name].quantile(self.rng.uniform(SEARCH_EDGE, 1.0 - SEARCH_EDGE, count))
             corners[name] = self.rng.choice(self.box[name], count) if name in self.box else random_values
-        return joined([usual, Points(winds, corners)])
+        return joined([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
         """Each signal at some points, signed so that more is worse, shape (n,) each."""
@@ -195,13 +195,13 @@ class Ascent:
             best_trials = np.argmax(rows, axis=1)
             trial_heights = rows[np.arange(len(active)), best_trials]
             better = trial_heights > best[active]
-            improved = active[better]
+            improved_points = active[better]
             places = np.flatnonzero(better)
             for step, place in zip(best_trials[better], places, strict=True):
                 points = points.replaced(active[[place]], trials[step].selected(np.array([place])))
             gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
             best = np.array(best)
-            best[improved] = trial_heights[better]
+            best[improved_points] = trial_heights[better]
             active = active[(gains > LEAST_GAIN) & np.isfinite(best[active])]
         self.report(self.rounds + 1 if active.size else self.rounds)
         return points, best
@@ -215,18 +215,20 @@ class Ascent:
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
         self.differentiated += len(signals) * (3 * self.winds.grid.size + len(self.flights.numbers))
         signs = np.array([self.flights.signals[name].sign for name in signals])
-        rising = Slopes(signs[:, None, None] * slopes.wind, {n: signs * column for n, column in slopes.numbers.items()})
-        extreme = Points(self.winds.extreme(rising.wind, points.winds), self.corners(rising, points))
+        signed_slopes = Slopes(
+            signs[:, None, None] * slopes.wind, {n: signs * column for n, column in slopes.numbers.items()}
+        )
+        extreme = Points(self.winds.extreme(signed_slopes.wind, points.winds), self.corners(signed_slopes, points))
         trials = [between(points, extreme, share) for share in SHARES]
         trials.append(Points(extreme.winds, points.numbers))
-        trials.append(Points(self.winds.within(postponed(extreme.winds, rising.wind)), extreme.numbers))
+        trials.append(Points(self.winds.within(postponed(extreme.winds, signed_slopes.wind)), extreme.numbers))
         return trials
 
-    def corners(self, rising: Slopes, points: Points) -> Arrays:
+    def corners(self, signed_slopes: Slopes, points: Points) -> Arrays:
         """Each number at the end of its range to which the signal rises; where it does not, the present value."""
         numbers = dict(points.numbers)
         for name, (low, high) in self.box.items():
-            slope = rising.numbers[name]
+            slope = signed_slopes.numbers[name]
             numbers[name] = np.where(slope > 0.0, high, np.where(slope < 0.0, low, points.numbers[name]))
         return numbers
 

@@ -104,7 +104,7 @@ class WindSet:
         winds = np.stack([horizontal * np.cos(angles), horizontal * np.sin(angles), self.limits.vertical * sides], 2)
         return self.within(winds)
 
-    def extreme(self, slopes: np.ndarray, present: np.ndarray) -> np.ndarray:
+    def extreme(self, slopes: np.ndarray, current_winds: np.ndarray) -> np.ndarray:
         """The winds that maximise the sum of the products with given slopes, shape (n, size, 3) all.
 
         Where a slope is 0 and nothing couples the vectors, the present wind is kept.
@@ -112,11 +112,11 @@ class WindSet:
         if self.limits.rate is not None:
             return np.stack([self._extreme_spline(slope) for slope in slopes])
         norms = np.linalg.norm(slopes[..., :2], axis=-1, keepdims=True)
-        extreme_winds = np.array(present)
+        extreme_winds = np.array(current_winds)
         horizontal = self.limits.speed * slopes[..., :2] / np.where(norms > 0.0, norms, 1.0)
-        extreme_winds[..., :2] = np.where(norms > 0.0, horizontal, present[..., :2])
+        extreme_winds[..., :2] = np.where(norms > 0.0, horizontal, current_winds[..., :2])
         vertical = self.limits.vertical * np.sign(slopes[..., 2])
-        extreme_winds[..., 2] = np.where(slopes[..., 2] != 0.0, vertical, present[..., 2])
+        extreme_winds[..., 2] = np.where(slopes[..., 2] != 0.0, vertical, current_winds[..., 2])
         return extreme_winds
 
     def _extreme_spline(self, slope: np.ndarray) -> np.ndarray:

@@ -51,9 +51,9 @@ def run(options: Code) -> int:
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
         library, reason = built_library(unit)
-        packed = out / f"{unit.name}.fmu"
-        attempt(packed, lambda: files.write_bytes(packed, unit.archive(library)))
-        summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
+        fmu_file = out / f"{unit.name}.fmu"
+        attempt(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
+        summary["fmu"] = {"file": fmu_file.name, "library": library is not None, "reason": reason}
     attempt(out, lambda: write_sums(out, file_names))
     summary["files"] = [*file_names, SUMS]
     if options.as_json:
