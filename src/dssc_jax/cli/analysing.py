@@ -1,4 +1,4 @@
-"""What all commands on analyses do: take a free folder, check, save, draw and print."""
+"""Steps that all commands on analyses share: choose a free folder, check, save, draw and print."""
 
 import json
 from collections.abc import Callable, Mapping

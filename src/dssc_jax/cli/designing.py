@@ -1,4 +1,4 @@
-"""What the commands check and design share: a design with its certificate."""
+"""Shared by the commands check and design: print a design with its certificate."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What the commands run and sweep share: a complete result is shown, anything else is computed."""
+"""Shared by the commands run and sweep: show a complete result, compute anything else."""
 
 import sys
 from pathlib import Path
@@ -45,7 +45,7 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: Stat
         study: The study.
         out: The folder.
         options: Of the command.
-        stated: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
+        amounts: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
     """
     resume = options.resume
     if not options.fresh and (result := complete_result(study, out)) is not None:

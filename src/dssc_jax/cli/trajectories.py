@@ -1,4 +1,4 @@
-"""What the commands simulate and replay share: the files of a trajectory."""
+"""Shared by the commands simulate and replay: write the files of a trajectory."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence

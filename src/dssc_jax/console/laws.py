@@ -128,7 +128,7 @@ def show_fresh(answer: LawErrorsAnswer) -> None:
 
 
 def importance(law: LawError) -> tuple[float, float]:
-    """The place of a law in the order of the table: the smallest shift first."""
+    """Sort key of a law in the table: the smallest shift first."""
     estimate = law.mean_shift_estimate
     return (math.inf if estimate is None else estimate, law.mean_shift)
 

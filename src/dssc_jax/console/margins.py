@@ -63,7 +63,7 @@ def share_texts(answer: MarginAnswer) -> list[str]:
 
 
 def show_reach(proof: Mapping[str, object] | None) -> None:
-    """Print how far the sampled loop is proved, if that was asked."""
+    """Print how far the sampled loop is proved, if a proof was requested."""
     if proof is not None:
         output().print(proof["statement"], markup=False, soft_wrap=True)
 

@@ -82,7 +82,7 @@ def equal_text(result: "Result") -> str:
 
 
 def effect_text(effect: "DesignEffect", draws: int) -> str:
-    """What a design of so many draws saved, in words."""
+    """The draws that a design saved, in words."""
     low, high = effect.ratio_interval
     ratio = f"variance {effect.variance_ratio:.2g} in [{low:.2g}, {high:.2g}] of that of independent draws"
     saved_draws = effect.plain_draws - draws

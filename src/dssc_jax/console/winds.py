@@ -9,7 +9,7 @@ from dssc_jax.console.terminal import number_text, output, show_files, show_tabl
 
 
 def show_worst_wind(worst: WorstWind, files: list[Path]) -> None:
-    """Print the worst value of each signal, and what was spent."""
+    """Print the worst value of each signal, and the cost of the search."""
     answer = worst.answer
     console = output()
     rate = "it may jump" if answer.rate is None else f"|w'| <= {answer.rate:g} m/s^2"

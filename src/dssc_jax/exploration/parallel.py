@@ -82,7 +82,7 @@ class ParallelAxes:
 
 
 def fitting_label(label: str) -> str:
-    """The end of a dotted name in lines that have room under an axis, its unit below.
+    """The end of a dotted name in lines that fit under an axis, with its unit below.
 
     An index keeps the name before it: ``inertia.0``.
     """

@@ -188,7 +188,7 @@ class Chunks:
         return ""
 
     def _variables_of(self, block: Block) -> list[str]:
-        """The variables of a block; drawn numbers belong to the first block of their draws."""
+        """Names of the variables that a block holds; drawn numbers belong to the first block of their draws."""
         first = all(part.start == 0 for part in block[:-1])
         return [name for name in self.arrays if first or name not in self.law_names]
 

@@ -67,7 +67,7 @@ def field_types(cls: type) -> dict[str, Any]:
 
 
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
-    """What each number of an answer means, from the annotations of its dataclass, parts included."""
+    """The meaning of each number of an answer and its parts, from the annotations of its dataclass."""
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint = hints[field.name]

@@ -202,7 +202,7 @@ def requirements(
 
 
 def values_missing(point: SummaryRow) -> list[str]:
-    """For the required margins and metrics of a point: how many draws have none, and why, in words."""
+    """Sentences on the required margins and metrics of a point: how many draws have none, and why."""
     names_by_counts: dict[tuple[int, int], list[str]] = {}
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)

@@ -264,7 +264,7 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
 
 
 def parsed(address: str) -> int:
-    """Number of processes of ``local:N``, 0 for the address of a scheduler.
+    """Number of processes in ``local:N``; 0 for the address of a scheduler.
 
     Raises:
         ConfigError: It is neither.

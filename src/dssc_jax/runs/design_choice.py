@@ -98,7 +98,7 @@ def sobol(study: Study, nets: int, size: int) -> Study:
 
 
 def nets_of(draws: int) -> tuple[int, int]:
-    """Number of nets, from ``NETS`` to twice as many, and points of each: together at least so many draws."""
+    """Number of nets, from ``NETS`` to twice as many, and points of each net: together at least ``draws`` draws."""
     size = 1 << max(0, (draws // NETS).bit_length() - 1)  # draws / NETS rounded down to a power of two, or 1
     return math.ceil(draws / size), size
 

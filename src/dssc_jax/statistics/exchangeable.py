@@ -1,4 +1,4 @@
-"""How unlike a set of independent curves another curve is, with a p-value that is exact for any law of the curves.
+"""The difference of a curve from a set of independent curves, with a p-value that is exact for any law of the curves.
 
 One number is computed for each curve, in a way that does not depend on the order of the curves, the tested one among
 them. If the tested curve has the law of the others, all n + 1 numbers are exchangeable, so that its rank among them is

@@ -27,7 +27,7 @@ class Change(ABC):
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """Name of the size in answers: a shift in standard deviations, or a relative width."""
+        """The size as answers state it: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Which correlated noise a residual has: the posterior law over kinds of noise and their parameters.
+"""The correlated noise of a residual: the posterior law over kinds of noise and their parameters.
 
 A residual seldom tells its correlation well, a sparse one hardly at all. What follows from the noise is therefore
 averaged over all noises that the residual allows, with their posterior probabilities, instead of taken for the most

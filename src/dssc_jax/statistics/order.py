@@ -56,7 +56,7 @@ def upper_quantile(sorted_values: np.ndarray, level: float) -> np.ndarray:
     An order statistic: a finite value is never averaged with an infinite one.
 
     Args:
-        ordered: The draws as :func:`ranked` returns them.
+        sorted_values: The draws as :func:`ranked` returns them.
         level: In [0, 1].
     """
     return at_rank(sorted_values, max(1, math.ceil(level * sorted_values.shape[-1])))

@@ -62,7 +62,7 @@ def stratified_interval(
 
 
 def distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:
-    """Distances of the limits of a weighted sum of rare events from it, below and above.
+    """Distances of the lower and the upper limit from a weighted sum of rare events.
 
     Args:
         weights: Weight of an event in each stratum, shape (strata,).

@@ -165,7 +165,7 @@ class Contest(NamedTuple):
 
 
 class ContestPart(NamedTuple):
-    """What a contest holds besides its part of the dataset.
+    """The tables and variable names of a contest; its data lie in the comparison's dataset.
 
     Args:
         tables: The ``[controller]`` table of each controller.

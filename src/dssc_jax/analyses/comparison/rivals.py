@@ -27,7 +27,7 @@ LIMITED = "limited"
 
 
 class RivalName(NamedTuple):
-    """What the name of a controller in a comparison stands for.
+    """The controller that a name in a comparison denotes.
 
     Args:
         kind: Kind of the controller.
@@ -76,7 +76,7 @@ def kind_of_all(study: Study) -> str:
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
-    """Error pole and nominal control of the study, as far as a controller of one's own has these gains."""
+    """The study's error pole and nominal control, if the user's own controller has these gains."""
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)

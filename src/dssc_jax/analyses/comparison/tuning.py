@@ -93,7 +93,7 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
 
 
 def untuned_reason(study: Study, controller: str) -> str:
-    """Why :func:`ranges` finds no gain of the study's controller, in words, with the numbers that may be named.
+    """The reason why :func:`ranges` finds no gain of the study's controller, with the numbers that may be named.
 
     Args:
         study: The study with this controller.
@@ -158,7 +158,7 @@ def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
 
 
 def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray) -> list[tuple[int, float]]:
-    """Failures of each candidate on successive draws, and its low quantile of the worst slack, the sign changed.
+    """Each candidate's failures on successive draws, and minus the low quantile of its worst slack.
 
     The smaller score is the better one.
     """

@@ -1,4 +1,4 @@
-"""What a study needs to be hunted, and what of it is not computed then."""
+"""Require what a search for the worst draw needs, and leave out the margins that it does not consider."""
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.closed_loop.requirements import counted_places
@@ -21,7 +21,7 @@ def require_hunt(study: Study, budget: int) -> None:
 
 
 def require_known(study: Study, requirement: str) -> None:
-    """Require that a label, if there is one, is that of a requirement.
+    """Require that a label is empty or names a requirement of the study.
 
     Raises:
         ConfigError: It is not.
@@ -33,7 +33,7 @@ def require_known(study: Study, requirement: str) -> None:
 
 
 def without_other_margins(study: Study, requirement: str) -> Study:
-    """The study without required margins that do not count, since a margin costs more than many flights.
+    """The study without the required margins that the search ignores: a margin costs more than many flights.
 
     Args:
         study: The study.

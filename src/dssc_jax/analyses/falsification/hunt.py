@@ -179,18 +179,18 @@ class Hunt:
 
     @property
     def relevant_requirements(self) -> list[Requirement]:
-        """The requirements that count."""
+        """The requirements that the search considers."""
         return [self.requirements[place] for place in counted_places(self.requirements, self.requirement)]
 
     def single_slacks(self) -> np.ndarray:
-        """Slack of every requirement that counts relative to its scale, of all points so far, shape (n, counted)."""
+        """Slack of each relevant requirement, relative to its scale, at all points so far; shape (n, requirements)."""
         places = counted_places(self.requirements, self.requirement)
         scales = np.array([requirement.scale for requirement in self.relevant_requirements])
         slacks = np.concatenate([batch.single_slacks[:, places] for batch in self.batches]) / scales
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Starting points of climbs, and the requirement that each descends, as an index of those that count.
+        """Starting points of climbs, and the index of the relevant requirement whose slack each climb descends.
 
         The worst draw of all requirements is the worst among those of each. The requirement that binds at most points
         would otherwise hide another one, whose worst draws lie elsewhere. So they take turns, the most critical one
@@ -207,7 +207,7 @@ class Hunt:
         return points[starts], targets
 
     def is_apart(self, point: np.ndarray, neighbours: np.ndarray) -> bool:
-        """Whether a point is far enough from each of some others, shape (n, laws)."""
+        """Whether a point is far enough from each of its neighbours, shape (n, laws)."""
         return all(self.region.separate(point, neighbour) for neighbour in neighbours)
 
     def climb(self) -> None:

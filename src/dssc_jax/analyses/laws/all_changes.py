@@ -28,7 +28,7 @@ class AllChanges:
     limit_at: Callable[[float], float]
 
     def curves(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes, shape (points,), and the probability, its limit, and that whatever draws fail; shape (points, 3).
+        """Sizes, shape (points,), and at each size the probability, its limit, and the guaranteed limit; (points, 3).
 
         NaN where the weights are not trusted.
         """

@@ -45,7 +45,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class WeightedAnswer:
-    """What the draws' weights say of one kind of change of all laws."""
+    """The weighted draws' answer for one kind of change of all laws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
@@ -71,7 +71,7 @@ class WeightedAnswer:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What it is worth to know in which part of its law one number lies; the law has parts of equal probability."""
+    """The value of knowing in which part of its law a number lies; the parts have equal probability."""
 
     parts: Annotated[int, Quantity("1", "number of parts")]
     removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]

@@ -47,7 +47,7 @@ def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
 
 
 def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange, limit: float) -> FreshLimit:
-    """The largest change along one direction, whose failure probability is taken to grow along it.
+    """The largest change along one direction, assuming that the failure probability grows along it.
 
     Args:
         fresh: The new draws.

@@ -188,7 +188,7 @@ def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | 
 
 
 def knowledge_in(row: xr.Dataset) -> Knowledge | None:
-    """What knowing a number is worth; None if too few draws failed."""
+    """The value of knowing a number; None if too few draws failed."""
     parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
         float(row[name]) for name in KNOWLEDGE
     )

@@ -245,7 +245,7 @@ class Simulated:
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """So many draws of the mixtures; those that exist are kept."""
+        """A number of draws of the mixtures; existing draws are used again."""
         indices = np.arange(len(self.failed), count)
         values = draw(self.middle, indices)
         points = unit_points(self.middle, indices)
@@ -266,7 +266,7 @@ class Simulated:
         return outcomes != Outcome.OK
 
     def checked(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
-        """Laws of the box with new draws of them, from an index on."""
+        """Check laws of the box by new draws of them, from an index on."""
         indices = np.arange(start, start + count)
         failed = self.failures(draw(self.middle.with_laws(estimate.laws), indices), indices)
         failures = int(np.count_nonzero(failed))

@@ -23,7 +23,7 @@ TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, 
 
 @dataclass(frozen=True)
 class WeightedLaws:
-    """Laws of a box, and what the weighted draws say of them.
+    """Laws of a box, with the failure probability that the weighted draws give for them.
 
     Args:
         laws: By number.
@@ -127,7 +127,7 @@ class RangedDraws:
 
     @cached_property
     def least_effective(self) -> float:
-        """The least effective number of draws over the corners of the box and its middle."""
+        """The smallest effective number of draws over the corners of the box and its middle."""
         sizes = [effective_size(np.exp(self.log_weights(self.laws_at(point)))) for point in self.corners]
         return min(sizes)
 

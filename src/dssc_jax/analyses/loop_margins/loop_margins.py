@@ -106,7 +106,7 @@ class Part(NamedTuple):
 
 
 def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
-    """The part of the loop that matters at each break point; one without effect is left out."""
+    """The relevant part of the loop at each break point; break points without effect are left out."""
     matrices = operating.matrices
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
@@ -125,7 +125,7 @@ def broken_loop(part: Part, common_angles: np.ndarray, sample_time: float) -> Br
 
     Args:
         part: The broken loop.
-        common: Angles of the frequency response, shape (frequencies,).
+        common_angles: Angles of the frequency response, shape (frequencies,).
         sample_time: T_s [s].
     """
     has_closed_loop, a, b, c, poles = part

@@ -1,4 +1,4 @@
-"""``probability``: a failure probability to a width, by as few simulations as a prediction of failures allows."""
+"""``probability``: a failure probability with an interval of a given width, by few simulations."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""A failure probability from strata along a predicted border of failure, which a pilot's draws tell.
+"""A failure probability from strata along the border of failure that a pilot's draws predict.
 
 The strata are ranges of the predicted slack, narrow near the border. Their probabilities follow from the prediction
 alone, on Sobol nets, without a simulation. Fresh draws in each stratum give its share of failures: many where the
@@ -79,7 +79,7 @@ def strata_edges(predictions: np.ndarray) -> np.ndarray:
 def stratified_probability(
     slack: SlackFunction, dimension: int, seeds: tuple[int, ...], width: float, most: int
 ) -> StratifiedEstimate:
-    """Estimate a failure probability with an interval of about a width.
+    """Estimate a failure probability with an interval of about a given width.
 
     Args:
         slack: Computes slacks of points of the unit cube, shape (n, d), with noise indices (n,).

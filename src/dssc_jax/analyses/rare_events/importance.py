@@ -139,7 +139,7 @@ class Candidates(NamedTuple):
     failing: np.ndarray
 
     def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
-        """Chance of each to be simulated, so that about ``count`` are: by a score, and some of them blindly."""
+        """Chances of the points to be simulated, of about ``count`` in all: by their scores, a small part equal."""
         total = float(scores.sum())
         shares = scores / total if total else np.full(len(scores), 1.0 / len(scores))
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
@@ -153,7 +153,7 @@ class Candidates(NamedTuple):
         return self.chances(self.masses * np.sqrt(self.failing), count)
 
     def sample_size(self, variation: float) -> int:
-        """Number of points with which the predicted coefficient of variation is so small."""
+        """Number of points with which the predicted coefficient of variation is as small as ``variation``."""
         failing_masses = self.masses * self.failing
         total = float(failing_masses.sum())
         if total == 0.0:
@@ -163,7 +163,7 @@ class Candidates(NamedTuple):
 
 
 def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices of a systematic sample, each with its chance, in random order."""
+    """Indices of a systematic sample in random order, each drawn with its chance."""
     order = rng.permutation(len(chances))
     cumulative_counts = np.floor(np.cumsum(chances[order]) + rng.random())
     return order[np.diff(cumulative_counts, prepend=0.0) > 0.0]

@@ -275,7 +275,7 @@ def rare(
     splitting: Splitting | None = USUAL,
     progress: ProgressCallback | None = None,
 ) -> RareEvent:
-    """Estimate a study's failure probability at its own values, if it is too small for plain draws.
+    """Estimate a failure probability that is too small for plain draws, at the study's own values.
 
     Importance sampling around the design points takes some hundred simulations besides the plain draws. Splitting takes
     some hundred thousand; it needs no design points. Both use the worst requirement's scaled slack.

@@ -268,7 +268,7 @@ def region(
 
 
 class Lattice:
-    """Failures at the points of a lattice, simulated where they are wanted.
+    """Failures at the points of a lattice, simulated on demand.
 
     Args:
         study: The study without a sweep.
@@ -295,7 +295,7 @@ class Lattice:
         return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, decided)
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate the points among these that have not been."""
+        """Simulate those of the points that have not been simulated yet."""
         new_points = sorted({point for point in points if self.failures[point] < 0})
         if not new_points:
             return

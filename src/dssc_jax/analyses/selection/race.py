@@ -131,7 +131,7 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
 def hardly_failing(
     tally: Tally, order: np.ndarray, keep: int, within: float, evidence_threshold: float
 ) -> np.ndarray | None:
-    """As many candidates as are to be found, the best first, whose failure probability is surely small; None if not.
+    """``keep`` candidates whose failure probability is surely small, the best first; None if there are too few.
 
     Args:
         tally: Draws and failures of all; updated.
@@ -165,7 +165,7 @@ def only_first(failed: np.ndarray) -> np.ndarray:
 
 
 def proved_difference(counts_against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
-    """The smallest difference, as far as bisection tells, that the evidence excludes for every pair; at most 1."""
+    """The smallest difference that the evidence excludes for every pair, by bisection; at most 1."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)

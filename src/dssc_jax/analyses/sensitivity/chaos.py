@@ -110,7 +110,7 @@ class Chaos:
         return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
 
     def predict(self, values: np.ndarray) -> Predicted | None:
-        """Predict an output by the set of polynomials that does best; None where none explains much of it.
+        """Predict an output by the set of polynomials with the smallest error; None if no set explains much of it.
 
         Args:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).

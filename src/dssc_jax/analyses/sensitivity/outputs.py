@@ -1,4 +1,4 @@
-"""A design of simulations for a sensitivity analysis, and whether an output's samples say enough.
+"""A design of simulations for a sensitivity analysis, and a check that an output's samples suffice.
 
 In-loop noise is one more factor: rows with different draw indices differ in it. So the noise has a part of the variance
 to itself, and its effect is not charged to the uncertain numbers.

@@ -94,7 +94,7 @@ def sobol_indices(
 
 
 def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) -> tuple[np.ndarray, np.ndarray]:
-    """Numerators and variance with those of a prediction replaced by their means, which are known.
+    """Numerators and variance, in which the prediction's parts are replaced by their exact means.
 
     Args:
         shares: A row's share of each numerator, shape (2 factors, rows).

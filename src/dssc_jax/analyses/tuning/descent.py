@@ -265,7 +265,7 @@ class Iteration:
             self.search.stopped = "all steps done" if self.step_count >= self.problem.plan.table.steps else "converged"
 
     def update_gaps(self) -> bool:
-        """Set each limit's gap to how much larger its excess is on the validation draws than on the training draws.
+        """Set each limit's gap: its excess on the validation draws minus that on the training draws, if positive.
 
         Nothing changes if a validation draw ended early.
 

@@ -288,7 +288,7 @@ def judge_tuning(
 
 
 def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
-    """Create the verdict from the results at the start and at the end."""
+    """The verdict, from the results at the start and at the end."""
     start_costs = goal.cost(start_results)
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)

@@ -352,7 +352,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
 
 
 def reason_unfit(study: Study, name: str) -> str:
-    """Why a name cannot be tuned: the predicate of a sentence about it."""
+    """The reason why a name cannot be tuned, as the predicate of a sentence."""
     value: object = study.table
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None

@@ -147,7 +147,7 @@ class Problem:
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
-        """Evaluate a point with the exact sign and without derivatives, on the validation draws if none are named."""
+        """Evaluate a point with the exact sign and without derivatives, by default on the validation draws."""
         draws = self.validation if draws is None else draws
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:

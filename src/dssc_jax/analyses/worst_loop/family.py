@@ -69,7 +69,7 @@ class Family:
         return max(0, most - len(self.cache))
 
     def allowance(self, points: int) -> RemainingPoints:
-        """The function that tells how many of a number of new points may still be linearised, from now on."""
+        """A function that returns how many of ``points`` further points may still be linearised."""
         last_row = len(self.cache) + points
         return lambda: max(0, last_row - len(self.cache))
 

@@ -101,7 +101,7 @@ def joint_case(
     """The worst disk margin of all commands at once.
 
     Args:
-        broken: The loops, broken at these commands.
+        broken_family: The loops, broken at these commands.
         channels: Names of the channels.
         drawn_loops: Loops of the draws, shape (n, states + channels, states + channels).
         sample_time: T_s [s].

@@ -59,7 +59,7 @@ def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: flo
 
     Args:
         matrices: [[A, b], [c, 0]], shape (n, states + 1, states + 1).
-        common: Angles at which every loop is evaluated.
+        common_angles: Angles at which every loop is evaluated.
         sample_time: T_s [s].
     """
     result = np.tile([UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS], (len(matrices), 1))

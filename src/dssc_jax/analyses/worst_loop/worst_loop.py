@@ -149,7 +149,7 @@ def worst_loop(
 
 
 def signal_text(study: Study, name: str) -> str:
-    """What to take instead of a break point that is named like a measured signal; else empty."""
+    """A hint for a break point that is named like a measured signal; else empty."""
     measured_names = [signal.name for signal in study.loop.measures]
     if name not in measured_names and not name.startswith("measured_"):
         return ""

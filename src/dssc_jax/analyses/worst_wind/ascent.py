@@ -225,7 +225,7 @@ class Ascent:
         return trials
 
     def corners(self, signed_slopes: Slopes, points: Points) -> Arrays:
-        """Each number at the end of its range to which the signal rises; where it does not, the present value."""
+        """Each number at the end of its range towards which the signal rises; the present value if the slope is 0."""
         numbers = dict(points.numbers)
         for name, (low, high) in self.box.items():
             slope = signed_slopes.numbers[name]
@@ -243,7 +243,7 @@ def between(points: Points, extreme: Points, share: float) -> Points:
 
 
 def postponed(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Winds moved so far that the last vector with a slope becomes the last of all, shape (n, size, 3) all.
+    """Winds postponed until the last vector with a slope is the last of the wind, shape (n, size, 3) all.
 
     The first vectors are then those that came last, which had no effect.
     """

@@ -121,7 +121,7 @@ class WorstWind(Analysis):
         return study_of_draw(Study.from_table(table | {"wind": wind}, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """Everything of one signal; raises ConfigError if it was not searched for."""
+        """The dataset of one signal; raises ConfigError if it was not searched for."""
         if signal not in self.signals:
             raise ConfigError("signal", f"'{signal}' was not searched for; {nearest(signal, self.signals)}")
         return self.dataset.sel(signal=signal)

@@ -93,7 +93,7 @@ def print_first_gains(options: Design) -> int:
 
 
 def point_lines(gains: FirstGains) -> list[str]:
-    """Where the plant was linearised, if that says anything."""
+    """Lines on the point at which the plant was linearised; none if it is the origin."""
     resting = gains.plant.resting
     if not gains.plant.held:
         rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
