@@ -166,8 +166,8 @@ def quadratic_programming(problem: Problem, first: tuple[Point, Point], progress
         if width is not None:
             problem.width = width * FINAL_WIDTH ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
         iteration.run_stage(steps if width is None else stage * steps // STAGES)
-        has_gaps = iteration.update_gaps()
-        if iteration.step_count >= steps or (width is None and not has_gaps):
+        exceeds_limit = iteration.update_gaps()
+        if iteration.step_count >= steps or (width is None and not exceeds_limit):
             break
     return iteration.search
 
