@@ -70,7 +70,7 @@ def test_marks_stand_where_a_failure_was_certain(flown):
         expected = int(beyond[0]) if beyond.size else -1
         assert view.tracks.data["mark"][draw] == expected
         np.testing.assert_allclose(view.tracks.data["z"][draw], run.signal("z_y")[draw], rtol=1e-6)
-    np.testing.assert_array_equal(view.one.data["theta"], run.results[SignalKey("theta")][2])
+    np.testing.assert_array_equal(view.selected_flight.data["theta"], run.results[SignalKey("theta")][2])
     assert "draw 2" in view.title.text
 
 

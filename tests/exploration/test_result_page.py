@@ -21,7 +21,7 @@ def page():
 def test_a_click_shows_the_stored_draw_again(page):
     """The flight is that of ``simulate`` at the row's point, and agrees with what is stored."""
     row = 77
-    page.brushing.picked.data = {"row": [row]}
+    page.brushing.clicked_row.data = {"row": [row]}
     draw, point = int(page.table.draw[row]), page.table.point(row)
     assert page.flight.attrs["draw"] == draw
     assert page.flight.attrs["agreement"] == "agrees"

@@ -13,7 +13,7 @@ import dssc_jax as dj
 from dssc_jax.plotting import thinning
 from dssc_jax.plotting.cells import cell_edges
 from dssc_jax.plotting.style import label
-from dssc_jax.plotting.thinning import PIXEL_COLUMNS, picked, thinned
+from dssc_jax.plotting.thinning import PIXEL_COLUMNS, spaced_indices, thinned
 from dssc_jax.results.result import headline_measure
 from dssc_jax.statistics import clopper_pearson
 from tests.conftest import UNCERTAIN
@@ -196,5 +196,5 @@ def test_dollars_in_a_users_words_are_no_mathematics():
 
 
 def test_picked_keeps_both_ends():
-    assert picked(3).tolist() == [0, 1, 2]
-    assert picked(100_000, 5).tolist() == [0, 25000, 50000, 74999, 99999]
+    assert spaced_indices(3).tolist() == [0, 1, 2]
+    assert spaced_indices(100_000, 5).tolist() == [0, 25000, 50000, 74999, 99999]

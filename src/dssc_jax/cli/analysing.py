@@ -1,4 +1,4 @@
-"""What all commands on analyses do: take a free folder, check, save, draw and print."""
+"""Steps that all commands on analyses share: choose a free folder, check, save, draw and print."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -51,10 +51,10 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
 def usual_folder(study: Study, command: str, *options: object) -> Path:
     """results/NAME-COMMAND, followed by a digest of the question if an option or an edit has changed it."""
     folder = Path("results") / f"{study.name}-{command}"
-    chosen = [str(option) for option in options if option not in (None, [])]
-    if not chosen and not is_foreign(folder, study):
+    options_text = [str(option) for option in options if option not in (None, [])]
+    if not options_text and not is_foreign(folder, study):
         return folder
-    digest = hash_of({"study": study.hash, "options": chosen}) if chosen else study.hash
+    digest = hash_of({"study": study.hash, "options": options_text}) if options_text else study.hash
     return folder.with_name(f"{folder.name}-{digest[:8]}")
 
 
@@ -69,7 +69,7 @@ def finish(
     folder: Path,
     options: PrintedOptions,
     show: Callable[[AnalysisKind, list[Path]], None],
-    written: Mapping[str, Path] | None = None,
+    other_files: Mapping[str, Path] | None = None,
 ) -> None:
     """Check the integration of an analysis, save it with its figure, and print it.
 
@@ -78,9 +78,9 @@ def finish(
         folder: Its folder.
         options: Of the command.
         show: Prints the analysis for people, and the files written.
-        written: Other files written, by their names in the JSON.
+        other_files: Other files written, by their names in the JSON.
     """
-    print_analysis(analysis, save_analysis(analysis, folder, options), options, show, written or {"result": folder})
+    print_analysis(analysis, save_analysis(analysis, folder, options), options, show, other_files or {"result": folder})
 
 
 def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
@@ -98,14 +98,14 @@ def print_analysis(
     figures: list[Path],
     options: PrintedOptions,
     show: Callable[[AnalysisKind, list[Path]], None],
-    written: Mapping[str, Path],
+    files_by_name: Mapping[str, Path],
 ) -> None:
     """Print an analysis; arguments as for :func:`finish`."""
     if options.as_json:
-        places = {name: str(path) for name, path in written.items()}
+        places = {name: str(path) for name, path in files_by_name.items()}
         print(json.dumps(analysis.summary() | places, allow_nan=False))
     else:
-        show(analysis, [*written.values(), *figures])
+        show(analysis, [*files_by_name.values(), *figures])
 
 
 def attempt(path: Path, write: Callable[[], object]) -> None:

@@ -61,16 +61,16 @@ app = typer.Typer(
 )
 
 
-def print_version(asked: bool) -> None:
+def print_version(requested: bool) -> None:
     """Print the version and end."""
-    if asked:
+    if requested:
         print(f"dssc-jax {version('dssc_jax')}")
         raise typer.Exit(DONE)
 
 
-def silence(asked: bool) -> None:
+def silence(requested: bool) -> None:
     """Show no progress and no notices; errors are still reported."""
-    if asked:
+    if requested:
         errors().quiet = True
 
 
@@ -97,7 +97,7 @@ def command(name: str, options: type) -> Callable[..., int]:
         options: The dataclass of its options.
     """
 
-    def called(**values: object) -> int:
+    def run_command(**values: object) -> int:
         try:
             module = importlib.import_module(f"dssc_jax.cli.commands.{name.replace('-', '_')}")
         except ModuleNotFoundError as error:
@@ -112,10 +112,10 @@ def command(name: str, options: type) -> Callable[..., int]:
         default = inspect.Parameter.empty if field.default is MISSING else field.default
         keyword = inspect.Parameter.KEYWORD_ONLY
         parameters.append(inspect.Parameter(field.name, keyword, default=default, annotation=hints[field.name]))
-    called.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
-    called.__annotations__ = hints
-    called.__doc__ = options.__doc__
-    return called
+    run_command.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    run_command.__annotations__ = hints
+    run_command.__doc__ = options.__doc__
+    return run_command
 
 
 def place(field: "Field[object]", options: type, hints: dict[str, object]) -> int:

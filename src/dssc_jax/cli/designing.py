@@ -1,4 +1,4 @@
-"""What the commands check and design share: a design with its certificate."""
+"""Shared by the commands check and design: print a design with its certificate."""
 
 import json
 
@@ -28,8 +28,8 @@ def print_design(design: DesignFile, as_json: bool, as_latex: bool) -> int:
     if as_json:
         modulation = None
         if design.modulation:
-            needed = design.modulation.needed_rho(certificate.practice)
-            modulation = {"needed_rho": needed, "first_sliding": design.modulation.first_sliding}
+            needed_rho = design.modulation.needed_rho(certificate.practice)
+            modulation = {"needed_rho": needed_rho, "first_sliding": design.modulation.first_sliding}
         content = {
             "design": design.name,
             "parameters": design.parameters._asdict(),

@@ -18,8 +18,9 @@ def built_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
         for name, text in fmu.sources.items():
             files.write_text(place / name, text, durable=False)
         command = [program, *LIBRARY_FLAGS, *fmu.compiled, "-o", "library.so", "-lm"]
-        done = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-            return None, f"{program} fails: {said.strip()}"
+        compilation = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+        if compilation.returncode != 0:
+            output = compilation.stderr
+            complaint = next((line for line in output.splitlines() if "error" in line), output[:200])
+            return None, f"{program} fails: {complaint.strip()}"
         return files.read_bytes(place / "library.so"), None

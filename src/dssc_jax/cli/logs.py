@@ -12,9 +12,9 @@ from dssc_jax.study import Study, read_toml
 def logged_flight(options: LogOptions, path: Path, study: Study) -> FlightLog:
     """A log, with the table of its columns and the options that change it."""
     table = read_toml(options.columns) if options.columns is not None else {}
-    named = dict(parse_assignment(text, "--column") for text in options.column or [])
-    if named:
-        table = {**table, "signals": {**table.get("signals", {}), **named}}
+    columns = dict(parse_assignment(text, "--column") for text in options.column or [])
+    if columns:
+        table = {**table, "signals": {**table.get("signals", {}), **columns}}
     if options.start is not None:
         table = {**table, "start": options.start}
     if options.segment is not None:

@@ -70,15 +70,15 @@ def end(number: int, _: FrameType | None) -> None:
 
 def discard_closed_output() -> bool:
     """Send further output nowhere if its terminal is closed; return whether it is."""
-    closed = False
+    is_closed = False
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             try:
                 os.write(stream, b"")
             except OSError:
                 os.dup2(nowhere.fileno(), stream)
-                closed = True
-    return closed
+                is_closed = True
+    return is_closed
 
 
 def continuation(arguments: list[str]) -> str:
@@ -104,9 +104,10 @@ def with_options(text: str, arguments: list[str]) -> str:
 
 def guarded(arguments: list[str]) -> int:
     """Run a command and turn an exception that ends it into an exit code."""
-    meant = MEANT.get(arguments[0].lower()) if arguments else None
-    if meant is not None:
-        say(f"error: '{arguments[0]}' is no command; dssc-jax {meant} answers that, see dssc-jax {meant} --help")
+    suggestion = MEANT.get(arguments[0].lower()) if arguments else None
+    if suggestion is not None:
+        answer = f"dssc-jax {suggestion} answers that, see dssc-jax {suggestion} --help"
+        say(f"error: '{arguments[0]}' is no command; {answer}")
         return BAD_INPUT
     try:
         code = app(arguments or ["--help"], standalone_mode=False)

@@ -33,8 +33,9 @@ def build_library(sources: Sequence[Path], include: Sequence[Path]) -> bytes:
     with TemporaryDirectory(prefix="dssc-jax-library-") as folder:
         library = Path(folder) / "library.so"
         command = [program, *FLAGS, *folders, *(str(source.resolve()) for source in sources), "-o", str(library), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            said = next((line for line in done.stderr.splitlines() if "error:" in line), done.stderr[:200])
-            raise ConfigError(str(sources[0]), f"does not compile: {said.strip()}")
+        compilation = subprocess.run(command, capture_output=True, text=True, check=False)
+        if compilation.returncode != 0:
+            output = compilation.stderr
+            complaint = next((line for line in output.splitlines() if "error:" in line), output[:200])
+            raise ConfigError(str(sources[0]), f"does not compile: {complaint.strip()}")
         return files.read_bytes(library)

@@ -1,4 +1,4 @@
-"""What commands say beside their results: lines on standard error."""
+"""Messages beside a command's results: lines on standard error."""
 
 import sys
 from typing import TextIO

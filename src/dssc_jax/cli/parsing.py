@@ -45,10 +45,10 @@ def parse_within(texts: list[str] | None) -> dict[str, float]:
 def parse_value(text: str) -> TomlValue:
     """Parse a TOML value; text that is not valid TOML is a string."""
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        table = tomllib.loads(f"value = {text}")
     except ValueError:  # TOMLDecodeError is one, so are integers too long
         return text
-    return parsed["value"] if len(parsed) == 1 else text
+    return table["value"] if len(table) == 1 else text
 
 
 def parse_changes(texts: list[str] | None) -> dict[str, TomlValue]:

@@ -1,4 +1,4 @@
-"""What the commands that prove share: the packages that proofs need."""
+"""Shared by the commands that prove: require the packages that proofs need."""
 
 from importlib.util import find_spec
 

@@ -1,4 +1,4 @@
-"""What the commands run and sweep share: a complete result is shown, anything else is computed."""
+"""Shared by the commands run and sweep: show a complete result, compute anything else."""
 
 import sys
 from pathlib import Path
@@ -38,19 +38,19 @@ def require_unset(purpose: str, **options: object) -> None:
 NONE_STATED = StatedAmounts({}, None, None)
 
 
-def computed_result(study: Study, out: Path, options: Run | Sweep, stated: StatedAmounts = NONE_STATED) -> Result:
+def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: StatedAmounts = NONE_STATED) -> Result:
     """The result in the folder if it is complete, else that of a run into it.
 
     Args:
         study: The study.
         out: The folder.
         options: Of the command.
-        stated: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
+        amounts: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
     """
     resume = options.resume
     if not options.fresh and (result := complete_result(study, out)) is not None:
         notify(f"{out} is complete, computed {result.manifest['started']}; --fresh computes it again")
-        if not stated or stated == result.stated:
+        if not amounts or amounts == result.stated:
             return result
         resume = True
     warn_of_study(study)
@@ -65,9 +65,9 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, stated: State
             notify=notify,
             local=folder,
             check=not options.no_check,
-            within=stated.within,
-            shift=stated.shift,
-            widening=stated.widening,
+            within=amounts.within,
+            shift=amounts.shift,
+            widening=amounts.widening,
         )
 
 

@@ -1,4 +1,4 @@
-"""What the commands simulate and replay share: the files of a trajectory."""
+"""Shared by the commands simulate and replay: write the files of a trajectory."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -55,15 +55,15 @@ def print_trajectory(
         (options.mcap, lambda path: write_mcap(trajectory, path)),
         (options.figure, lambda path: plotting.write(plotting.trajectory(trajectory), path)),
     ]
-    written = [*flight_files]
+    file_paths = [*flight_files]
     for path, write in writers:
         if path is not None:
             attempt(path, partial(write, path))
-            written.append(path)
+            file_paths.append(path)
     if options.as_json:
         print(json.dumps(jsonable(trajectory.attrs), allow_nan=False))
     else:
-        show_draw(trajectory.attrs, units, written)
+        show_draw(trajectory.attrs, units, file_paths)
 
 
 def write_table(trajectory: xr.Dataset, path: Path) -> None:
@@ -90,11 +90,11 @@ def write_parquet(trajectory: xr.Dataset, path: Path) -> None:
     columns = [pa.array(trajectory[name].values) for name in names]
     fields = []
     for name, column in zip(names, columns, strict=True):
-        described = {key: str(value) for key, value in trajectory[name].attrs.items()}
-        fields.append(pa.field(name, column.type, metadata=described))
-    described = {name: str(value) for name, value in trajectory.attrs.items()}
+        metadata = {key: str(value) for key, value in trajectory[name].attrs.items()}
+        fields.append(pa.field(name, column.type, metadata=metadata))
+    metadata = {name: str(value) for name, value in trajectory.attrs.items()}
     if "attitude_w" in trajectory:
-        described["axes"] = AXES
-    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=described))
+        metadata["axes"] = AXES
+    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
     with files.replacing(path) as file:
         parquet.write_table(table, file)

@@ -125,7 +125,7 @@ def checked_integration(study: Study) -> JsonObject | None:
     return None if isinstance(study, Described) else integration_error(study).to_dict()
 
 
-def warn_of_integration(checked: Mapping[str, object] | None) -> None:
+def warn_of_integration(integration: Mapping[str, object] | None) -> None:
     """Print a warning where the error of integration matters."""
-    if checked and checked["warning"]:
-        say(f"warning: {checked['warning']}")
+    if integration and integration["warning"]:
+        say(f"warning: {integration['warning']}")

@@ -84,16 +84,16 @@ def show_sensitivity(sensitivity: Sensitivity, files: list[Path]) -> None:
             rows.append((answer.factors[index], *(interval_text(*table[index]) for table in tables)))
         show_table((name, *legends), rows)
     required = [requirement.measure.name for requirement in sensitivity.study.requirements]
-    shown = dict.fromkeys((*answer.headline, *required))
-    brief = [name for name in shown if name not in answer.headline and name not in answer.reasons]
+    reported = dict.fromkeys((*answer.headline, *required))
+    brief = [name for name in reported if name not in answer.headline and name not in answer.reasons]
     if brief:
         ranking = sensitivity.description.ranking
         legend = answer.quantities[ranking].legend
         rows = [(name, leading_factors(sensitivity, name)) for name in brief]
         show_table(("required metric", f"depends most on ({legend})"), rows)
-    refused = [f"{name} ({answer.reasons[name]})" for name in shown if name in answer.reasons]
-    if refused:
-        console.print(f"no answer: {'; '.join(refused)}", markup=False, soft_wrap=True)
+    refusals = [f"{name} ({answer.reasons[name]})" for name in reported if name in answer.reasons]
+    if refusals:
+        console.print(f"no answer: {'; '.join(refusals)}", markup=False, soft_wrap=True)
     show_files(files)
 
 
@@ -111,12 +111,12 @@ def interval_text(value: float, low: float, high: float) -> str:
     return f"{value:.3g} [{low:.3g}, {high:.3g}]{'  consistent with 0' if low <= 0.0 else ''}"
 
 
-def show_probability(found: FailureProbability, files: list[Path]) -> None:
+def show_probability(estimate: FailureProbability, files: list[Path]) -> None:
     """Print a failure probability, its strata and its cost."""
-    answer = found.answer
+    answer = estimate.answer
     console = output()
-    console.print(f"[bold]{escape(found.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
-    console.print(f"{found.headline} ({100 * answer.confidence:g} %, strata)", markup=False)
+    console.print(f"[bold]{escape(estimate.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    console.print(f"{estimate.headline} ({100 * answer.confidence:g} %, strata)", markup=False)
     if not answer.reached:
         low, high = answer.interval
         remark = f"the interval has a width of {high - low:.3g}, not {answer.width:g}: the pilot expected another share"
@@ -138,7 +138,7 @@ def show_probability(found: FailureProbability, files: list[Path]) -> None:
 def show_rare(event: RareEvent, files: list[Path]) -> None:
     """Print the probability of a rare failure, its cost, and where the failures are."""
     answer = event.answer
-    found = answer.by_method
+    estimate = answer.by_method
     plain = answer.plain
     console = output()
     low, high = answer.interval
@@ -146,13 +146,13 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
     console.print(f"[bold]{escape(event.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
     if answer.refusal:
         console.print(f"no importance sampling: {answer.refusal}", markup=False)
-    if found.probability == 0.0:
+    if estimate.probability == 0.0:
         console.print("no repeat reached a failure; the splitting then says nothing of its probability", markup=False)
     if plain.contradicts:
-        found_low, found_high = found.interval
+        estimate_low, estimate_high = estimate.interval
         console.print(
-            f"warning: plain draws contradict the {answer.method}, which found {found.probability:.3g} in "
-            f"[{found_low:.3g}, {found_high:.3g}]: it missed a way to failure, or its points are too few. "
+            f"warning: plain draws contradict the {answer.method}, which found {estimate.probability:.3g} in "
+            f"[{estimate_low:.3g}, {estimate_high:.3g}]: it missed a way to failure, or its points are too few. "
             "The answer is that of the plain draws",
             style="bold yellow",
             markup=False,
@@ -164,7 +164,7 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
         f"may be as probable as {plain.interval[1]:.3g}",
         markup=False,
     )
-    if found.probability > 0.0:
+    if estimate.probability > 0.0:
         console.print(
             f"coefficient of variation {answer.variation:.2g} by {answer.simulations:,} simulations; plain "
             f"draws would take {answer.plain_draws:,.0f}",

@@ -114,9 +114,9 @@ def limits_table(limits: Limits) -> DesignTable:
 
 def show(design: DesignFile, certificate: Certificate, limits: Limits | None) -> None:
     """Print a design."""
-    shown = "".join(character if character.isprintable() else "?" for character in design.name)
+    printable_name = "".join(character if character.isprintable() else "?" for character in design.name)
     verdict = "[green]certified[/green]" if certificate.certified else "[red]not certified[/red]: "
-    output().print(f"[bold]{escape(shown)}[/bold]: {verdict}{escape(reasons(certificate))}")
+    output().print(f"[bold]{escape(printable_name)}[/bold]: {verdict}{escape(reasons(certificate))}")
     if certificate.certified:
         output().print("In continuous time, without unmodelled dynamics, and with a rho that keeps sliding.")
     for table in [*design_tables(design, certificate), *([limits_table(limits)] if limits else [])]:

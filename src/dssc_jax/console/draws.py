@@ -18,11 +18,13 @@ def show_draw(attributes: Mapping[str, Any], units: Mapping[str, str], files: li
     study = escape(str(attributes["study"]))
     verdict = escape(str(attributes["verdict"]))
     output().print(f"[bold]{study}[/bold] draw {attributes['draw']}: {verdict}")
-    skipped = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
+    hidden_names = {"study", "draw", "outcome", "outcome_meaning", "verdict", "agreement", "deviation"}
     if attributes["failed_at"] != attributes["failed_at"]:  # NaN: it did not
-        skipped.add("failed_at")
-    skipped |= {"event_kinds", "event_times"}
-    rows = [(name, f"{value:.6g}", units.get(name, "")) for name, value in attributes.items() if name not in skipped]
+        hidden_names.add("failed_at")
+    hidden_names |= {"event_kinds", "event_times"}
+    rows = [
+        (name, f"{value:.6g}", units.get(name, "")) for name, value in attributes.items() if name not in hidden_names
+    ]
     events = zip(attributes.get("event_kinds", ()), attributes.get("event_times", ()), strict=True)
     rows += [(f"event: {kind}", f"at {time:.6g}", "s") for kind, time in events]
     show_table(("number", "value", "unit"), rows)

@@ -62,9 +62,9 @@ def show_environment(environment: Environment) -> None:
     )
     for slot, its_kinds in environment["kinds"].items():
         rows = []
-        for kind, described in its_kinds.items():
-            options = [f"{name}: {' | '.join(map(str, values))}" for name, values in described["options"].items()]
-            rows.append((kind, described["summary"], ", ".join(described["fields"]), "; ".join(options)))
+        for kind, description in its_kinds.items():
+            options = [f"{name}: {' | '.join(map(str, values))}" for name, values in description["options"].items()]
+            rows.append((kind, description["summary"], ", ".join(description["fields"]), "; ".join(options)))
         show_table((f"[{HEADS.get(slot, slot)}]", "what", "fields", "options"), rows)
     rows = [(name, metric["meaning"], metric["unit"], metric["of"]) for name, metric in environment["metrics"].items()]
     show_table(("metric", "what", "unit", "of each"), rows)

@@ -108,9 +108,9 @@ def show_replay(summary: Mapping[str, Any]) -> None:
         say(f"warning: {name} {text}")
 
 
-def held_text(held: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
+def held_text(held_counts: Mapping[str, int], samples: int, subject: str, between: str = HELD) -> str:
     """How many samples of each signal are the log's, where it lacks some, and what counts between them."""
-    counts = ", ".join(f"{name} at {samples - count}" for name, count in held.items())
+    counts = ", ".join(f"{name} at {samples - count}" for name, count in held_counts.items())
     return f"{subject}: of {samples} samples, the log has {counts}; between them {between}"
 
 
@@ -139,12 +139,12 @@ def distances_table(answer: LogAnswer) -> Table:
     return ("the same in all draws, without a rank", "the log differs by at most"), rows
 
 
-def show_next_flight(found: NextFlight, files: list[Path]) -> None:
+def show_next_flight(outlook: NextFlight, files: list[Path]) -> None:
     """Print the limits of the next flight, and what the flights say of the study."""
-    answer = found.answer
+    answer = outlook.answer
     say = partial(output().print, soft_wrap=True, markup=False)
-    say(f"{found.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
-    say(found.headline)
+    say(f"{outlook.study.name}: {answer.flights} flights over {answer.draws} draws, {answer.samples} samples")
+    say(outlook.headline)
     show_table(*limit_table(answer))
     for name in answer.without_spread:
         say(f"{name} is the same in all draws, and is left out")
@@ -232,8 +232,8 @@ def show_fit(summary: Mapping[str, Any]) -> None:
         compare = f"compare units, columns and start of the log{hint}"
         say(f"the estimate of {name} lies outside its law in the study: {compare}")
     for name, width in summary["kept"].items():
-        left = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
-        say(f"not told by this flight, keeps its law: {name}; {left}")
+        remark = "the output does not depend on it" if width is None else f"it leaves {width:.3g} standard deviations"
+        say(f"not told by this flight, keeps its law: {name}; {remark}")
     if summary["file"]:
         say(f"wrote {summary['file']}")
     else:

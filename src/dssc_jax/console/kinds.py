@@ -209,31 +209,31 @@ def entries_named(name: str) -> dict[str, Entry]:
 
 def fields_named(name: str) -> dict[tuple[str, str], list[FieldRow]]:
     """The rows of a field, or of a table within one, of every kind that has it, by table and kind."""
-    found: dict[tuple[str, str], list[FieldRow]] = {}
+    rows_by_kind: dict[tuple[str, str], list[FieldRow]] = {}
     for slot, registry in registries().items():
         for kind, entry in registry.items():
             rows = [row for row in rows_of(entry) if row[0] == name or row[0].startswith(f"{name}.")]
             if rows:
-                found[slot, kind] = rows
-    return found
+                rows_by_kind[slot, kind] = rows
+    return rows_by_kind
 
 
 def described_name(name: str) -> dict[str, Any]:
     """What :func:`show_kind` prints of a name, for JSON; arguments and errors as of :func:`entries_named`."""
-    described: dict[str, Any] = {}
+    description: dict[str, Any] = {}
     kinds_by_table = {slot: description_of(entry) for slot, entry in entries_named(name).items()}
     if kinds_by_table:
-        described["kinds"] = kinds_by_table
+        description["kinds"] = kinds_by_table
     fields_by_kind: dict[str, dict[str, dict[str, dict[str, str]]]] = {}
     for (slot, kind), rows in fields_named(name).items():
         fields_by_kind.setdefault(slot, {})[kind] = columns_by_field(rows)
     if fields_by_kind:
-        described["fields"] = fields_by_kind
+        description["fields"] = fields_by_kind
     if name in LAWS:
-        described["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
+        description["law"] = {"arguments": LAWS[name].signature, "rule": LAWS[name].rule[0]}
     if name in KNOWN:
-        described["metric"] = metric_description(KNOWN[name])
-    return described
+        description["metric"] = metric_description(KNOWN[name])
+    return description
 
 
 def metric_description(metric: Metric) -> MetricDescription:

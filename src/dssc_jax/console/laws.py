@@ -48,9 +48,9 @@ def show_all_laws(answer: LawErrorsAnswer) -> None:
     shift = answer.estimates.mean_shift
     widening = answer.estimates.widening
     wide = answer.guaranteed.widening
-    shifted = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
+    shift_row = ("shift of all means [standard deviations]", f"{answer.mean_shift:.3g}", known_text(shift))
     widened = ("relative width of all laws", f"{answer.widening:.3g}", known_text(widening))
-    rows.append((*shifted, f"{answer.guaranteed.mean_shift:.3g}"))
+    rows.append((*shift_row, f"{answer.guaranteed.mean_shift:.3g}"))
     rows.append((*widened, "none, correlated" if wide is None else f"{wide:.3g}"))
     head = (
         f"at most {100 * answer.limit:g} % fail up to",
@@ -128,7 +128,7 @@ def show_fresh(answer: LawErrorsAnswer) -> None:
 
 
 def importance(law: LawError) -> tuple[float, float]:
-    """The place of a law in the order of the table: the smallest shift first."""
+    """Sort key of a law in the table: the smallest shift first."""
     estimate = law.mean_shift_estimate
     return (math.inf if estimate is None else estimate, law.mean_shift)
 

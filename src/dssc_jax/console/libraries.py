@@ -90,24 +90,24 @@ def show_library(library: NativeLibrary, file: Path) -> None:
         memory = f"{summary['bytes']} bytes a flight"
         say(f"{name}: every {summary['sample_time']:g} s, {summary['precision']} bits a number, {memory}")
         rows = []
-        for parameter, described in summary["parameters"].items():
-            default = f"{described['default']:g}"
-            rows.append((parameter, default, described["unit"], described["meaning"], described["admissible"]))
+        for parameter, number in summary["parameters"].items():
+            default = f"{number['default']:g}"
+            rows.append((parameter, default, number["unit"], number["meaning"], number["admissible"]))
         if rows:
             show_table(("parameter", "default", "unit", "meaning", "admissible"), rows)
-        measured = ", ".join(f"{signal} [{unit}]" for signal, unit in summary["measured"].items())
-        if measured:
-            say(f"measured signals: {measured}; a study lists them in [sensor] measures")
+        measured_signals = ", ".join(f"{signal} [{unit}]" for signal, unit in summary["measured"].items())
+        if measured_signals:
+            say(f"measured signals: {measured_signals}; a study lists them in [sensor] measures")
         reported = ", ".join(f"{field} [{unit}]" for field, unit in summary["telemetry"].items())
         say(f"telemetry: {reported or 'none'}")
-        for parameter, described in summary["parameters"].items():
-            if not described["default_admissible"]:
-                default = f"the default of {parameter}, {described['default']:g}"
-                say(f"warning: {default}, is not {described['admissible']}: a study has to state it")
+        for parameter, number in summary["parameters"].items():
+            if not number["default_admissible"]:
+                default = f"the default of {parameter}, {number['default']:g}"
+                say(f"warning: {default}, is not {number['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
             say(f"warning: {parameter} {WITHOUT_EFFECT}")
-        if lost := summary["samples_not_finite"]:
-            trial = f"{lost} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
+        if lost_samples := summary["samples_not_finite"]:
+            trial = f"{lost_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             say(f"warning: its command is not finite in {trial}")
     say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
     if len(library.controllers) > 1:

@@ -80,7 +80,7 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     console.print(f"[bold]{escape(margins.study.name)}[/bold]  {draws} draws, T_s = {answer.sample_time:g} s")
     share = f"{100 * answer.share:g} % of all draws"
     confidence = f"{100 * answer.confidence:g} %"
-    needed = wilks_draws(answer.share, answer.confidence)
+    least_draws = wilks_draws(answer.share, answer.confidence)
     for point, loops in answer.operating_points.items():
         place = "at the equilibrium" if point == EQUILIBRIUM else f"at {point}"
         for names, statistics in distinct(loops).items():
@@ -92,7 +92,7 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
                 rows.append((text, *(margin_text(number, form) for number in numbers)))
             title = f"{broken_at}, {place}: {statistics.stable} of {draws} stable"
             show_table((title, "median", f"{share}, confidence {confidence}", "worst drawn"), rows)
-            reason = no_margins_text(statistics, draws, needed, f"{share} with {confidence} confidence")
+            reason = no_margins_text(statistics, draws, least_draws, f"{share} with {confidence} confidence")
             if reason:
                 console.print(reason, markup=False, soft_wrap=True)
         if point in answer.multiloop:
@@ -101,21 +101,21 @@ def show_loop(margins: LoopMargins, files: list[Path]) -> None:
     if set(answer.operating_points) == {EQUILIBRIUM} and not runs_linear_plants(margins.study):
         text = "margins hold at the equilibrium; where the plant is not linear, --at T1,T2 takes them along the flight"
         console.print(text, markup=False, soft_wrap=True)
-    if draws < needed:
-        console.print(f"a limit needs at least {needed} draws", markup=False)
+    if draws < least_draws:
+        console.print(f"a limit needs at least {least_draws} draws", markup=False)
     show_files(files)
 
 
 def distinct(loops: Mapping[str, LoopStatistics]) -> dict[tuple[str, ...], LoopStatistics]:
     """The statistics under the names of all break points that share them, as where a controller takes y alone."""
-    gathered: list[tuple[list[str], LoopStatistics]] = []
+    groups: list[tuple[list[str], LoopStatistics]] = []
     for name, statistics in loops.items():
-        shown = next((names for names, known in gathered if same_margins(known, statistics)), None)
-        if shown is None:
-            gathered.append(([name], statistics))
+        group = next((names for names, margins in groups if same_margins(margins, statistics)), None)
+        if group is None:
+            groups.append(([name], statistics))
         else:
-            shown.append(name)
-    return {tuple(names): statistics for names, statistics in gathered}
+            group.append(name)
+    return {tuple(names): statistics for names, statistics in groups}
 
 
 def same_margins(first: LoopStatistics, second: LoopStatistics) -> bool:
@@ -155,14 +155,14 @@ def runs_linear_plants(study: Study | Described) -> bool:
     return plant.linear is not None and plant.remainder is None
 
 
-def no_margins_text(statistics: LoopStatistics, draws: int, needed: int, level: str) -> str:
+def no_margins_text(statistics: LoopStatistics, draws: int, least_draws: int, level: str) -> str:
     """Why draws at one break point have no margin, and hence no limit may exist; empty if all have."""
     counts = {
         "the loop is unstable": draws - statistics.stable - statistics.no_operating_point,
         "no operating point within the limits": statistics.no_operating_point,
     }
     reasons = [f"{count} of {draws} draws without margins: {cause}" for cause, count in counts.items() if count]
-    if reasons and draws >= needed and not math.isfinite(statistics.margins["disk"].tolerance_limit):
+    if reasons and draws >= least_draws and not math.isfinite(statistics.margins["disk"].tolerance_limit):
         reasons.append(f"hence no finite limit holds for {level}")
     return "; ".join(reasons)
 
@@ -189,12 +189,12 @@ def show_worst_loop(worst: WorstLoop, files: list[Path]) -> None:
         console.print(growth_text(loop), markup=False, soft_wrap=True)
     for name, joint in answer.multiloop.items():
         console.print(worst_multiloop_text(name, joint, answer.draws), markup=False, soft_wrap=True)
-    used = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
+    effort = f"{answer.points:,} of at most {answer.most_points:,} points of the box were linearised"
     if answer.points >= POINTS_SPENT * answer.most_points:
-        used += "; --points raises the number, and may find worse values and nearer bounds"
-    console.print(used, markup=False, soft_wrap=True)
-    cut = [name for name, side in answer.box.items() if side.cut]
-    ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut)}" if cut else ""
+        effort += "; --points raises the number, and may find worse values and nearer bounds"
+    console.print(effort, markup=False, soft_wrap=True)
+    cut_names = [name for name, side in answer.box.items() if side.cut]
+    ends = f"; cut at {answer.sigma:g} sigma: {', '.join(cut_names)}" if cut_names else ""
     ranges = ", ".join(f"{name} in [{side.low:.6g}, {side.high:.6g}]" for name, side in answer.box.items())
     console.print(f"box: {ranges}{ends}", markup=False, soft_wrap=True)
     console.print(f"taken where there is no derivative: {answer.taken}", markup=False, soft_wrap=True)
@@ -224,8 +224,8 @@ def growth_text(loop: LoopWorst) -> str:
     """How far the box may grow, in words."""
     if loop.unstable:
         numbers = ", ".join(f"{name} = {value:.6g}" for name, value in loop.unstable.items())
-        found = "unstable" if loop.has_operating_point else "without an operating point within its limits"
-        nearest = f"; {found} from {loop.growth_found:.4g} times its size on, at {numbers}"
+        defect = "unstable" if loop.has_operating_point else "without an operating point within its limits"
+        nearest = f"; {defect} from {loop.growth_found:.4g} times its size on, at {numbers}"
     else:
         nearest = f"; no unstable loop was found up to {loop.growable:.4g} times its size"
     if loop.growth_bounded == 0.0:

@@ -25,9 +25,9 @@ def value_text(value: float | None, end: float, unit: str = "") -> str:
 
 def tolerance_text(limit: float | None, draws: int, end: float, unit: str = "") -> str:
     """The lower tolerance limit, or the reason why there is none."""
-    needed = wilks_draws(CONTENT, CONFIDENCE)
-    if draws < needed:
-        return f"none of {draws} draws, {needed} are needed"
+    least_draws = wilks_draws(CONTENT, CONFIDENCE)
+    if draws < least_draws:
+        return f"none of {draws} draws, {least_draws} are needed"
     return value_text(limit, end, unit)
 
 
@@ -63,7 +63,7 @@ def share_texts(answer: MarginAnswer) -> list[str]:
 
 
 def show_reach(proof: Mapping[str, object] | None) -> None:
-    """Print how far the sampled loop is proved, if that was asked."""
+    """Print how far the sampled loop is proved, if a proof was requested."""
     if proof is not None:
         output().print(proof["statement"], markup=False, soft_wrap=True)
 

@@ -34,7 +34,8 @@ def show_verdict(verdict: str, loop: dict[str, str]) -> None:
         console.print(f"  {label:<13}{words}", soft_wrap=True, markup=False)
 
 
-def show_sweep_verdicts(points: int, said: int, reasons: list[str]) -> None:
+def show_sweep_verdicts(points: int, certificate_count: int, reasons: list[str]) -> None:
     """Print whether the certificates of a sweep's points are valid."""
-    text = f"{said - len(reasons)} of {said} certificates are valid; the sweep has {points} points"
+    valid = certificate_count - len(reasons)
+    text = f"{valid} of {certificate_count} certificates are valid; the sweep has {points} points"
     output().print("\n".join([text, *reasons[:MOST_SHOWN]]), soft_wrap=True, markup=False)

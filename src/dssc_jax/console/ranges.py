@@ -19,9 +19,9 @@ def show_ranges(ranges: LawRanges, files: list[Path]) -> None:
         f"{answer.draws} draws of a mixture, worth at least {answer.least_effective:.0f} of every law", markup=False
     )
     rows = []
-    for title, found in (("best", answer.lowest), ("worst", answer.highest)):
-        weighted = f"{found.probability:.4g}", interval_text(found.interval)
-        fresh = f"{found.fresh_failures}/{answer.fresh_draws}", interval_text(found.fresh_interval)
+    for title, extreme in (("best", answer.lowest), ("worst", answer.highest)):
+        weighted = f"{extreme.probability:.4g}", interval_text(extreme.interval)
+        fresh = f"{extreme.fresh_failures}/{answer.fresh_draws}", interval_text(extreme.fresh_interval)
         rows.append((title, *weighted, *fresh))
     show_table(("law", "by the weights", "95 % interval", "new draws", "exact interval"), rows)
     rows = []

@@ -82,11 +82,11 @@ def equal_text(result: "Result") -> str:
 
 
 def effect_text(effect: "DesignEffect", draws: int) -> str:
-    """What a design of so many draws saved, in words."""
+    """The draws that a design saved, in words."""
     low, high = effect.ratio_interval
     ratio = f"variance {effect.variance_ratio:.2g} in [{low:.2g}, {high:.2g}] of that of independent draws"
-    saved = effect.plain_draws - draws
-    cost = f"{saved:,} saved" if saved >= 0 else f"{-saved:,} more than they would take"
+    saved_draws = effect.plain_draws - draws
+    cost = f"{saved_draws:,} saved" if saved_draws >= 0 else f"{-saved_draws:,} more than they would take"
     return f"{ratio}; an interval as narrow takes {effect.plain_draws:,} of these: {cost}"
 
 
@@ -199,15 +199,15 @@ def show_points(result: "Result") -> None:
     for point in islice(result.points(), WIDEST_ROWS):
         values = [f"{point[name]:.5g}" for name in axes]
         middle = point["metrics"].get(metric, {}).get("q50")
-        shown = "inf" if middle is None else f"{middle:.4g}"
+        median_text = "inf" if middle is None else f"{middle:.4g}"
         worst = [most_violated(point)] if has_several_requirements else []
         marks = [VERDICT_MARKS[point["certified"]]] if certifiable else []
-        rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, shown, *marks))
+        rows.append((*values, *failure_cells(point, point["draws"], equal), *worst, median_text, *marks))
     worst = ["most violated"] if has_several_requirements else []
     show_table((*axes, "failures", *share, *worst, f"median {metric}", *(["certified"] if certifiable else [])), rows)
-    hidden = math.prod(map(len, axes.values())) - len(rows)
-    if hidden:
-        output().print(f"... and {hidden} more points in summary.json")
+    hidden_count = math.prod(map(len, axes.values())) - len(rows)
+    if hidden_count:
+        output().print(f"... and {hidden_count} more points in summary.json")
 
 
 def percent_text(percent: float, failures: int) -> str:

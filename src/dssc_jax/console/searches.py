@@ -29,16 +29,16 @@ def show_tuning(tuned: Tuned, files: list[Path]) -> None:
     show_files(files)
 
 
-def show_selection(found: Selection, files: list[Path]) -> None:
+def show_selection(selection: Selection, files: list[Path]) -> None:
     """Print the chosen candidates, what is claimed of them, and the cost."""
-    answer = found.answer
+    answer = selection.answer
     console = output()
-    console.print(f"[bold]{escape(found.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
-    console.print(f"{found.headline} ({100 * answer.confidence:g} %, all together)", markup=False)
+    console.print(f"[bold]{escape(selection.study.name)}[/bold]  required: {escape('; '.join(answer.requirements))}")
+    console.print(f"{selection.headline} ({100 * answer.confidence:g} %, all together)", markup=False)
     rows = []
-    for place, chosen in enumerate(answer.chosen):
-        values = (f"{value:.5g}" for value in chosen.values.values())
-        rows.append((str(place + 1), *values, f"{chosen.failures:,} of {chosen.draws:,}"))
+    for place, candidate in enumerate(answer.chosen):
+        values = (f"{value:.5g}" for value in candidate.values.values())
+        rows.append((str(place + 1), *values, f"{candidate.failures:,} of {candidate.draws:,}"))
     show_table(("", *answer.ranges, "failed draws"), rows)
     if answer.within > answer.wanted_within:
         console.print(f"the simulations did not suffice for {answer.wanted_within:g}; ask for more with --most")
@@ -141,14 +141,14 @@ def show_falsification(falsified: Falsified, files: list[Path]) -> None:
     result = ENDED if worst.ending is None else f"it {worst.ending}"
     if worst.worst_value is not None:
         result = f"{worst.worst_value} where {worst.worst_requirement} is required"
-    spent = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
+    cost = f"{answer.simulations} simulations, {answer.seconds:.1f} s"
     if answer.failed:
-        console.print(f"it fails: {result}; the first failure came after {answer.first_failure} of {spent}")
+        console.print(f"it fails: {result}; the first failure came after {answer.first_failure} of {cost}")
     else:
-        console.print(f"no failure was found, which proves nothing; the worst of {spent}: {result}")
+        console.print(f"no failure was found, which proves nothing; the worst of {cost}: {result}")
     if len(answer.worst_seen) > 1:
-        seen = ", ".join(f"{name}: {value}" for name, value in answer.worst_seen.items())
-        console.print(f"worst seen of each requirement, in different draws: {seen}", markup=False, soft_wrap=True)
+        values = ", ".join(f"{name}: {value}" for name, value in answer.worst_seen.items())
+        console.print(f"worst seen of each requirement, in different draws: {values}", markup=False, soft_wrap=True)
     course = falsified.course_at(falsified.worst)
     if course:
         console.print(f"worst draw: {course}", markup=False, soft_wrap=True)

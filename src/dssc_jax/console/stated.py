@@ -10,10 +10,10 @@ from dssc_jax.statistics import rounded_probability
 def show_stated(errors: Iterable[StatedError]) -> None:
     """Print the interval of the failure probability for each stated amount."""
     rows = []
-    for stated in errors:
-        weighted = interval_text(stated.weighted_interval) if stated.weighted_interval else stated.weights_refused
-        always = interval_text(stated.interval) if stated.interval else "none, correlated"
-        rows.append((stated.text, always, weighted))
+    for error in errors:
+        weighted = interval_text(error.weighted_interval) if error.weighted_interval else error.weights_refused
+        always = interval_text(error.interval) if error.interval else "none, correlated"
+        rows.append((error.text, always, weighted))
     if rows:
         show_table(("laws wrong by", "failure probability, whatever draws fail", "by the draws' weights"), rows)
 

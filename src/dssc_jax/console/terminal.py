@@ -72,30 +72,31 @@ def progress_bar(
     )
     bar = Progress(*columns, console=console, disable=quiet and not console.is_terminal)
     task = bar.add_task(f"{study.name} (compiling)", total=None)
-    counted = 0
+    latest = 0
     limit = 0
     announced = False
 
-    def advance(done: int, total: int | None) -> None:
-        nonlocal counted, limit, announced
+    def advance(completed: int, total: int | None) -> None:
+        nonlocal latest, limit, announced
         if compiles and not announced:
             announce_compiling(study, quiet)
         announced = True
-        counted = done
-        limit = done if total is None else total
+        latest = completed
+        limit = completed if total is None else total
         bar.start()  # not before the first call: bad input shows no bar
-        bar.update(task, completed=done, total=total, description=study.name if done else f"{study.name} (compiling)")
+        description = study.name if completed else f"{study.name} (compiling)"
+        bar.update(task, completed=completed, total=total, description=description)
 
     try:
         yield advance
-        if counted < limit:
-            bar.update(task, total=counted)
+        if latest < limit:
+            bar.update(task, total=latest)
     finally:
         if bar.live.is_started:
             bar.stop()
-    if counted < limit and not bar.disable:
+    if latest < limit and not bar.disable:
         reason = early() if callable(early) else early
-        notify(f"{study.name} stopped early after {counted:,} of at most {limit:,} {of}: {reason}")
+        notify(f"{study.name} stopped early after {latest:,} of at most {limit:,} {of}: {reason}")
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:

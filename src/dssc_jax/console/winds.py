@@ -8,13 +8,13 @@ from dssc_jax.analyses.worst_wind.worst_wind import WorstWind
 from dssc_jax.console.terminal import number_text, output, show_files, show_table
 
 
-def show_worst_wind(found: WorstWind, files: list[Path]) -> None:
-    """Print the worst value of each signal, and what was spent."""
-    answer = found.answer
+def show_worst_wind(worst_wind: WorstWind, files: list[Path]) -> None:
+    """Print the worst value of each signal, and the cost of the search."""
+    answer = worst_wind.answer
     console = output()
     rate = "it may jump" if answer.rate is None else f"|w'| <= {answer.rate:g} m/s^2"
     bounds = f"|w_h| <= {answer.speed:g} m/s, |w_z| <= {answer.vertical:g} m/s, {rate}"
-    console.print(f"[bold]{escape(found.study.name)}[/bold]  wind: {escape(bounds)}", soft_wrap=True)
+    console.print(f"[bold]{escape(worst_wind.study.name)}[/bold]  wind: {escape(bounds)}", soft_wrap=True)
     rows = []
     for signal in answer.signals:
         worst = number_text(signal.worst, ".4g", missing="ends early")
@@ -22,7 +22,7 @@ def show_worst_wind(found: WorstWind, files: list[Path]) -> None:
         numbers = ", ".join(f"{name} = {value:.4g}" for name, value in signal.numbers.items())
         rows.append((signal.signal, worst, candidate, "" if signal.unit == "1" else signal.unit, numbers))
     head = ("signal", "worst found", "of candidates", "unit", "with")
-    if not found.study.laws:
+    if not worst_wind.study.laws:
         rows = [row[:-1] for row in rows]
         head = head[:-1]
     show_table(head, rows)

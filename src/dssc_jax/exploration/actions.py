@@ -78,7 +78,7 @@ def proof(run: LiveRun, check: Callable[..., None]) -> str:
     return f"not proved for {proved.claim.covered}: {proved.statement()}"
 
 
-def save_study(shown: LiveRun, folder: Path, name: str) -> Path:
+def save_study(live_run: LiveRun, folder: Path, name: str) -> Path:
     """Write the study of a run as a new file of a folder.
 
     Raises:
@@ -89,7 +89,7 @@ def save_study(shown: LiveRun, folder: Path, name: str) -> Path:
         raise ConfigError("save", f"{rule}, got '{name}'")
     path = folder / name
     try:
-        files.create_text(path, shown.toml())
+        files.create_text(path, live_run.toml())
     except FileExistsError:
         raise ConfigError("save", f"{path} exists; choose another name") from None
     except OSError as error:
@@ -97,10 +97,10 @@ def save_study(shown: LiveRun, folder: Path, name: str) -> Path:
     return path
 
 
-def differing_draws(shown: LiveRun, path: Path) -> int:
+def differing_draws(live_run: LiveRun, path: Path) -> int:
     """Number of draws whose outcome differs between what is shown and a run of the saved study.
 
     The study's own program has its constants compiled in, and may round its last digits differently.
     """
     result = run(Study.load(path))
-    return int(np.count_nonzero(result.dataset["outcome"].values != shown.results["outcome"]))
+    return int(np.count_nonzero(result.dataset["outcome"].values != live_run.results["outcome"]))

@@ -48,26 +48,26 @@ class Brushing:
 
     def __init__(self, table: DrawTable, folder: str) -> None:
         self.table = table
-        shown = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
+        axis_columns = dict(zip(AXIS_NAMES, table.first_axes, strict=True))
         columns = {name: values.astype(np.float32) for name, values in table.columns.items()}
         data = {**columns, "failed": table.failed.astype(np.uint8), "draw": table.draw.astype(np.int32)}
-        for axis, name in shown.items():
+        for axis, name in axis_columns.items():
             data[axis] = columns[name]
         self.source = ColumnDataSource(data, name="draws")
-        self.picked = ColumnDataSource({"row": []})
-        self.said = Div(text=self.statement(), disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
+        self.clicked_row = ColumnDataSource({"row": []})
+        self.summary = Div(text=self.statement(), disable_math=True, width=TABLE_WIDTH, styles={"font-size": "18px"})
         self.command = Div(text="a click on a draw gives its command", disable_math=True, width=TABLE_WIDTH)
         frame = {name: [0.0] for name in ("x", "y", "dw", "dh")}
         self.picture = ColumnDataSource({"image": [np.zeros(PICTURE, np.uint32)], **frame})
-        self.bars = {axis: ColumnDataSource(self._histogram(name)) for axis, name in shown.items()}
+        self.bars = {axis: ColumnDataSource(self._histogram(name)) for axis, name in axis_columns.items()}
         self.selects = {
             axis: Select(title=f"{axis} axis", value=name, options=list(table.columns), width=300)
-            for axis, name in shown.items()
+            for axis, name in axis_columns.items()
         }
         self.colours = {name: [pixel(colour, alpha) for colour in (BLUE, ORANGE)] for name, alpha in LOOKS.items()}
         self.parallel = ParallelAxes(table, self.source, SCRIPT, self.colours)
         self.map = CellMap(table, self.source, SCRIPT) if table.result.study.axes else None
-        labels = [table.label(name) for name in shown.values()]
+        labels = [table.label(name) for name in axis_columns.values()]
         self.scatter = self._scatter(*labels)
         self.histograms = [self._bar_figure(axis, label) for axis, label in zip(AXIS_NAMES, labels, strict=True)]
         self._connect(folder)
@@ -77,7 +77,7 @@ class Brushing:
         """The page's content."""
         figures = row(self.scatter, column(*self.histograms))
         maps = [self.map.figure] if self.map is not None else []
-        return column(self.said, *maps, row(*self.selects.values()), figures, self.command, self.parallel.figure)
+        return column(self.summary, *maps, row(*self.selects.values()), figures, self.command, self.parallel.figure)
 
     @property
     def note(self) -> str:
@@ -148,7 +148,7 @@ class Brushing:
         )
         count = self._callback(
             "countBrushed(source, said, bars, level, note)",
-            said=self.said,
+            said=self.summary,
             bars=self.bars,
             level=CONFIDENCE,
             note=self.note,
@@ -158,18 +158,18 @@ class Brushing:
         show = CustomJS(
             args={"source": self.source, "parts": parts}, code="for (const part of parts) part.execute(source)"
         )
-        selected = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
-        clicked = self._callback(
+        on_selection = self._callback("globalThis.brushing.drawn.delete(source); show.execute(source)", show=show)
+        on_click = self._callback(
             "showClicked(source, command, picked, start, axes)",
             command=self.command,
-            picked=self.picked,
+            picked=self.clicked_row,
             start=start,
             axes=axes,
         )
-        self.source.selected.js_on_change("indices", selected, clicked)
+        self.source.selected.js_on_change("indices", on_selection, on_click)
         self.parallel.brush(show)
-        enclosed = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
-        self.scatter.js_on_event(SelectionGeometry, self._callback(enclosed, show=show))
+        select_enclosed = "choose(source, show, enclosed(source, cb_obj.geometry), cb_obj.final)"
+        self.scatter.js_on_event(SelectionGeometry, self._callback(select_enclosed, show=show))
         nearest = "nearestDraw(source, ranges, picture.data.image[0], cb_obj.x, cb_obj.y)"
         self.scatter.js_on_event(Tap, self._callback(f"source.selected.indices = {nearest}", **scatter))
         self.scatter.js_on_event(Reset, show_all)

@@ -120,9 +120,9 @@ class FanFigure:
 
 def fill_fan(source: ColumnDataSource, times: np.ndarray, values: np.ndarray) -> None:
     """Fill a source with quantiles over time, where draws are running."""
-    running = ~np.isnan(values[0])
-    rows = drawable(values[:, running])
-    source.data = {"t": times[running], **dict(zip(LEVEL_NAMES, rows, strict=True))}
+    is_running = ~np.isnan(values[0])
+    rows = drawable(values[:, is_running])
+    source.data = {"t": times[is_running], **dict(zip(LEVEL_NAMES, rows, strict=True))}
 
 
 class PathFigure:
@@ -155,7 +155,7 @@ class DrawsFigure:
     def __init__(self, choose: Callable[[int], None]) -> None:
         self.passed = ColumnDataSource()
         self.failed = ColumnDataSource()
-        self.chosen = ColumnDataSource()
+        self.selected_draw = ColumnDataSource()
         self.number = PlainText(text="")
         self.figure = page_figure(
             "tap,pan,wheel_zoom,box_zoom,reset,save",
@@ -168,7 +168,7 @@ class DrawsFigure:
             self.figure.scatter("x", "slack", source=source, marker=marker, color=colour, size=size, alpha=0.7)
             source.selected.on_change("indices", partial(self._clicked, source, choose))
         ring = {"size": 15, "line_color": RED, "line_width": 3, "fill_alpha": 0.0}
-        self.figure.scatter("x", "slack", source=self.chosen, marker="circle", **ring)
+        self.figure.scatter("x", "slack", source=self.selected_draw, marker="circle", **ring)
 
     def show(self, run: LiveRun, name: str, draw: int) -> None:
         """Show the draws of a run over an uncertain number, or over the draw's index if ``name`` is empty."""
@@ -177,10 +177,11 @@ class DrawsFigure:
         finite = np.isfinite(run.slack)
         lowest = run.slack[finite].min() if finite.any() else -1.0
         slack = np.where(finite, run.slack, lowest)
-        for source, chosen in ((self.passed, ~run.failed), (self.failed, run.failed)):
+        for source, is_in_source in ((self.passed, ~run.failed), (self.failed, run.failed)):
             source.selected.indices = []
-            source.data = {"x": values[chosen], "slack": slack[chosen], "draw": np.flatnonzero(chosen)}
-        self.chosen.data = {"x": values[[draw]], "slack": slack[[draw]]}
+            draws = np.flatnonzero(is_in_source)
+            source.data = {"x": values[draws], "slack": slack[draws], "draw": draws}
+        self.selected_draw.data = {"x": values[[draw]], "slack": slack[[draw]]}
 
     @staticmethod
     def _clicked(
@@ -213,9 +214,9 @@ class ProbabilityFigure:
         runs = [run] if previous is None else [run, previous]
         self.source.data = {
             "name": ["now", "before"][: len(runs)],
-            "p": [shown.probability for shown in runs],
-            "low": [shown.interval[0] for shown in runs],
-            "high": [shown.interval[1] for shown in runs],
+            "p": [live_run.probability for live_run in runs],
+            "low": [live_run.interval[0] for live_run in runs],
+            "high": [live_run.interval[1] for live_run in runs],
             "colour": [BLUE, GREY][: len(runs)],
         }
 

@@ -41,14 +41,15 @@ class FlightView:
 
     def __init__(self) -> None:
         first: dict[str, Any] = {name: [[0.0, 0.0]] for name in PLACE}
-        chosen: dict[str, Any] = {name: [0.0] for name in ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))}
+        names = ("t", *PLACE, *ATTITUDE, *(f"{axis}_ref" for axis in PLACE))
+        selected_flight: dict[str, Any] = {name: [0.0] for name in names}
         view: dict[str, Any] = {name: [value] for name, value in VIEW.items()}
         view |= {"cx": [0.0], "cy": [0.0], "cz": [0.0], "span": [1.0]}
         self.scene = ColumnDataSource(view)
         self.tracks = ColumnDataSource({**first, "colour": [BLUE], "mark": [-1]})
-        self.one = ColumnDataSource(chosen)
+        self.selected_flight = ColumnDataSource(selected_flight)
         self.floor = ColumnDataSource(first)
-        self.shown = {name: ColumnDataSource({"across": [], "upward": [], "colour": []}) for name in LAYERS}
+        self.layers = {name: ColumnDataSource({"across": [], "upward": [], "colour": []}) for name in LAYERS}
         self.slider = Slider(start=0.0, end=1.0, value=1.0, step=0.01, title="time [s]", width=FRAME[0] - 120)
         self.button = Toggle(label="play", width=80)
         self.title = Div(text="", disable_math=True, width=FRAME[0])
@@ -69,31 +70,31 @@ class FlightView:
         plot.axis.visible = False
         plot.grid.visible = False
         plot.toolbar.logo = None
-        shown = self.shown
-        plot.multi_line("across", "upward", source=shown["floor"], color=GREY, alpha=0.25)
-        plot.multi_line("across", "upward", source=shown["ghosts"], color="colour", alpha=0.3)
-        plot.line("across", "upward", source=shown["wanted"], color=GREY, line_dash="dashed", line_width=2)
-        plot.scatter("across", "upward", source=shown["points"], color="colour", size=5, alpha=0.8)
-        plot.line("across", "upward", source=shown["flown"], color=DARK, line_width=2.5)
-        plot.scatter("across", "upward", source=shown["marks"], marker="x", color=ORANGE, size=12, line_width=3)
-        plot.multi_line("across", "upward", source=shown["craft"], color="colour", line_width=3)
+        layers = self.layers
+        plot.multi_line("across", "upward", source=layers["floor"], color=GREY, alpha=0.25)
+        plot.multi_line("across", "upward", source=layers["ghosts"], color="colour", alpha=0.3)
+        plot.line("across", "upward", source=layers["wanted"], color=GREY, line_dash="dashed", line_width=2)
+        plot.scatter("across", "upward", source=layers["points"], color="colour", size=5, alpha=0.8)
+        plot.line("across", "upward", source=layers["flown"], color=DARK, line_width=2.5)
+        plot.scatter("across", "upward", source=layers["marks"], marker="x", color=ORANGE, size=12, line_width=3)
+        plot.multi_line("across", "upward", source=layers["craft"], color="colour", line_width=3)
         return plot
 
     def _connect(self) -> None:
         """What the slider, the mouse and new data do in the browser."""
-        models = {"scene": self.scene, "tracks": self.tracks, "one": self.one, "floor": self.floor}
-        arguments = {**models, "slider": self.slider, "shown": self.shown}
+        models = {"scene": self.scene, "tracks": self.tracks, "one": self.selected_flight, "floor": self.floor}
+        arguments = {**models, "slider": self.slider, "shown": self.layers}
         names = ", ".join(arguments)
         redraw = CustomJS(args=arguments, code=f"{SCRIPT}\ndraw({{{names}}})")
         for source in models.values():
             source.js_on_change("data", redraw)
         self.slider.js_on_change("value", redraw)
-        turning = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
+        turn = CustomJS(args={"scene": self.scene}, code=f"{SCRIPT}\nturn(scene, cb_obj.delta_x, cb_obj.delta_y)")
         ranges = {"ranges": [self.figure.x_range, self.figure.y_range]}
-        self.figure.js_on_event(Pan, turning)
+        self.figure.js_on_event(Pan, turn)
         self.figure.js_on_event(MouseWheel, CustomJS(args=ranges, code=f"{SCRIPT}\nmagnify(ranges, cb_obj.delta)"))
-        playing = {"button": self.button, "slider": self.slider}
-        self.button.js_on_change("active", CustomJS(args=playing, code=f"{SCRIPT}\nplay(button, slider)"))
+        play_arguments = {"button": self.button, "slider": self.slider}
+        self.button.js_on_change("active", CustomJS(args=play_arguments, code=f"{SCRIPT}\nplay(button, slider)"))
         self.figure.js_on_change("inner_width", redraw)  # when the page is laid out
 
     @property
@@ -115,16 +116,16 @@ class FlightView:
         marks = [mark_of(run, index) for index in range(run.failed.size)]
         colours = [ORANGE if failed else BLUE for failed in run.failed]
         self.tracks.data = {**{axis: list(values) for axis, values in paths.items()}, "colour": colours, "mark": marks}
-        chosen: dict[str, Any] = {"t": run.times}
+        selected_flight: dict[str, Any] = {"t": run.times}
         for axis in PLACE:
-            chosen[axis] = paths[axis][row]
-            chosen[f"{axis}_ref"] = shown_values(run.signal(f"{axis}_y_ref")[row])
+            selected_flight[axis] = paths[axis][row]
+            selected_flight[f"{axis}_ref"] = shown_values(run.signal(f"{axis}_y_ref")[row])
         for angle in ATTITUDE:
-            chosen[angle] = run.signal(angle)[row]
+            selected_flight[angle] = run.signal(angle)[row]
         end = float(run.times[-1])
         place = end if self.slider.value >= self.slider.end else min(self.slider.value, end)
         self.slider.update(end=end, step=end / max(len(run.times) - 1, 1), value=place)
-        self.one.data = chosen
+        self.selected_flight.data = selected_flight
         verdict = "fails" if run.failed[row] else "passes"
         self.title.text = f"{run.failed.size} flights; draw {name or row} {verdict}"
 
@@ -132,8 +133,8 @@ class FlightView:
         """Centre and scale from nearly all draws, so that one that flies away does not set them; the floor below."""
         lows, highs = [], []
         for values in paths.values():
-            known = values[np.isfinite(values)]
-            low, high = np.quantile(known, [OUTLINE, 1.0 - OUTLINE]) if known.size else (0.0, 0.0)
+            finite_values = values[np.isfinite(values)]
+            low, high = np.quantile(finite_values, [OUTLINE, 1.0 - OUTLINE]) if finite_values.size else (0.0, 0.0)
             lows.append(float(low))
             highs.append(float(high))
         extent = [high - low for low, high in zip(lows, highs, strict=True)]
@@ -167,10 +168,10 @@ def mark_of(run: LiveRun, draw: int) -> int:
     moments = [float(run.results["failed_at"][draw])]
     for requirement in run.study.requirements:
         moments.append(float(run.results[requirement.violation_name][draw]))
-    known = [moment for moment in moments if np.isfinite(moment)]
+    finite_moments = [moment for moment in moments if np.isfinite(moment)]
     place = run.signal("x_y")[draw]
     final = int(np.flatnonzero(np.isfinite(place))[-1]) if np.isfinite(place).any() else 0
-    return min(final, int(np.searchsorted(run.times, min(known, default=run.times[-1]))))
+    return min(final, int(np.searchsorted(run.times, min(finite_moments, default=run.times[-1]))))
 
 
 def floor_lines(centre: list[float], height: float, span: float) -> dict[str, Any]:

@@ -120,10 +120,10 @@ class LiveRun:
     def fan(self, name: str) -> Fan:
         """Quantiles of a signal over time."""
         if name not in self._fans:
-            ordered = np.sort(self.signal(name), axis=0)  # NaN are last
-            running = np.count_nonzero(~np.isnan(ordered), axis=0)
-            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running - 1, 0))).astype(int)
-            self._fans[name] = Fan(np.take_along_axis(ordered, rows, axis=0), running)
+            sorted_signal = np.sort(self.signal(name), axis=0)  # NaN are last
+            running_counts = np.count_nonzero(~np.isnan(sorted_signal), axis=0)
+            rows = np.floor(np.outer(FAN_LEVELS, np.maximum(running_counts - 1, 0))).astype(int)
+            self._fans[name] = Fan(np.take_along_axis(sorted_signal, rows, axis=0), running_counts)
         return self._fans[name]
 
     @cached_property
@@ -197,15 +197,15 @@ class LiveStudy:
         program = self._program(study, progress)
         count = study.config.draws
         batches = []
-        done = 0
+        finished_draws = 0
         start = time.monotonic()
         for batch in program.batches(study, np.arange(count)):
             batches.append(batch)
-            done += len(batch["outcome"])
+            finished_draws += len(batch["outcome"])
             if stale():
                 return None
             if time.monotonic() - start > QUIET_SECONDS:
-                progress(f"{done:,} of {count:,} draws")
+                progress(f"{finished_draws:,} of {count:,} draws")
         return LiveRun(study, all_draws(batches), values_of_draws(study, slice(0, count)), program.times)
 
     @cached_property

@@ -51,8 +51,8 @@ class LoggedFlights:
     @property
     def view(self) -> pn.Card:
         """The card for Panel."""
-        asked = [self.probability] if len(self.logs) > 1 else []
-        row = pn.Row(*asked, self.compare)
+        inputs = [self.probability] if len(self.logs) > 1 else []
+        row = pn.Row(*inputs, self.compare)
         return pn.Card(row, self.answer, title=self.title, collapsible=False, sizing_mode="stretch_width")
 
     @property

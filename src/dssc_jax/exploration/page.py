@@ -98,7 +98,7 @@ class Page(ABC):
 
 
 def do(task: Work, worker: Worker | None) -> None:
-    """Let a worker do a task; without one, do it at once."""
+    """Let a worker do a task; without a worker, do it at once."""
     if worker is None:
         task(lambda: False)
     else:

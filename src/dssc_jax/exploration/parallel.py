@@ -41,15 +41,15 @@ class ParallelAxes:
         self.figure = self._figure(table, ends, span)
         lows, highs = (list(side) for side in zip(*ends, strict=True))
         self.script = script
-        self.shown = {"source": source, "names": self.names, "lows": lows, "highs": highs}
+        self.script_arguments = {"source": source, "names": self.names, "lows": lows, "highs": highs}
         place = {"left": LEFT, "across": span[0], "margin": MARGIN, "most": MOST_LINES, "thinnest": ONE_LINE}
-        paint = {**self.shown, "picture": self.picture, "place": place, "colours": colours}
+        paint = {**self.script_arguments, "picture": self.picture, "place": place, "colours": colours}
         self.paint = CustomJS(args=paint, code=script + PAINT_LINES)
         self.figure.js_on_change("inner_width", self.paint)  # when the page is laid out first
 
     def brush(self, show: CustomJS) -> None:
         """Let a box over the axes brush the draws; the callback shows them on the page."""
-        select = CustomJS(args={**self.shown, "show": show}, code=self.script + SELECT_BETWEEN)
+        select = CustomJS(args={**self.script_arguments, "show": show}, code=self.script + SELECT_BETWEEN)
         self.figure.js_on_event(SelectionGeometry, select)
 
     def _figure(self, table: DrawTable, ends: list[tuple[float, float]], span: tuple[float, float]) -> figure:
@@ -82,7 +82,7 @@ class ParallelAxes:
 
 
 def fitting_label(label: str) -> str:
-    """The end of a dotted name in lines that have room under an axis, its unit below.
+    """The end of a dotted name in lines that fit under an axis, with its unit below.
 
     An index keeps the name before it: ``inertia.0``.
     """

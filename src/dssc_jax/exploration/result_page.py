@@ -63,7 +63,7 @@ class ResultPage(Page):
         self.figures = [self._figure(name) for name in shown_signals(result.study)]
         self.paths = [self._path(*pair) for pair in seen_paths(result.study)]
         self.flight_view = FlightView() if flies(result.study) else None
-        self.brushing.picked.on_change("data", self._clicked)
+        self.brushing.clicked_row.on_change("data", self._clicked)
 
     def _figure(self, name: str) -> figure:
         """One signal of all shown flights; the desired output belongs to the output."""
@@ -226,8 +226,8 @@ class ResultPage(Page):
             paths = {**path_lines(flights, f"{across}_y", f"{upward}_y"), "colour": colours}
             self.sources[across + upward].data = paths
         if self.flight_view is not None and flights:
-            chosen = str(flights[0].attrs["draw"])
-            self.flight_view.show(recorded_flights(self.result.study, flights), 0, name=chosen)
+            draw_name = str(flights[0].attrs["draw"])
+            self.flight_view.show(recorded_flights(self.result.study, flights), 0, name=draw_name)
 
 
 def path_lines(flights: list[xr.Dataset], across: str, upward: str) -> dict[str, Any]:

@@ -70,14 +70,14 @@ def sliders_of(study: Study, names: Sequence[str] | None = None) -> list[Slider]
     """
     if names is not None:
         return [slider for name in dict.fromkeys(names) for slider in required_sliders(study, name)]
-    leading = leading_names(study)
-    if leading:
-        found = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *leading, CLOCK_SLIDER])]
-        return [slider for group in found for slider in group][:MOST_SLIDERS]
+    usual = leading_names(study)
+    if usual:
+        groups = [sliders_of_number(study, name)[:1] for name in dict.fromkeys([*study.axes, *usual, CLOCK_SLIDER])]
+        return [slider for group in groups for slider in group][:MOST_SLIDERS]
     movable = [number for number in study.numbers.values() if is_movable(number)]
-    ordered = [number.name for number in sorted(movable, key=precedence)]
+    sorted_names = [number.name for number in sorted(movable, key=precedence)]
     sliders = []
-    for name in dict.fromkeys([*study.axes, *ordered, CLOCK_SLIDER]):
+    for name in dict.fromkeys([*study.axes, *sorted_names, CLOCK_SLIDER]):
         sliders += sliders_of_number(study, name)
     if len(sliders) > MOST_SLIDERS:  # the last is the clock's
         sliders = [*sliders[: MOST_SLIDERS - 1], sliders[-1]]
@@ -220,16 +220,16 @@ def admitted(study: Study, sliders: Sequence[Slider]) -> list[Slider]:
     """The sliders, narrowed or left out where the rules of a model do not admit their ends together."""
     if admits(study, live_extents(sliders)):
         return list(sliders)
-    kept: list[Slider] = []
+    admitted_sliders: list[Slider] = []
     for slider in sliders:
         candidates = [slider]
         if not slider.part and slider.name != CLOCK_SLIDER:
             candidates += [narrow(study, slider, reach) for reach in NARROWER]
         for candidate in candidates:
-            if admits(study, live_extents([*kept, candidate])):
-                kept.append(candidate)
+            if admits(study, live_extents([*admitted_sliders, candidate])):
+                admitted_sliders.append(candidate)
                 break
-    return kept
+    return admitted_sliders
 
 
 def narrow(study: Study, slider: Slider, reach: float) -> Slider:
@@ -272,10 +272,10 @@ def changes_of(study: Study, positions: Positions) -> dict[str, Change]:
         share = parts.get(WIDTH, 1.0)
         if (median, share) != (law.median, 1.0):
             try:
-                moved = law.moved(median, share)
+                moved_law = law.moved(median, share)
             except ValueError as error:
                 raise ConfigError(name, str(error)) from None
-            changes[name] = {moved.kind: list(moved.arguments)}
+            changes[name] = {moved_law.kind: list(moved_law.arguments)}
     return changes
 
 

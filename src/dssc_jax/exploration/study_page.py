@@ -75,7 +75,7 @@ class StudyPage(Page):
         self._make_widgets()
         self._make_figures()
         for widget in self.sliders.values():
-            widget.param.watch(self._moved, "value")
+            widget.param.watch(self._on_move, "value")
         self.show(live.first)
 
     def _make_widgets(self) -> None:
@@ -160,9 +160,9 @@ class StudyPage(Page):
             ConfigError: There is no such slider.
         """
         by_key = {slider.key: slider for slider in self.sliders}
-        unknown = sorted(positions.keys() - by_key.keys())
-        if unknown:
-            raise ConfigError("move", f"'{unknown[0]}' is none of the sliders: {', '.join(by_key)}")
+        unknown_names = sorted(positions.keys() - by_key.keys())
+        if unknown_names:
+            raise ConfigError("move", f"'{unknown_names[0]}' is none of the sliders: {', '.join(by_key)}")
         self._moving = True
         try:
             for key, position in positions.items():
@@ -173,7 +173,7 @@ class StudyPage(Page):
             self._moving = False
         self.start()
 
-    def _moved(self, _: object) -> None:
+    def _on_move(self, _: object) -> None:
         if not self._moving:
             self.start()
 

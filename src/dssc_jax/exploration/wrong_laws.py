@@ -63,11 +63,11 @@ class WrongLaws:
 def how_wrong_text(subject: Study | Result, limit: float) -> str:
     """How wrong the laws may be before more than a share of all draws can fail, in words, or why there is no answer."""
     try:
-        found = laws(subject, limit=limit)
+        law_errors = laws(subject, limit=limit)
     except ConfigError as error:
         return str(error)
-    answer = found.answer
-    texts = [found.headline, f"Kullback-Leibler {answer.kl:.3g}, total variation {answer.total_variation:.3g}"]
+    answer = law_errors.answer
+    texts = [law_errors.headline, f"Kullback-Leibler {answer.kl:.3g}, total variation {answer.total_variation:.3g}"]
     if answer.most_important:
         texts.append(f"the law of {answer.most_important} may be least wrong")
     if answer.measure_next:
@@ -89,20 +89,20 @@ def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method
     except ConfigError as error:
         return str(error)
     low, high = method.failure_interval(failed).tolist()
-    (found,) = amounts.errors(ScoredDraws.of(study, failed), (low, high), confidence_of(method))
-    return error_text(found)
+    (error,) = amounts.errors(ScoredDraws.of(study, failed), (low, high), confidence_of(method))
+    return error_text(error)
 
 
-def error_text(found: StatedError) -> str:
+def error_text(error: StatedError) -> str:
     """What follows from an amount, in words."""
     parts = []
-    if found.interval is not None:
-        parts.append(f"in {interval_text(found.interval)} whatever draws fail")
-    if found.weighted_interval is not None:
-        parts.append(f"in {interval_text(found.weighted_interval)} by the draws' weights")
-    elif found.weights_refused:
-        parts.append(f"not known better: {found.weights_refused}")
-    return f"{found.text}: failure probability {'; '.join(parts)}"
+    if error.interval is not None:
+        parts.append(f"in {interval_text(error.interval)} whatever draws fail")
+    if error.weighted_interval is not None:
+        parts.append(f"in {interval_text(error.weighted_interval)} by the draws' weights")
+    elif error.weights_refused:
+        parts.append(f"not known better: {error.weights_refused}")
+    return f"{error.text}: failure probability {'; '.join(parts)}"
 
 
 def interval_text(interval: tuple[float, float]) -> str:

@@ -61,6 +61,6 @@ def contour(ax: Axes, x: np.ndarray, y: np.ndarray, z: np.ndarray, level: float,
     """Draw a white contour if the level is crossed; infinities and NaN count as far above it."""
     if min(z.shape) < 2 or not np.nanmin(z) < level < np.nanmax(z):
         return
-    shown = np.where(np.isfinite(z), z, 1e3 * abs(level))
-    lines = ax.contour(x, y, shown, levels=(level,), colors="white", linewidths=1.8, linestyles=style)
+    finite_z = np.where(np.isfinite(z), z, 1e3 * abs(level))
+    lines = ax.contour(x, y, finite_z, levels=(level,), colors="white", linewidths=1.8, linestyles=style)
     lines.set_path_effects(OUTLINE)

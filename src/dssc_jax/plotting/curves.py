@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.plotting.cells import cell_edges
 from dssc_jax.plotting.draws import metric_bounds
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, RED, fit_probability, is_log, label, named, set_scale
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, RED, axis_label, fit_probability, is_log, label, set_scale
 from dssc_jax.plotting.sweep_marks import CERTIFIED, certified_region, mark_study_value
 from dssc_jax.plotting.thinning import envelope, thinned
 from dssc_jax.results.result import Result
@@ -71,7 +71,7 @@ def finish_curve(ax: Axes, result: Result, axis: str) -> None:
     if "proved" in result.dataset:
         mark_proved(ax, x, result.dataset["proved"].values)
     mark_study_value(ax, result, axis, "x")
-    ax.set_xlabel(named(axis, result.dataset[axis].attrs))
+    ax.set_xlabel(axis_label(axis, result.dataset[axis].attrs))
     ax.legend(frameon=False)
 
 

@@ -21,7 +21,7 @@ from dssc_jax.plotting.style import (
     styled,
     title,
 )
-from dssc_jax.plotting.thinning import picked
+from dssc_jax.plotting.thinning import spaced_indices
 from dssc_jax.results.influence import by_influence, groups_of
 from dssc_jax.results.result import Result, measure_named, most_violated
 from dssc_jax.statistics import CONFIDENCE, Replicated, clopper_pearson
@@ -57,16 +57,18 @@ def failures(result: Result) -> Figure:
             ax.tick_params(labelleft=False)
     failed = result.failed.values
     low, high = result.method.failure_interval(failed)
-    counted = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
-    estimated = f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}"
-    title(figure, f"{counted}; {estimated}{unshown(result, laws)}")
+    count_text = f"{result.study.name}: {failed.sum()} of {failed.size} draws fail"
+    interval_text = f"probability in [{low:.3g}, {high:.3g}], 95 % {result.method.name}"
+    title(figure, f"{count_text}; {interval_text}{unshown(result, laws)}")
     return figure
 
 
-def unshown(result: Result, shown: list[str]) -> str:
+def unshown(result: Result, plotted_names: list[str]) -> str:
     """The end of a figure's title, if the figure leaves out uncertain numbers; else empty."""
     total = len(result.study.laws)
-    return f"\nthe {len(shown)} most influential of {total} uncertain numbers" if total > len(shown) else ""
+    if total <= len(plotted_names):
+        return ""
+    return f"\nthe {len(plotted_names)} most influential of {total} uncertain numbers"
 
 
 def one_point(result: Result) -> None:
@@ -102,18 +104,18 @@ def distribution(result: Result, ax: Axes | None = None, metric: str | None = No
     measure = measure_named(result, metric)
     values = result.dataset[measure.name].values
     finite = np.sort(values[np.abs(values) < DRAWABLE])
-    ranks = 1 + picked(len(finite)) if len(finite) else np.array([], int)
-    shown = finite[ranks - 1]
+    ranks = 1 + spaced_indices(len(finite)) if len(finite) else np.array([], int)
+    x_values = finite[ranks - 1]
     if not isinstance(result.method, Replicated):
         interval = clopper_pearson(ranks, values.size, result.method.level(CONFIDENCE))
         low, high = interval.T
-        ax.fill_between(shown, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
-    marker = "o" if len(shown) < MOST_MARKED_STEPS else None
-    ax.step(shown, ranks / values.size, color=BLUE, where="post", marker=marker)
+        ax.fill_between(x_values, low, high, color=BLUE, alpha=0.2, step="post", linewidth=0.0, label="95 % interval")
+    marker = "o" if len(x_values) < MOST_MARKED_STEPS else None
+    ax.step(x_values, ranks / values.size, color=BLUE, where="post", marker=marker)
     for limit in metric_bounds(result, measure):
         ax.axvline(limit, color=RED, linestyle="--", label="required")
-    if shown.size:
-        set_scale(ax, shown)
+    if x_values.size:
+        set_scale(ax, x_values)
     else:
         ax.text(0.5, 0.5, "no finite value", transform=ax.transAxes, ha="center")
     ax.set(xlabel=label(result.dataset[measure.name].attrs), ylabel="share of draws at or below", ylim=(0, 1.02))

@@ -62,8 +62,8 @@ def change_panel(ax: Axes, data: xr.Dataset, prefix: str, dimension: str, limit:
     ax.plot(sizes, upper, "--", color=BLUE, label="its upper limit")
     ax.plot(sizes, bound, color=ORANGE, label="upper limit whatever draws fail")
     ax.axhline(limit, color=RED, linewidth=1.2, label=f"{100 * limit:g} % may fail")
-    shown = [limit, *worst[np.isfinite(worst)], *bound[np.isfinite(bound)][:1]]
-    ax.set(xlabel=label(data[dimension].attrs), ylim=(0.0, min(1.0, max(2.5 * limit, 1.2 * max(shown)))))
+    heights = [limit, *worst[np.isfinite(worst)], *bound[np.isfinite(bound)][:1]]
+    ax.set(xlabel=label(data[dimension].attrs), ylim=(0.0, min(1.0, max(2.5 * limit, 1.2 * max(heights)))))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 

@@ -39,11 +39,11 @@ def law_ranges(ranges: PlottedLawRanges) -> Figure:
     figure = Figure(figsize=(SLIDE[0], max(SLIDE[1], 2.0 + 0.4 * arguments)), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.6))
     for place, name in enumerate(("lowest", "highest")):
-        found = summary[name]
-        fresh = found["fresh_failures"] / summary["fresh_draws"]
+        extreme = summary[name]
+        fresh = extreme["fresh_failures"] / summary["fresh_draws"]
         for shift, colour, value, interval, text in (
-            (-APART, BLUE, found["probability"], found["interval"], "by the weights"),
-            (APART, ORANGE, fresh, found["fresh_interval"], "new draws"),
+            (-APART, BLUE, extreme["probability"], extreme["interval"], "by the weights"),
+            (APART, ORANGE, fresh, extreme["fresh_interval"], "new draws"),
         ):
             low, high = interval
             left.plot([place + shift] * 2, [low, high], color=colour, linewidth=3, label="" if place else text)

@@ -29,42 +29,42 @@ def loop_margins(margins: Analysis, point: str | None = None, broken_at: str | N
     summary = margins.summary()
     point = point or str(data["operating_point"].values[0])
     broken_at = broken_at or str(data["loop"].values[0])
-    selected = data.sel(operating_point=point, loop=broken_at)
+    loop_data = data.sel(operating_point=point, loop=broken_at)
     figure = Figure(figsize=(12.5, 8.2), layout="constrained")
     (gain, nyquist, phase_margin), (phase, sensitivities, delay_margin) = figure.subplots(2, 3)
-    gain_panel(gain, selected)
-    phase_panel(phase, selected)
-    nyquist_panel(nyquist, selected["loop_real"].values, selected["loop_imaginary"].values)
-    sensitivity_panel(sensitivities, selected)
+    gain_panel(gain, loop_data)
+    phase_panel(phase, loop_data)
+    nyquist_panel(nyquist, loop_data["loop_real"].values, loop_data["loop_imaginary"].values)
+    sensitivity_panel(sensitivities, loop_data)
     statistics = summary["operating_points"][point][broken_at]
-    margin_panel(phase_margin, selected["phase"], statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
-    margin_panel(delay_margin, selected["delay"], statistics["delay"]["tolerance_limit"], "s", 1.0)
+    margin_panel(phase_margin, loop_data["phase"], statistics["phase"]["tolerance_limit"], "deg", 180.0 / np.pi)
+    margin_panel(delay_margin, loop_data["delay"], statistics["delay"]["tolerance_limit"], "s", 1.0)
     config = margins.study.config
     place = point if point == "equilibrium" else f"linearised at {point}"
     title(figure, f"{config.description or config.name}: loop broken at {broken_at}, {place}, {summary['draws']} draws")
     return figure
 
 
-def gain_panel(ax: Axes, selected: xr.Dataset) -> None:
+def gain_panel(ax: Axes, loop_data: xr.Dataset) -> None:
     """Draw the loop gain over frequency."""
-    fan(ax, selected["frequency"].values, decibels(selected["loop_gain"]), BLUE, "|L|")
+    fan(ax, loop_data["frequency"].values, decibels(loop_data["loop_gain"]), BLUE, "|L|")
     ax.axhline(0.0, color="black", linewidth=0.8)
     lowest, _ = ax.get_ylim()
     ax.set(ylabel="loop gain [dB]", ylim=(max(LOWEST_GAIN, lowest), None))
 
 
-def phase_panel(ax: Axes, selected: xr.Dataset) -> None:
+def phase_panel(ax: Axes, loop_data: xr.Dataset) -> None:
     """Draw the loop's phase over frequency."""
-    fan(ax, selected["frequency"].values, np.degrees(selected["loop_phase"].values), BLUE, "arg L")
+    fan(ax, loop_data["frequency"].values, np.degrees(loop_data["loop_phase"].values), BLUE, "arg L")
     ax.axhline(-180.0, color="black", linewidth=0.8)
     ax.set(ylabel="phase of L [deg]", xlabel="frequency [rad/s]")
 
 
-def sensitivity_panel(ax: Axes, selected: xr.Dataset) -> None:
+def sensitivity_panel(ax: Axes, loop_data: xr.Dataset) -> None:
     """Draw sensitivity and complementary sensitivity over frequency."""
-    frequency = selected["frequency"].values
-    fan(ax, frequency, decibels(selected["sensitivity"]), ORANGE, "|S|")
-    fan(ax, frequency, decibels(selected["complementary"]), GREEN, "|T|")
+    frequency = loop_data["frequency"].values
+    fan(ax, frequency, decibels(loop_data["sensitivity"]), ORANGE, "|S|")
+    fan(ax, frequency, decibels(loop_data["complementary"]), GREEN, "|T|")
     ax.axhline(0.0, color="black", linewidth=0.8)
     ax.set(ylabel="sensitivities [dB]", xlabel="frequency [rad/s]")
     lowest, _ = ax.get_ylim()
@@ -110,9 +110,9 @@ def margin_panel(ax: Axes, margin: xr.DataArray, limit: float | None, unit: str,
         scale: What the margin is multiplied by to have that unit.
     """
     values = scale * margin.values
-    ordered = np.sort(values[np.isfinite(values)])
-    share = np.arange(1, len(ordered) + 1) / values.size
-    ax.step(ordered, share, where="post", color=BLUE, label="draws")
+    sorted_values = np.sort(values[np.isfinite(values)])
+    share = np.arange(1, len(sorted_values) + 1) / values.size
+    ax.step(sorted_values, share, where="post", color=BLUE, label="draws")
     ax.set(xlabel=f"{margin.name} margin [{unit}]", ylabel="share of draws at or below", ylim=(-0.03, 1.03))
     if limit is not None:
         text = f"95 % of draws, confidence 95 %: {scale * limit:.3g} {unit}"

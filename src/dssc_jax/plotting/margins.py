@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, named, styled, title
+from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, axis_label, styled, title
 from dssc_jax.results.analysis import Analysis
 
 
@@ -61,13 +61,13 @@ def margin(margins: Analysis) -> Figure:
     return figure
 
 
-def degradation_panel(ax: Axes, walked: xr.DataArray, summary: MarginSummary) -> None:
+def degradation_panel(ax: Axes, walk_values: xr.DataArray, summary: MarginSummary) -> None:
     """Draw the failure probability along the walk, with its simultaneous band."""
     curve = summary["degradation"]
     level = f"{100 * summary['confidence']:g} % band over all values together"
     ax.fill_between(curve["value"], curve["lower"], curve["upper"], color=RED, alpha=0.2, label=level)
     ax.plot(curve["value"], curve["probability"], "o-", color=RED, label="failed draws")
-    ax.set(xlabel=named(summary["parameter"], walked.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
+    ax.set(xlabel=axis_label(summary["parameter"], walk_values.attrs), ylabel="failure probability", ylim=(-0.03, 1.03))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
 
@@ -97,7 +97,7 @@ def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary)
         text = f"95 % of draws pass, confidence 95 %: {limit:.3g}"
         ax.axvline(limit, color=ORANGE, linestyle="--", label=text)
     side = "above" if end < start else "below"
-    ax.set(xlabel=named(summary["parameter"], critical.attrs), ylabel=f"share of draws at or {side}")
+    ax.set(xlabel=axis_label(summary["parameter"], critical.attrs), ylabel=f"share of draws at or {side}")
     ax.set_ylim(-0.03, 1.03)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
 
@@ -105,8 +105,8 @@ def distribution_panel(ax: Axes, critical: xr.DataArray, summary: MarginSummary)
 def in_order_of_walk(values: np.ndarray, summary: MarginSummary) -> np.ndarray:
     """Sort values in the order in which the walk meets them."""
     start, end = summary["bounds"]
-    ordered = np.sort(values)
-    return ordered if end > start else ordered[::-1]
+    sorted_values = np.sort(values)
+    return sorted_values if end > start else sorted_values[::-1]
 
 
 def certificate(ax: Axes, summary: MarginSummary) -> None:

@@ -20,10 +20,10 @@ def rare(event: Analysis) -> Figure:
     figure = Figure(figsize=SLIDE, layout="constrained")
     left, right = figure.subplots(1, 2)
     probabilities(left, event)
-    for row, (name, found) in enumerate(summary["where"].items()):
-        if found["failing"] is None:
+    for row, (name, levels) in enumerate(summary["where"].items()):
+        if levels["failing"] is None:
             continue
-        low, middle, high = level_of(event.study.laws[name], np.array(found["failing"]))
+        low, middle, high = level_of(event.study.laws[name], np.array(levels["failing"]))
         right.errorbar([middle], [row], xerr=[[middle - low], [high - middle]], fmt="o", color=RED, capsize=3)
     law_axis(right, list(summary["where"]), "5 %, median and 95 % of failures")
     required = "; ".join(summary["requirements"])
@@ -35,15 +35,15 @@ def probabilities(ax: Axes, event: Analysis) -> None:
     """Draw estimates of a probability, one above the other; an interval from 0 begins below all of them."""
     summary = event.summary()
     plain = summary["plain"]
-    found = summary["by_method"]
+    method_answer = summary["by_method"]
     estimates = np.array(summary["estimates"])
     rows = ("each repeat" if len(estimates) else "", summary["method"], "plain draws")
     positive = estimates[estimates > 0.0]
     left_end = 0.1 * min([*positive, 1.0 / plain["draws"]])
     ax.plot(positive, np.zeros(len(positive)), ".", color=GREY)
-    split_ends = np.maximum(found["interval"], left_end)
+    split_ends = np.maximum(method_answer["interval"], left_end)
     plain_ends = np.maximum(plain["interval"], left_end)
-    estimate(ax, 1, found["probability"], split_ends, BLUE)
+    estimate(ax, 1, method_answer["probability"], split_ends, BLUE)
     estimate(ax, 2, plain["failures"] / plain["draws"], plain_ends, ORANGE)
     set_scale(ax, np.concatenate([positive, split_ends, plain_ends]))
     ax.set(xlabel="failure probability, 95 % intervals", yticks=range(len(rows)), yticklabels=rows)

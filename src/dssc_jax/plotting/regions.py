@@ -9,7 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, named, set_log, styled, title
+from dssc_jax.plotting.style import DARK, GREEN, GREY, RED, axis_label, set_log, styled, title
 from dssc_jax.study import Study
 
 COLOURS_OF_VERDICTS = {0: ("at least 95 % pass", GREEN), 1: ("undecided", GREY), 2: ("fewer pass", RED)}
@@ -77,7 +77,7 @@ def region(safe: PlottedRegion) -> Figure:
         pairs = verdict == code
         ax.scatter(x[pairs], y[pairs], s=13, color=colour, label=f"{text}: {np.count_nonzero(pairs)} pairs")
     first, second = summary["names"]
-    ax.set(xlabel=named(first, data["first"].attrs), ylabel=named(second, data["second"].attrs))
+    ax.set(xlabel=axis_label(first, data["first"].attrs), ylabel=axis_label(second, data["second"].attrs))
     log_first, log_second = safe.log
     if log_first:
         set_log(ax, data["first"].values, "x")

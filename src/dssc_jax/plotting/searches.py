@@ -86,9 +86,9 @@ def costs(ax: Axes, tuned: Analysis, verdict: VerdictSummary) -> None:
     """Draw distribution functions of the fresh draws' costs, and the aggregates."""
     for name, colour, aggregate in zip(("start", "tuned"), (GREY, ORANGE), verdict["objective"], strict=True):
         cost = tuned.dataset[f"cost_{name}"].values
-        ordered = np.sort(np.where(np.isnan(cost), np.inf, cost))
-        share = np.arange(1, len(ordered) + 1) / len(ordered)
-        ax.step(ordered, share, where="post", color=colour, label=name)
+        sorted_costs = np.sort(np.where(np.isnan(cost), np.inf, cost))
+        share = np.arange(1, len(sorted_costs) + 1) / len(sorted_costs)
+        ax.step(sorted_costs, share, where="post", color=colour, label=name)
         if aggregate is not None:
             ax.axvline(aggregate, color=colour, linestyle="--", label=f"objective, {name}: {aggregate:.4g}")
     ax.set(xlabel="cost of a draw", ylabel=f"share of {verdict['draws']} fresh draws", ylim=(-0.03, 1.03))

@@ -41,10 +41,10 @@ def labelled(data: xr.Dataset, name: str) -> str:
 
 def draw_line(ax: Axes, data: xr.Dataset, name: str) -> None:
     """Draw the share of failed draws over one number."""
-    chosen = data["place"].values >= 0
+    is_chosen = data["place"].values >= 0
     values, share = data[name].values, (data["failures"] / data["draws"]).values
-    ax.scatter(values[~chosen], share[~chosen], s=10, color=GREY, label="not chosen")
-    ax.scatter(values[chosen], share[chosen], s=30, color=BLUE, label="chosen", zorder=3)
+    ax.scatter(values[~is_chosen], share[~is_chosen], s=10, color=GREY, label="not chosen")
+    ax.scatter(values[is_chosen], share[is_chosen], s=30, color=BLUE, label="chosen", zorder=3)
     ax.set(xlabel=labelled(data, name), ylabel="share of failed draws", ylim=(-0.02, 1.02))
     set_log(ax, values)
     ax.legend()
@@ -52,13 +52,15 @@ def draw_line(ax: Axes, data: xr.Dataset, name: str) -> None:
 
 def draw_plane(figure: Figure, ax: Axes, data: xr.Dataset, names: list[str]) -> None:
     """Draw the share of failed draws over the first two numbers."""
-    chosen = data["place"].values >= 0
+    is_chosen = data["place"].values >= 0
     first, second = (data[name].values for name in names[:2])
     share = (data["failures"] / data["draws"]).values
-    shown = ax.scatter(first, second, s=12, c=share, cmap="viridis_r", vmin=0.0, vmax=1.0)
-    ax.scatter(first[chosen], second[chosen], s=60, facecolors="none", edgecolors=RED, linewidths=1.8, label="chosen")
+    points = ax.scatter(first, second, s=12, c=share, cmap="viridis_r", vmin=0.0, vmax=1.0)
+    ax.scatter(
+        first[is_chosen], second[is_chosen], s=60, facecolors="none", edgecolors=RED, linewidths=1.8, label="chosen"
+    )
     ax.set(xlabel=labelled(data, names[0]), ylabel=labelled(data, names[1]))
     set_log(ax, first, "x")
     set_log(ax, second, "y")
-    figure.colorbar(shown, ax=ax, label="share of failed draws")
+    figure.colorbar(points, ax=ax, label="share of failed draws")
     ax.legend()

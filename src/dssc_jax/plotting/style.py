@@ -95,7 +95,7 @@ def label(attributes: Mapping[str, object]) -> str:
     return text.replace("$", r"\$")
 
 
-def named(name: str, attributes: Mapping[str, object]) -> str:
+def axis_label(name: str, attributes: Mapping[str, object]) -> str:
     """An axis label: the dotted name, and below it the label of its attributes."""
     return f"{name}\n{textwrap.fill(label(attributes), 42)}"
 
@@ -134,12 +134,12 @@ def set_log_ticks(axis: Axis, low: float, high: float) -> None:
     """Label a logarithmic axis with plain numbers, more of them if the range is short."""
     decades = np.log10(high / low)
     if decades < 1.3:
-        labelled = (1.0, 2.0, 5.0)
+        labelled_mantissas = (1.0, 2.0, 5.0)
     elif decades < 2.0:
-        labelled = (1.0, 3.0)
+        labelled_mantissas = (1.0, 3.0)
     else:
-        labelled = (1.0,)
-    axis.set_major_locator(LogLocator(subs=labelled))
+        labelled_mantissas = (1.0,)
+    axis.set_major_locator(LogLocator(subs=labelled_mantissas))
     axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -188,16 +188,16 @@ def write_png_and_svg(figure: Figure, png: Path, svg: Path, within: Path | None 
         stack.enter_context(rc_context(STYLE))
         image_file = stack.enter_context(files.replacing(png, within))
         drawing_file = stack.enter_context(files.replacing(svg, within))
-        compressing = stack.enter_context(ThreadPoolExecutor(1))
+        executor = stack.enter_context(ThreadPoolExecutor(1))
         arrange(figure)
         figure.set_dpi(PIXELS_PER_INCH)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         image = canvas.buffer_rgba()
         options = {"dpi": figure.dpi, "pil_kwargs": FAST_PNG}
-        compressed = compressing.submit(imsave, image_file, image, format="png", origin="upper", **options)
+        png_task = executor.submit(imsave, image_file, image, format="png", origin="upper", **options)
         figure.savefig(drawing_file, format="svg")
-        compressed.result()
+        png_task.result()
 
 
 def arrange(figure: Figure) -> None:

@@ -21,9 +21,9 @@ from dssc_jax.plotting.style import (
     GREY,
     PANEL,
     SLIDE,
+    axis_label,
     is_log,
     label,
-    named,
     panel,
     set_log_ticks,
     set_scale,
@@ -62,7 +62,7 @@ def sweep(result: Result) -> Figure:
     figure = sweep_curves(result) if len(free_axes(result)) == 1 else sweep_maps(result)
     name = result.study.config.description or result.study.name
     remarks = [text for text in (idle_text(result), result.certificate) if text]
-    title(figure, f"{name}{held(result)}\n" + "\n".join(remarks))
+    title(figure, f"{name}{held_parameters_text(result)}\n" + "\n".join(remarks))
     return figure
 
 
@@ -198,12 +198,12 @@ def held_to_two(result: Result) -> Result:
     axes = free_axes(result)
     if not axes:
         raise ValueError("the result has no sweep; plot.failures shows a run")
-    shown = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
-    fixed = dict.fromkeys([name for name in axes if name not in shown], 0)
-    return result.at(fixed) if fixed else result
+    plotted_axes = [name for name in axes if result.dataset.sizes[name] > 1][:2] or axes[:1]
+    held_axes = dict.fromkeys([name for name in axes if name not in plotted_axes], 0)
+    return result.at(held_axes) if held_axes else result
 
 
-def held(result: Result) -> str:
+def held_parameters_text(result: Result) -> str:
     """The swept parameters that a figure holds at one value, for its title."""
     fixed = [name for name in result.study.axes if name not in result.dataset.dims]
     return "".join(f"; {name} = {result.dataset[name].item():g}" for name in fixed)
@@ -276,19 +276,19 @@ def finish_map(ax: Axes, result: Result, down: str, across: str, keys: Sequence[
     set_scale(ax, y, "y")
     mark_study_value(ax, result, across, "x", on_map=True)
     mark_study_value(ax, result, down, "y", on_map=True)
-    ax.set_xlabel(named(across, result.dataset[across].attrs))
-    ax.set_ylabel(named(down, result.dataset[down].attrs))
+    ax.set_xlabel(axis_label(across, result.dataset[across].attrs))
+    ax.set_ylabel(axis_label(down, result.dataset[down].attrs))
     if handles := map_keys(result, keys):
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.24), frameon=False)
 
 
 def map_keys(result: Result, keys: Sequence[LineKey]) -> list[Line2D | Patch]:
     """Legend of a map's white elements, drawn as in the map: its contours, and what every map shows."""
-    shown = list(keys)
+    all_keys = list(keys)
     if any(reaches_study_value(result, name) for name in free_axes(result)):
-        shown.append((STUDY_VALUE, ":"))
+        all_keys.append((STUDY_VALUE, ":"))
     handles: list[Line2D | Patch] = []
-    for text, style in shown:
+    for text, style in all_keys:
         line = Line2D([], [], color="white", linestyle=style, linewidth=1.8, label=text)
         line.set_path_effects(OUTLINE)
         handles.append(line)

@@ -22,15 +22,15 @@ def thinned(x: np.ndarray, y: np.ndarray, columns: int = PIXEL_COLUMNS) -> tuple
     """
     if len(x) <= 2 * columns:
         return x, y
-    kept: list[int] = []
+    extreme_indices: list[int] = []
     for group in np.array_split(np.arange(len(x)), columns):
         inside = y[group]
         if np.isnan(inside).all():
-            kept.append(int(group[0]))
+            extreme_indices.append(int(group[0]))
             continue
         extremes = {int(group[np.nanargmin(inside)]), int(group[np.nanargmax(inside)])}
-        kept += sorted(extremes)
-    return x[kept], y[kept]
+        extreme_indices += sorted(extremes)
+    return x[extreme_indices], y[extreme_indices]
 
 
 def envelope(
@@ -56,7 +56,7 @@ def envelope(
     return x[ends], np.append(lowest, lowest[-1]), np.append(highest, highest[-1])
 
 
-def picked(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
+def spaced_indices(count: int, limit: int = PIXEL_COLUMNS) -> np.ndarray:
     """At most ``limit`` indices of 0 .. count-1, evenly spaced, including both ends."""
-    spaced = np.linspace(0, count - 1, min(count, limit))
-    return np.unique(spaced.round().astype(int))
+    places = np.linspace(0, count - 1, min(count, limit))
+    return np.unique(places.round().astype(int))

@@ -12,7 +12,7 @@ from matplotlib.typing import LineStyleType
 from mpl_toolkits.mplot3d import Axes3D
 
 from dssc_jax.plotting.style import BLUE, GREEN, GREY, ORANGE, RED, SLIDE, label, panel, styled, title
-from dssc_jax.plotting.thinning import picked, thinned
+from dssc_jax.plotting.thinning import spaced_indices, thinned
 
 ROUNDING_NOISE = 1e-9
 """Signals below this share of the size of their channel are rounding noise."""
@@ -104,11 +104,11 @@ def signals(run: xr.Dataset, names: Sequence[str], ax: Axes | None = None) -> Fi
         figure = Figure(figsize=(SLIDE[0], 3.0 * len(units)), layout="constrained")
         axes = list(figure.subplots(len(units), 1, sharex=True))
     for name, colour in zip(names, SIGNAL_COLOURS[: len(names)], strict=True):
-        shown = axes[units.index(bracketed_unit(run, name))]
-        line(shown, run, name, colour, label(run[name].attrs) or name)
-    for shown, unit in zip(axes, units, strict=True):
-        shown.set_ylabel(unit)
-        shown.legend(loc="best", frameon=False)
+        ax_of_unit = axes[units.index(bracketed_unit(run, name))]
+        line(ax_of_unit, run, name, colour, label(run[name].attrs) or name)
+    for ax_of_unit, unit in zip(axes, units, strict=True):
+        ax_of_unit.set_ylabel(unit)
+        ax_of_unit.legend(loc="best", frameon=False)
     axes[-1].set_xlabel("time [s]")
     return figure
 
@@ -172,20 +172,20 @@ def flight(run: xr.Dataset) -> Figure:
     for ax in figure.axes:
         place = ax.get_subplotspec()
         if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
-            mark_events(ax, run, named=place.is_last_row())
-    hidden = [channel for channel in channels if channel not in active]
-    note = f"\nnot shown: {', '.join(hidden)}, whose error and command are rounding noise" if hidden else ""
+            mark_events(ax, run, with_names=place.is_last_row())
+    omitted = [channel for channel in channels if channel not in active]
+    note = f"\nnot shown: {', '.join(omitted)}, whose error and command are rounding noise" if omitted else ""
     title(figure, how_it_ended(run) + note)
     return figure
 
 
-def mark_events(ax: Axes, run: xr.Dataset, named: bool) -> None:
+def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
     """Mark the times of a draw's events by lines, with their kinds where they are named."""
     kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
     times = np.atleast_1d(run.attrs.get("event_times", []))
     for kind, time in zip(kinds, times, strict=True):
         ax.axvline(float(time), color=RED, linestyle=":", linewidth=1.2)
-        if named:
+        if with_names:
             name = str(kind).replace("_", " ")
             ax.annotate(
                 name, (float(time), 1.0), xycoords=("data", "axes fraction"), fontsize=8, color=RED, va="bottom"
@@ -228,21 +228,21 @@ def largest_magnitude(run: xr.Dataset, name: str) -> float:
 
 def path_in_space(ax: Axes3D, run: xr.Dataset) -> None:
     """Draw the path and its reference in three dimensions."""
-    shown = picked(run.sizes["t"])
-    desired = [run[f"{axis}_y_ref"].values[shown] for axis in "xyz"]
-    flown = [run[f"{axis}_y"].values[shown] for axis in "xyz"]
-    ax.plot(*desired, color=GREY, label="desired", linestyle="--")
-    ax.plot(*flown, color=BLUE, label="flown", linestyle="-")
+    indices = spaced_indices(run.sizes["t"])
+    reference_path = [run[f"{axis}_y_ref"].values[indices] for axis in "xyz"]
+    flown_path = [run[f"{axis}_y"].values[indices] for axis in "xyz"]
+    ax.plot(*reference_path, color=GREY, label="desired", linestyle="--")
+    ax.plot(*flown_path, color=BLUE, label="flown", linestyle="-")
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     ax.legend(loc="upper left", frameon=False)
 
 
 def path_from_above(ax: Axes, run: xr.Dataset) -> None:
     """Draw the path and its reference from above, with equal scales, and mark the start and the end."""
-    shown = picked(run.sizes["t"])
-    x = run["x_y"].values[shown]
-    y = run["y_y"].values[shown]
-    ax.plot(run["x_y_ref"].values[shown], run["y_y_ref"].values[shown], color=GREY, linestyle="--", label="desired")
+    indices = spaced_indices(run.sizes["t"])
+    x = run["x_y"].values[indices]
+    y = run["y_y"].values[indices]
+    ax.plot(run["x_y_ref"].values[indices], run["y_y_ref"].values[indices], color=GREY, linestyle="--", label="desired")
     ax.plot(x, y, color=BLUE, label="flown")
     finite = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     if finite.size:
@@ -273,12 +273,12 @@ def rotors(ax: Axes, run: xr.Dataset) -> None:
         line(ax, run, f"rotor_{number}", colour, number, linewidth=1.0, linestyle=style)
     limit = largest_magnitude(run, "rotor_limit")
     bottom, top = ax.get_ylim()
-    limited = list(run["rotor_limited"].values > 0.5)
-    if any(limited):
+    is_limited = list(run["rotor_limited"].values > 0.5)
+    if any(is_limited):
         bottom = min(bottom, 0.0)
         top = max(top, limit)
         text = "one at its limit"
-        ax.fill_between(run["t"].values, bottom, top, where=limited, color=RED, alpha=0.2, linewidth=0.0, label=text)
+        ax.fill_between(run["t"].values, bottom, top, where=is_limited, color=RED, alpha=0.2, linewidth=0.0, label=text)
     if top >= limit:
         line(ax, run, "rotor_limit", RED, "limit", linewidth=1.0, linestyle="--")
         ax.set_ylabel("rotor thrust [N]")
@@ -293,9 +293,9 @@ def wind(ax: Axes, run: xr.Dataset) -> None:
         if largest_magnitude(run, name) > 0.0:
             line(ax, run, name, colour, name[-1])
     speeds = np.abs([run[name].values for name in WIND])
-    blowing = np.flatnonzero((speeds > 0.0).any(axis=0))
-    if blowing[0] > 1:
-        onset = float(run["t"].values[blowing[0]])
+    windy_samples = np.flatnonzero((speeds > 0.0).any(axis=0))
+    if windy_samples[0] > 1:
+        onset = float(run["t"].values[windy_samples[0]])
         ax.axvline(onset, color=GREY, linestyle=":", label=f"onset at {onset:.3g} s")
     ax.set_ylabel("wind [m/s]")
     ax.legend(loc="best", frameon=False, ncols=2)

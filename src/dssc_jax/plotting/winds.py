@@ -43,8 +43,8 @@ def worst_wind(found: PlottedWorstWind) -> Figure:
     for ax, answer in zip(panels, answers, strict=False):
         wind = found.dataset.sel(signal=answer["signal"])
         draw_wind(ax, wind, smooth=summary["rate"] is not None)
-        reached = "ends early" if answer["worst"] is None else f"{answer['worst']:.4g} {answer['unit']}"
-        ax.set_title(f"{answer['signal']}: {reached.removesuffix(' 1')}", fontsize="medium")
+        worst_text = "ends early" if answer["worst"] is None else f"{answer['worst']:.4g} {answer['unit']}"
+        ax.set_title(f"{answer['signal']}: {worst_text.removesuffix(' 1')}", fontsize="medium")
     for ax in panels[len(answers) :]:
         ax.remove()
     for ax in panels[max(0, len(answers) - columns) : len(answers)]:

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 import htpy as h
 
-from dssc_jax.report.elements import Section, counted, facts, figure, number, table
+from dssc_jax.report.elements import Section, count_text, facts, figure, number, table
 from dssc_jax.report.study_sections import listing
 from dssc_jax.report.subject import AnalysisSubject
 from dssc_jax.report.vector import inline
@@ -99,7 +99,7 @@ def columns_of(rows: Mapping[str, Mapping[str, object]]) -> list[str]:
     for row in rows.values():
         for name, value in row.items():
             columns[name] = columns.get(name, False) or cell(value) is not None
-    return [name for name, shown in columns.items() if shown]
+    return [name for name, has_cell in columns.items() if has_cell]
 
 
 def cell(value: object) -> str | None:
@@ -137,7 +137,7 @@ def analysis_provenance(subject: AnalysisSubject) -> Section:
         ("study", f"{study.name}, from {study.source}"),
         ("hash of the study", h.code[study.hash]),
         ("seed", f"{config.seed}, {config.sampling} sampling"),
-        ("size", counted(config.draws, "draw")),
+        ("size", count_text(config.draws, "draw")),
         ("arithmetic", f"float{config.loop.precision}, {config.loop.integrator}"),
     ]
     usage = ["Save it as a file and give it to ", h.code[f"dssc-jax {analysis.kind}"], "."]

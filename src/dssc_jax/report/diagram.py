@@ -91,10 +91,10 @@ def notes(study: Study, slot: str) -> list[str]:
     functions = table.get("functions") if isinstance(table, dict) else None
     inner = f": {functions['kind']}" if isinstance(functions, dict) and "kind" in functions else ""
     section = section_of(study.config, slot)
-    marked = [f"~ {name.rpartition('.')[2]}" for name in within(study.uncertain, section)]
+    marks = [f"~ {name.rpartition('.')[2]}" for name in within(study.uncertain, section)]
     swept = [follower for name in study.axes for follower in study.followers(name)]
-    marked += [f"⇄ {name.rpartition('.')[2]}" for name in within(dict.fromkeys(swept), section)]
-    numbers = "  ".join(marked) if len(marked) <= 2 else f"~ {len(marked)} uncertain or swept"
+    marks += [f"⇄ {name.rpartition('.')[2]}" for name in within(dict.fromkeys(swept), section)]
+    numbers = "  ".join(marks) if len(marks) <= 2 else f"~ {len(marks)} uncertain or swept"
     return [part_kind(study, slot) + inner, numbers]
 
 

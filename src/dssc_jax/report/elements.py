@@ -49,7 +49,7 @@ def interval(bounds: Sequence[float]) -> str:
     return f"{low} to {high}"
 
 
-def counted(count: int, noun: str) -> str:
+def count_text(count: int, noun: str) -> str:
     """A count and its noun, singular or plural."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 

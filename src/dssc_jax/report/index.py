@@ -10,7 +10,7 @@ import htpy as h
 
 from dssc_jax.analyses.loading import KINDS, description, load
 from dssc_jax.core.errors import ConfigError
-from dssc_jax.report.elements import counted, interval, probability_text, table
+from dssc_jax.report.elements import count_text, interval, probability_text, table
 from dssc_jax.report.page import REPORT, is_current, page, write, write_page
 from dssc_jax.report.study_sections import moment
 from dssc_jax.results import store
@@ -52,18 +52,18 @@ def folders(root: Path) -> Iterator[Path]:
         yield from places or [child]
 
 
-def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
+def index_row(folder: Path, on_report: Callable[[Path], None]) -> IndexRow:
     """The index row of a folder; its report is written first unless it is whole and shows what the folder holds."""
     row = IndexRow(folder)
     if folder.is_symlink():
         return row._replace(trouble="is a symbolic link, which the index does not follow")
     try:
-        described = description(folder)
-        row = row._replace(study=str(described["study"].get("name", "")), started=str(described.get("started", "")))
+        content = description(folder)
+        row = row._replace(study=str(content["study"].get("name", "")), started=str(content.get("started", "")))
         result = load(folder)
         page = folder / REPORT
         if not is_current(page, result):
-            made(write(result, page))
+            on_report(write(result, page))
         if isinstance(result, Analysis):
             return row._replace(kind=result.title, answer=result.headline)
         return point_numbers(row, result.summary()["points"])
@@ -78,11 +78,11 @@ def index_row(folder: Path, made: Callable[[Path], None]) -> IndexRow:
 def point_numbers(row: IndexRow, points: list[SummaryRow]) -> IndexRow:
     """The row with size, probability and interval; for a sweep, those of its best and its worst point."""
     best, worst = extreme_points(points)
-    shown = [best] if len(points) == 1 else [best, worst]
-    size = counted(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
+    extremes = [best] if len(points) == 1 else [best, worst]
+    size = count_text(best["draws"], "draw") + (f" at {len(points):,} points" if len(points) > 1 else "")
     return row._replace(
         size=size,
-        probability=" to ".join(probability_text(point["probability"], point["interval"]) for point in shown),
+        probability=" to ".join(probability_text(point["probability"], point["interval"]) for point in extremes),
         interval=interval(best["interval"]) if len(points) == 1 else "",
         worst=worst["probability"],
     )
@@ -134,9 +134,9 @@ def index_html(root: Path, rows: list[IndexRow]) -> str:
         head = ("study", "analysis", "folder", "answer")
         body.append(section("analyses", "Analyses", table("Each analysis with its answer", head, cells, words=4)))
     if bad:
-        troubled = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
+        troubled_rows = [(h.code[str(row.folder.relative_to(root))], row.study, row.trouble) for row in bad]
         caption = "Folders without a result that can be shown"
-        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled, words=3)))
+        body.append(section("damaged", "Not shown", table(caption, ("folder", "study", "why"), troubled_rows, words=3)))
     counts = [f"{len(runs):,} {'run' if len(runs) == 1 else 'runs'}"] if runs else []
     counts += [f"{len(analyses):,} {'analysis' if len(analyses) == 1 else 'analyses'}"] if analyses else []
     lead = f"{' and '.join(counts) or 'No result'} in {root.resolve().name}"

@@ -82,7 +82,7 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
         verdict: What it finds, below the name.
         sections: Its sections in order; those that are None are omitted.
     """
-    made = [section for section in sections if section is not None]
+    present_sections = [section for section in sections if section is not None]
     head = [
         h.p(".kind")[kind],
         h.h1[study.name],
@@ -91,7 +91,7 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
     ]
     body = []
     contents = []
-    for section in made:
+    for section in present_sections:
         heading = h.h2(id=section.key)[section.heading]
         body.append(h.section(aria_labelledby=section.key)[heading, section.body])
         contents.append((section.key, section.heading))
@@ -101,7 +101,7 @@ def report(study: Study, kind: str, verdict: h.Node, sections: Sequence[Section 
 def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]) -> str:
     """A self-contained page: the style is included, and nothing is loaded from elsewhere."""
     links = h.ul[(h.li[h.a(href=f"#{key}")[text]] for key, text in contents)]
-    made = f"Made by dssc_jax {version('dssc_jax')} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
+    credit = f"Made by dssc_jax {version('dssc_jax')} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
     return str(
         h.html(lang="en")[
             h.head[
@@ -117,7 +117,7 @@ def page(title: str, head: h.Node, body: h.Node, contents: list[tuple[str, str]]
                 h.header[head],
                 contents and h.nav(aria_label="Contents")[links],
                 h.main("#main")[body],
-                h.footer[h.p[made]],
+                h.footer[h.p[credit]],
             ],
         ]
     )

@@ -5,7 +5,7 @@ import numpy as np
 
 import dssc_jax.plotting as plotting
 from dssc_jax.plotting.standings import standing_of, standing_words
-from dssc_jax.report.elements import Section, counted, figure, folded, number, table
+from dssc_jax.report.elements import Section, count_text, figure, folded, number, table
 from dssc_jax.report.subject import Subject
 from dssc_jax.report.vector import inline
 from dssc_jax.results.proofs import BOUNDS, SweepProofs
@@ -29,7 +29,7 @@ def proofs(subject: Subject) -> Section | None:
     kinds = standing_of(proved, share)
     counts = [(text, f"{np.count_nonzero(kinds == kind):,}") for kind, text in enumerate(standing_words(covered))]
     body: list[h.Node] = [
-        table(counted(proved.size, "point"), ("how a point stands", "points"), counts),
+        table(count_text(proved.size, "point"), ("how a point stands", "points"), counts),
         h.p[CLAIM.format(covered=covered)],
     ]
     if sum(size > 1 for size in proved.shape) == 2:
@@ -66,4 +66,4 @@ def proved_points(result: Result, proofs: SweepProofs) -> h.Node:
         values = [number(axis[i]) for axis, i in zip(axes.values(), place, strict=True)]
         rows.append((*values, *(number(float(column[place])) for column in columns.values())))
     caption = "Proved points: never exceeded" if proofs.bounds else "Proved points"
-    return folded(f"All {counted(len(rows), 'proved point')}", table(caption, (*axes, *heads), rows))
+    return folded(f"All {count_text(len(rows), 'proved point')}", table(caption, (*axes, *heads), rows))

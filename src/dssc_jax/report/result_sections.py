@@ -15,7 +15,7 @@ from dssc_jax.plotting.draws import shown_laws
 from dssc_jax.report.elements import (
     LEVEL,
     Section,
-    counted,
+    count_text,
     facts,
     figure,
     folded,
@@ -56,10 +56,10 @@ def stated_errors(subject: Subject) -> h.Node:
     if not amounts:
         return None
     rows = []
-    for stated in subject.result.stated_errors(amounts):
-        always = interval(stated.interval) if stated.interval else "none, the laws are correlated"
-        weighted = interval(stated.weighted_interval) if stated.weighted_interval else stated.weights_refused
-        rows.append((stated.text, always, weighted))
+    for error in subject.result.stated_errors(amounts):
+        always = interval(error.interval) if error.interval else "none, the laws are correlated"
+        weighted = interval(error.weighted_interval) if error.weighted_interval else error.weights_refused
+        rows.append((error.text, always, weighted))
     head = ("laws wrong by", "whatever draws fail", "by the draws' weights")
     return table(f"The failure probability if the laws are wrong, {LEVEL} intervals", head, rows)
 
@@ -99,11 +99,11 @@ def ways(subject: Subject) -> list[h.Node]:
     )
     note = (
         "A draw counts for every requirement that it violates, and one that ended early for all of them "
-        f"({counted(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. Where "
-        f"none of the {draws:,} draws ended in a given way, the table shows the upper bound of its probability."
+        f"({count_text(point['ended_early'], 'draw')} here). Intervals: {method.name}, each at {LEVEL} on its own. "
+        f"Where none of the {draws:,} draws ended in a given way, the table shows the upper bound of its probability."
     )
     return [
-        table(f"Outcomes of {counted(draws, 'draw')}{subject.point_phrase}", head, rows),
+        table(f"Outcomes of {count_text(draws, 'draw')}{subject.point_phrase}", head, rows),
         h.p[note],
         *(h.p[f"{text}."] for text in values_missing(point)),
         *together(point, result.study),
@@ -144,19 +144,20 @@ def points_section(subject: Subject) -> list[h.Node]:
     violated = ["most violated"] if len(study.requirements) > 1 else []
     head = (*swept, "failures", "probability", f"{LEVEL} interval", *violated, middle, "certified")
     best, worst = extreme_points(points)
-    picked = {"least failures": best, "nearest to half": subject.point_summary, "most failures": worst}
-    picked_rows = [(name, *point_cells(subject, point)) for name, point in picked.items()]
+    three_points = {"least failures": best, "nearest to half": subject.point_summary, "most failures": worst}
+    three_rows = [(name, *point_cells(subject, point)) for name, point in three_points.items()]
     rows = [point_cells(subject, point) for point in points[:MOST_ROWS]]
-    cut = f"; the first {MOST_ROWS} of {len(points):,}, all are in summary.json" if len(points) > MOST_ROWS else ""
-    caption = f"{counted(study.config.draws, 'draw')} at each point{cut}"
+    caption = f"{count_text(study.config.draws, 'draw')} at each point"
+    if len(points) > MOST_ROWS:
+        caption += f"; the first {MOST_ROWS} of {len(points):,}, all are in summary.json"
     note = (
         f"Intervals: {subject.result.method.name}, each at {LEVEL} on its own; the draws of all points are the same, "
         "so that differences between points are sharper than the intervals suggest."
     )
     return [
-        table("Three points of the sweep", ("point", *head), picked_rows),
+        table("Three points of the sweep", ("point", *head), three_rows),
         h.p[note],
-        folded(f"All {counted(len(points), 'point')}", table(caption, head, rows)),
+        folded(f"All {count_text(len(points), 'point')}", table(caption, head, rows)),
     ]
 
 
@@ -173,11 +174,11 @@ def sweep_section(subject: Subject) -> Section | None:
     result = subject.result
     if not result.study.axes:
         return None
-    shown = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
-    fixed = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in shown]
-    held = f" Held: {', '.join(fixed)}." if fixed else ""
+    plotted_axes = [name for name, values in result.study.axes.items() if len(values) > 1][:2]
+    held_values = [f"{name} = {values[0]:g}" for name, values in result.study.axes.items() if name not in plotted_axes]
+    held_text = f" Held: {', '.join(held_values)}." if held_values else ""
     shares = [point["probability"] for point in subject.summary["points"]]
-    over = " and ".join(shown or result.study.axes)
+    over = " and ".join(plotted_axes or result.study.axes)
     span = f"from {number(min(shares))} to {number(max(shares))}"
     text = f"Failure probability over {over}: {span}. All points are in the table of the outcome."
     metric = headline(result).name
@@ -189,8 +190,8 @@ def sweep_section(subject: Subject) -> Section | None:
     if idle:
         sentences += f"{idle}. "
     captions = (
-        f"Failure probability. {sentences}{held}".rstrip(),
-        f"Median of {metric}: half of the draws are below.{held}",
+        f"Failure probability. {sentences}{held_text}".rstrip(),
+        f"Median of {metric}: half of the draws are below.{held_text}",
     )
     pictures = (
         inline(lambda: plotting.probability(result), text, "probability"),
@@ -207,8 +208,8 @@ def metrics(subject: Subject) -> Section:
     for measure in study.measures:
         quantiles = upper_quantiles(result.dataset[measure.name].values, (0.05, 0.5, 0.95), measure.metric.worst)
         unit = unit_of(result, measure)
-        bounding = [requirement for requirement in study.requirements if requirement.measure == measure]
-        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounding]
+        bounds_of_metric = [requirement for requirement in study.requirements if requirement.measure == measure]
+        bounds = [f"{'≤' if r.maximum is not None else '≥'} {r.bound:g}" for r in bounds_of_metric]
         meaning = result.dataset[measure.name].attrs["long_name"]
         rows.append((h.code[measure.name], meaning, unit, *map(number, quantiles), " ".join(bounds)))
     head = ("metric", "meaning", "unit", "5 %", "median", "95 %", "required")
@@ -242,8 +243,10 @@ def causes(subject: Subject) -> Section | None:
         text = f"Failure probability against {name}, in bins of equal count, with intervals."
         picture = inline(partial(plotting.factor, result, name), text, f"cause{i}")
         pictures.append(figure(picture, [h.code[name], f": {result.study.quantities[name].meaning}"]))
-    left = len(result.study.laws) - len(names)
-    hidden = f" The most influential are shown; {counted(left, 'number')} more are in the dataset." if left > 0 else ""
+    hidden_count = len(result.study.laws) - len(names)
+    hidden = ""
+    if hidden_count > 0:
+        hidden = f" The most influential are shown; {count_text(hidden_count, 'number')} more are in the dataset."
     note = (
         f"Failure probability{subject.point_phrase}, in bins of equal count of one uncertain number while all the "
         f"others vary, with {LEVEL} intervals. A slope shows that failures depend on the number.{hidden}"
@@ -267,11 +270,11 @@ def worst_draws_section(subject: Subject) -> Section | None:
         ]
     ]
     for rank, run in enumerate(subject.trajectories):
-        drawn = [(name, with_unit(run.attrs[name], subject.result.study.quantities[name].unit)) for name in laws]
+        number_facts = [(name, with_unit(run.attrs[name], subject.result.study.quantities[name].unit)) for name in laws]
         text = run_caption(run)
         picture = inline(partial(untitled, run), text, f"worst{rank}")
         agrees = f"Computed again, it {VERDICTS[run.attrs['agreement']].format(run.attrs['deviation'])}."
-        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(drawn)]
+        body += [h.h3[f"Draw {run.attrs['draw']}"], figure(picture, f"{text} {agrees}"), facts(number_facts)]
     return Section("worst", "The worst draws", body)
 
 
@@ -328,8 +331,8 @@ def sampling_ratio_sentence(subject: Subject) -> str:
         return ""
     ratios = np.max([subject.result.dataset[name].values for name in names], axis=0)
     ended = np.count_nonzero(np.isfinite(ratios))
-    exceeding = np.count_nonzero(ratios > 1.0)
-    return f" Of {ended:,} simulated loops that ran to their end, {exceeding:,} have one at some time."
+    exceeding_count = np.count_nonzero(ratios > 1.0)
+    return f" Of {ended:,} simulated loops that ran to their end, {exceeding_count:,} have one at some time."
 
 
 def off_reference_sentence(subject: Subject) -> str:
@@ -348,4 +351,4 @@ def headline_verdict(subject: Subject) -> tuple[str, str]:
         return probability_text(point["probability"], point["interval"]), text
     best, worst = extreme_points(points)
     text = " to ".join(probability_text(point["probability"], point["interval"]) for point in (best, worst))
-    return text, f"from the best to the worst of {counted(len(points), 'point')}, {best['draws']:,} draws each"
+    return text, f"from the best to the worst of {count_text(len(points), 'point')}, {best['draws']:,} draws each"

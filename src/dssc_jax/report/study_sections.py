@@ -9,7 +9,7 @@ import tomli_w
 
 from dssc_jax.closed_loop.requirements import Requirement
 from dssc_jax.report.diagram import diagram
-from dssc_jax.report.elements import Section, counted, facts, figure, folded, number, scrolled, table, with_unit
+from dssc_jax.report.elements import Section, count_text, facts, figure, folded, number, scrolled, table, with_unit
 from dssc_jax.report.subject import StudySubject, Subject
 from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
@@ -25,15 +25,15 @@ def question(subject: Subject) -> Section:
     study = subject.result.study
     clock = study.config.loop
     swept = [
-        f"{name} over {counted(len(values), 'value')} from {number(min(values))} to "
+        f"{name} over {count_text(len(values), 'value')} from {number(min(values))} to "
         f"{with_unit(max(values), study.quantities[name].unit)}"
         for name, values in study.axes.items()
     ]
     body = [
         h.p[
-            f"Does the loop meet what is required of it, over {counted(study.config.draws, 'draw')} of "
-            f"{counted(len(study.written_laws), 'uncertain number')}? Each draw is simulated for {clock.duration:g} s, "
-            f"sampled every {1e3 * clock.sample_time:g} ms."
+            f"Does the loop meet what is required of it, over {count_text(study.config.draws, 'draw')} of "
+            f"{count_text(len(study.written_laws), 'uncertain number')}? Each draw is simulated for "
+            f"{clock.duration:g} s, sampled every {1e3 * clock.sample_time:g} ms."
         ],
         h.p["Required of each draw:"],
         h.ul[(h.li[sentence(requirement)] for requirement in study.requirements), h.li["the state stays finite"]],
@@ -74,11 +74,11 @@ def laws(subject: StudySubject) -> Section | None:
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
         label = [h.code[name], h.span(".meaning")[f"{quantity.meaning}{unit}"]]
-        drawn = [
+        density = [
             sketch(law.middle if isinstance(law, RangedLaw) else law),
             law.logarithmic and h.span(".meaning")["logarithmic axis"],
         ]
-        rows.append((label, str(law), drawn, number(middle), f"{number(low)} to {number(high)}"))
+        rows.append((label, str(law), density, number(middle), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))
@@ -114,8 +114,8 @@ def sketch(law: Law) -> h.Element:
     values = law.quantile((np.arange(BINS * BIN_LEVELS) + 0.5) / (BINS * BIN_LEVELS))
     low = float(values.min())
     high = float(values.max())
-    shown = np.log(values) if law.logarithmic else values
-    counts, _ = np.histogram(shown, bins=BINS)
+    positions = np.log(values) if law.logarithmic else values
+    counts, _ = np.histogram(positions, bins=BINS)
     width, height = SKETCH
     step = width / BINS
     tops = height - 1.0 - (height - 4.0) * counts / counts.max()
@@ -138,10 +138,10 @@ def provenance(subject: Subject) -> Section:
         ("study", f"{study.name}, from {manifest.get('source', study.source)}"),
         ("hash of the study", h.code[study.hash]),
         ("seed", f"{study.config.seed}, {study.config.sampling} sampling"),
-        ("size", f"{counted(study.config.draws, 'draw')} at {counted(int(np.prod(sizes)), 'point')}"),
+        ("size", f"{count_text(study.config.draws, 'draw')} at {count_text(int(np.prod(sizes)), 'point')}"),
         ("arithmetic", f"float{study.config.loop.precision}, {study.config.loop.integrator}"),
         ("started", moment(str(manifest.get("started", "")))),
-        ("time", spent(part(manifest, "times"))),
+        ("time", duration_text(part(manifest, "times"))),
         ("machine", f"{device.get('count', '?')} of {device.get('kind', '?')} ({device.get('platform', '?')})"),
         ("versions", versions),
     ]
@@ -161,7 +161,7 @@ def part(manifest: Manifest, name: str) -> Manifest:
     return table if isinstance(table, dict) else {}
 
 
-def spent(times: Manifest) -> str:
+def duration_text(times: Manifest) -> str:
     """Time and throughput of the run."""
     try:
         rate = f", {times['rate'] / 1e6:.0f} million draw samples a second" if times.get("rate") else ""

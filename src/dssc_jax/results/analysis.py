@@ -74,8 +74,8 @@ class Analysis(ABC):
 
     def summary(self) -> JsonObject:
         """The answer in plain numbers, for JSON; infinite values and NaN become None."""
-        checked = {} if self.integration is None else {"integration": self.integration}
-        return {"study": self.study.name} | jsonable(self.answer) | checked
+        integration = {} if self.integration is None else {"integration": self.integration}
+        return {"study": self.study.name} | jsonable(self.answer) | integration
 
     def save(self, folder: str | Path) -> Path:
         """Write description, dataset and summary into a folder.
@@ -86,8 +86,8 @@ class Analysis(ABC):
         Raises:
             ConfigError: the folder contains something else.
         """
-        stored = settings(self) | {"integration": self.integration}
-        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), stored)
+        content = settings(self) | {"integration": self.integration}
+        self.path = save(Path(folder), self.kind, self.study, self.dataset, self.summary(), content)
         return self.path
 
     @classmethod
@@ -101,10 +101,10 @@ class Analysis(ABC):
         Raises:
             ConfigError: it contains no such analysis, or it is damaged.
         """
-        stored = read_analysis(Path(folder), cls.kind, trust_code)
-        integration = stored.settings.pop("integration", None)
+        folder_content = read_analysis(Path(folder), cls.kind, trust_code)
+        integration = folder_content.settings.pop("integration", None)
         try:
-            analysis = restored(cls, stored.study, stored.dataset, stored.settings)
+            analysis = restored(cls, folder_content.study, folder_content.dataset, folder_content.settings)
             _ = analysis.answer  # what is damaged shows here, not where the answer is used
         except ConfigError as error:
             rule = f"{cls.kind}.json is damaged, or of another version: {error}"
@@ -135,10 +135,10 @@ def settings(analysis: Analysis) -> JsonObject:
     return stored_fields(analysis)
 
 
-def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored: JsonObject) -> Kind:
+def restored(kind: type[Kind], study: Study, dataset: xr.Dataset, stored_settings: JsonObject) -> Kind:
     """The analysis with these :func:`settings`.
 
     Raises:
         ConfigError: a setting is missing or has a value of another type; the message names it.
     """
-    return kind(study, dataset, **restored_fields(kind, stored))
+    return kind(study, dataset, **restored_fields(kind, stored_settings))

@@ -72,8 +72,8 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     """
     require_free(folder, kind, study)
     files.make_folder(folder)
-    coded, labels = with_codes(dataset)
-    plain = with_one_nan(coded)
+    coded_dataset, labels = with_codes(dataset)
+    plain = with_one_nan(coded_dataset)
     sums = sums_of(plain)
     description = {
         "study": study.table,
@@ -95,17 +95,17 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
 
 def stored_dataset(folder: Path) -> xr.Dataset:
     """The dataset in the folder of an analysis, with codes in place of text."""
-    stored = ArrayFiles(folder / DATA, read_only=True)
-    return xr.open_zarr(stored, consolidated=False, zarr_format=3, chunks=None).load()
+    array_files = ArrayFiles(folder / DATA, read_only=True)
+    return xr.open_zarr(array_files, consolidated=False, zarr_format=3, chunks=None).load()
 
 
 def with_one_nan(dataset: xr.Dataset) -> xr.Dataset:
     """The dataset with the same bits in every NaN: Zarr leaves out a chunk that holds NaN alone, whatever its bits."""
-    changed = {}
+    changed_variables = {}
     for name, variable in dataset.data_vars.items():
         if variable.dtype.kind == "f":
-            changed[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
-    return dataset.assign(changed)
+            changed_variables[name] = variable.copy(data=np.where(np.isnan(variable.values), np.nan, variable.values))
+    return dataset.assign(changed_variables)
 
 
 def with_codes(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[str, list[str]]]:
@@ -160,9 +160,9 @@ def read_description(folder: Path, kind: str) -> Manifest:
     except (ValueError, RecursionError) as error:
         raise ConfigError(str(path), f"is damaged, not valid JSON: {error}") from error
     description = unseal(path, description)
-    lacking = [name for name, expected in NEEDED.items() if not isinstance(description.get(name), expected)]
-    if lacking:
-        raise ConfigError(str(path), f"is damaged: it has no {', '.join(lacking)}")
+    invalid_entries = [name for name, entry_type in NEEDED.items() if not isinstance(description.get(name), entry_type)]
+    if invalid_entries:
+        raise ConfigError(str(path), f"is damaged: it has no {', '.join(invalid_entries)}")
     try:
         require_shallow(description["study"])
     except ConfigError as error:
@@ -186,10 +186,10 @@ def read_analysis(folder: Path, kind: str, trust_code: bool = False) -> Stored:
     description = read_description(folder, kind)
     try:
         dataset = stored_dataset(folder)
-        intact = sums_of(dataset) == description["sums"]
+        is_intact = sums_of(dataset) == description["sums"]
         dataset = with_labels(dataset, description.get("labels", {}))
     except Exception as error:  # zarr, its codecs and xarray raise errors of many kinds
         raise ConfigError(str(folder / DATA), f"cannot be read: {' '.join(str(error).split())}") from error
-    if not intact:
+    if not is_intact:
         raise ConfigError(str(folder / DATA), "is damaged: it does not hold what was written; run the analysis again")
     return Stored(received(description, description["source"], trust_code), dataset, description["settings"])

@@ -34,14 +34,14 @@ Extent = tuple[tuple[int, ...], tuple[int, ...]]
 
 def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]:
     """Create every array of the store, and return those of the variables, which are empty."""
-    stored = ArrayFiles(folder / DATA)
-    group = zarr.open_group(stored, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
+    array_files = ArrayFiles(folder / DATA)
+    group = zarr.open_group(array_files, mode="w", zarr_format=3, attributes={**dataset_attributes(study)})
     values = coordinate_values(study)
     nodes = {name: metadata(coordinates(study)[name], (values[name].shape, values[name].shape)) for name in values}
     nodes |= {name: metadata(variable, array_extent(variable, layout)) for name, variable in variables(study).items()}
     with zarr.config.set(EVERY_CHUNK):
-        described: dict[str, Any] = {name: ArrayV3Metadata.from_dict(node) for name, node in nodes.items()}
-        arrays: dict[str, Any] = dict(zarr.create_hierarchy(store=group.store, nodes=described))
+        metadata_by_name: dict[str, Any] = {name: ArrayV3Metadata.from_dict(node) for name, node in nodes.items()}
+        arrays: dict[str, Any] = dict(zarr.create_hierarchy(store=group.store, nodes=metadata_by_name))
     for name, column in values.items():
         arrays[name][...] = column
     return {name: arrays[name] for name in variables(study)}
@@ -49,8 +49,8 @@ def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]
 
 def array_extent(variable: Variable, layout: Layout) -> Extent:
     """Shape and chunks of a variable's array."""
-    drawn = variable.dims == ("draw",)
-    return (layout.shape[-1:], layout.block[-1:]) if drawn else (layout.shape, layout.block)
+    is_law_value = variable.dims == ("draw",)
+    return (layout.shape[-1:], layout.block[-1:]) if is_law_value else (layout.shape, layout.block)
 
 
 def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False) -> zarr.Array:
@@ -77,8 +77,8 @@ def open_group(folder: Path, mode: str) -> zarr.Group:
         ConfigError: it is absent or damaged.
     """
     try:
-        stored = ArrayFiles(folder / DATA, read_only=mode == "r")
-        return zarr.open_group(stored, mode=mode, zarr_format=3)  # type: ignore[arg-type]
+        array_files = ArrayFiles(folder / DATA, read_only=mode == "r")
+        return zarr.open_group(array_files, mode=mode, zarr_format=3)  # type: ignore[arg-type]
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(folder / DATA), f"cannot be opened: {one_line(error)}") from error
 
@@ -162,8 +162,8 @@ def checked_arrays(
         name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
         for name, variable in variables(study).items()
     }
-    stored = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
-    unexpected = stored - actual.keys() - coordinates(study).keys()
+    folder_names = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
+    unexpected = folder_names - actual.keys() - coordinates(study).keys()
     if unexpected:
         raise ConfigError(str(folder / DATA / min(unexpected)), "is damaged: it is no variable of the study")
     return actual

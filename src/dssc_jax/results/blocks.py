@@ -23,23 +23,23 @@ from dssc_jax.study import Study
 
 
 @contextmanager
-def writing(folder: Path, held: HeldFolder | None = None) -> Iterator[None]:
+def writing(folder: Path, held_folder: HeldFolder | None = None) -> Iterator[None]:
     """Report a full disk, or any other error that prevents writing, in one line.
 
     Args:
         folder: The results folder, for messages.
-        held: The folder as it was when the writer began; None: it is not compared.
+        held_folder: The folder as it was when the writer began; None: it is not compared.
 
     Raises:
         ConfigError: the folder cannot be written, or it is no longer the one in which the writer began.
     """
-    if held is not None:
-        held.require_in_place()
+    if held_folder is not None:
+        held_folder.require_in_place()
     try:
         yield
     except OSError as error:
-        if held is not None:
-            held.require_in_place()
+        if held_folder is not None:
+            held_folder.require_in_place()
         reason = error.strerror or one_line(error)
         raise ConfigError(
             str(folder), f"cannot be written: {reason}; finished blocks are kept, `resume` continues from them"
@@ -56,7 +56,7 @@ class Chunks:
         mode: ``r`` to read, ``r+`` to write.
         growing: Whether arrays may have a different number of draws.
         arrays: The arrays, if they have just been created; None: they are opened.
-        held: The folder as it was when its writer began; None: it is not compared when a block is written.
+        held_folder: The folder as it was when its writer began; None: it is not compared when a block is written.
 
     Raises:
         ConfigError: An array is absent or differs from its creation.
@@ -70,24 +70,24 @@ class Chunks:
         mode: str = "r",
         growing: bool = False,
         arrays: dict[str, zarr.Array] | None = None,
-        held: HeldFolder | None = None,
+        held_folder: HeldFolder | None = None,
     ) -> None:
         self.folder = folder
         self.layout = layout
         self.arrays = checked_arrays(folder, study, layout, mode, growing) if arrays is None else arrays
-        self.drawn = list(study.laws)
-        self.held = held
+        self.law_names = list(study.laws)
+        self.held_folder = held_folder
 
-    def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
+    def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
         """Write a block, or the new end of an extended one, and then its digests."""
-        values = results | drawn
+        values = results | law_values
         digests = {}
-        with writing(self.folder, self.held):
-            for name in self._held(block):
+        with writing(self.folder, self.held_folder):
+            for name in self._variables_of(block):
                 array = self.arrays[name]
-                written = np.asarray(values[name], dtype=array.dtype)
-                array[self._part(name, block)] = written
-                digests[name] = digest_of(written)
+                stored_values = np.asarray(values[name], dtype=array.dtype)
+                array[self._part(name, block)] = stored_values
+                digests[name] = digest_of(stored_values)
             draws = block[-1].start, block[-1].stop
             add_range(self.folder, self.layout.index(block), DrawRange(draws, digests))
 
@@ -103,7 +103,7 @@ class Chunks:
         blocks: list[Block] = []
         obsolete_files: list[Path] = []
         for block in self.layout.blocks():
-            files = [self._file(name, block) for name in self._held(block)]
+            files = [self._file(name, block) for name in self._variables_of(block)]
             for file in files:
                 if file.is_dir():
                     raise ConfigError(str(file), "is damaged: it is a folder, not a chunk; remove it")
@@ -152,10 +152,10 @@ class Chunks:
         """
         values = {name: dataset[name].values for name in self.arrays}
         for block in self.layout.blocks():
-            altered = self._altered(block, self._ranges(block), values)
-            if altered:
+            altered_variable = self._altered(block, self._ranges(block), values)
+            if altered_variable:
                 rule = f"is damaged: block {self.layout.index(block)} does not hold what was written; {MEND}"
-                raise ConfigError(str(self.folder / DATA / altered), rule)
+                raise ConfigError(str(self.folder / DATA / altered_variable), rule)
         if seal is not None and seal != over_all(self.folder, self.layout):
             raise ConfigError(str(self.folder / DIGESTS), f"is damaged: these are not the run's digests; {MEND}")
 
@@ -178,7 +178,7 @@ class Chunks:
         """
         for draw_range in ranges:
             part = (*block[:-1], slice(*draw_range.draws))
-            for name in self._held(block):
+            for name in self._variables_of(block):
                 try:
                     actual = digest_of(np.asarray(values[name][self._part(name, part)]))
                 except Exception:  # zarr and its codecs raise errors of many kinds
@@ -187,17 +187,17 @@ class Chunks:
                     return name
         return ""
 
-    def _held(self, block: Block) -> list[str]:
-        """The variables of a block; drawn numbers belong to the first block of their draws."""
+    def _variables_of(self, block: Block) -> list[str]:
+        """Names of the variables that a block holds; drawn numbers belong to the first block of their draws."""
         first = all(part.start == 0 for part in block[:-1])
-        return [name for name in self.arrays if first or name not in self.drawn]
+        return [name for name in self.arrays if first or name not in self.law_names]
 
     def _part(self, name: str, block: Block) -> Block:
-        return block[-1:] if name in self.drawn else block
+        return block[-1:] if name in self.law_names else block
 
     def _file(self, name: str, block: Block) -> Path:
         index = self.layout.index(block)
-        return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.drawn else index))
+        return self.folder / DATA / name / "c" / Path(*map(str, index[-1:] if name in self.law_names else index))
 
 
 def uncovered(block: Block, ranges: list[DrawRange]) -> Block:

@@ -89,12 +89,12 @@ def export(result: Result | Analysis, to: Format | str, out: str | Path | None =
         result = result.with_theorem()
     path = Path(out) if out is not None else Path(result.path or "") / names[form]
     writers = {Format.CSV: write_csv, Format.PARQUET: write_parquet, Format.NETCDF: write_netcdf, Format.MAT: write_mat}
-    written = [into_place(path, lambda file: writers[form](result, file))]
+    exported_files = [into_place(path, lambda file: writers[form](result, file))]
     if form is Format.CSV:
         metadata_file = path.with_name(f"{path.name}-metadata.json")
         content = json.dumps(csv_metadata(result, path.name), indent=2) + "\n"
-        written.append(into_place(metadata_file, lambda file: file.write(content.encode())))
-    return written
+        exported_files.append(into_place(metadata_file, lambda file: file.write(content.encode())))
+    return exported_files
 
 
 def require(package: str, form: Format) -> None:
@@ -144,8 +144,8 @@ def table_of_analysis(analysis: Analysis) -> Rows:
 
 def table_of_lanes(result: Result) -> Rows:
     """One row for each lane."""
-    described = {**coordinates(result.study), **variables(result.study)}
-    columns = {name: dict(variable.attributes) for name, variable in described.items()} | {
+    variables_by_name = {**coordinates(result.study), **variables(result.study)}
+    columns = {name: dict(variable.attributes) for name, variable in variables_by_name.items()} | {
         MEANING: {"long_name": OUTCOME}
     }
     datatypes = dict.fromkeys(columns, "double") | {"draw": "integer", "outcome": "integer", MEANING: "string"}
@@ -160,10 +160,10 @@ def pieces(result: Result, names: list[str]) -> Iterable["pd.DataFrame"]:
     data = result.dataset
     codes = outcome_codes(study)
     for block in Layout.of(study, TABLE_ROWS).blocks():
-        drawn = {name: data[name].values[block[-1]] for name in study.laws}
-        flat, draws = lanes_of(study, block, drawn)
-        table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in drawn}
-        table |= {name: data[name].values[block].reshape(-1) for name in variables(study) if name not in drawn}
+        law_values = {name: data[name].values[block[-1]] for name in study.laws}
+        flat, draws = lanes_of(study, block, law_values)
+        table = {name: flat[name] for name in study.axes} | {"draw": draws} | {name: flat[name] for name in law_values}
+        table |= {name: data[name].values[block].reshape(-1) for name in variables(study) if name not in law_values}
         meaning = pd.Categorical.from_codes(
             np.searchsorted(list(codes), table["outcome"]), categories=list(codes.values())
         )
@@ -179,19 +179,19 @@ def write_csv(result: Result | Analysis, file: IO[bytes]) -> None:
 def csv_metadata(result: Result | Analysis, name: str) -> dict[str, object]:
     """The table's description, as "CSV on the Web" defines it."""
     table = table_of(result)
-    described = []
+    column_metadata = []
     for column, attributes in table.columns.items():
         unit = {"schema:unitText": attributes["units"]} if "units" in attributes else {}
         law = {"dc:source": attributes["law"]} if "law" in attributes else {}
         entry = {"name": column, "datatype": table.datatypes[column], "dc:description": attributes["long_name"]}
-        described.append(entry | unit | law)
+        column_metadata.append(entry | unit | law)
     return {
         "@context": CSVW,
         "url": name,
         "dc:title": result.study.name,
         "dc:description": result.study.config.description,
         "dc:identifier": result.study.hash,
-        "tableSchema": {"columns": described},
+        "tableSchema": {"columns": column_metadata},
     }
 
 
@@ -223,8 +223,8 @@ def write_netcdf(result: Result | Analysis, file: IO[bytes]) -> None:
             flags = np.asarray(variable.attrs["flag_values"], dtype=variable.dtype)  # CF: of the variable's type
             variable.attrs["flag_values"] = flags
     memory = io.BytesIO()
-    packed = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
-    data.to_netcdf(memory, engine="h5netcdf", encoding=packed)
+    encoding = {name: {"zlib": True, "complevel": 4} for name in data.data_vars}
+    data.to_netcdf(memory, engine="h5netcdf", encoding=encoding)
     file.write(memory.getbuffer())
 
 
@@ -247,22 +247,22 @@ def write_mat(result: Result | Analysis, file: IO[bytes]) -> None:
     savemat(file, content, long_field_names=True, do_compression=True, oned_as="column", appendmat=False)
 
 
-def matlab_name(name: str, taken: Iterable[str]) -> str:
+def matlab_name(name: str, used_names: Iterable[str]) -> str:
     """A valid and unused MATLAB name."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
     plain = plain if plain[:1].isalpha() else f"v{plain}"
-    alike = sum(taken_name == plain or taken_name.startswith(f"{plain}_v") for taken_name in taken)
-    return f"{plain}_v{alike + 1}" if alike and plain in taken else plain
+    alike = sum(used_name == plain or used_name.startswith(f"{plain}_v") for used_name in used_names)
+    return f"{plain}_v{alike + 1}" if alike and plain in used_names else plain
 
 
 def file_provenance(result: Result | Analysis) -> dict[str, str]:
     """The study as run and its hash, by which a file can be traced."""
     manifest = {} if isinstance(result, Analysis) else result.manifest
-    made = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
-    made += [str(manifest["started"])] if "started" in manifest else []
+    history = [f"computed with dssc_jax {manifest.get('versions', {}).get('dssc_jax') or version('dssc_jax')}"]
+    history += [str(manifest["started"])] if "started" in manifest else []
     return {
         **{name: str(value) for name, value in result.dataset.attrs.items()},
         "study": json.dumps(result.study.table),
         "study_hash": result.study.hash,
-        "history": ", ".join(made),
+        "history": ", ".join(history),
     }

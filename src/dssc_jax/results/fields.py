@@ -39,7 +39,7 @@ def stored_fields(analysis: "DataclassInstance") -> dict[str, object]:
     return {name: TypeAdapter(hint).dump_python(getattr(analysis, name), mode="json") for name, hint in hints.items()}
 
 
-def restored_fields(cls: type, stored: Mapping[str, object]) -> dict[str, object]:
+def restored_fields(cls: type, stored_values: Mapping[str, object]) -> dict[str, object]:
     """The arguments of a dataclass that :func:`stored_fields` wrote.
 
     Raises:
@@ -47,14 +47,14 @@ def restored_fields(cls: type, stored: Mapping[str, object]) -> dict[str, object
     """
     values = {}
     hints = field_types(cls)
-    for name in stored:
+    for name in stored_values:
         if name not in hints:
             raise ConfigError(name, "is no setting of this analysis")
     for name, hint in hints.items():
-        if name not in stored:
+        if name not in stored_values:
             raise ConfigError(name, "is missing")
         try:
-            values[name] = TypeAdapter(hint).validate_python(stored[name])
+            values[name] = TypeAdapter(hint).validate_python(stored_values[name])
         except ValidationError as error:
             raise ConfigError(name, error.errors()[0]["msg"]) from None
     return values
@@ -67,7 +67,7 @@ def field_types(cls: type) -> dict[str, Any]:
 
 
 def field_meanings(cls: type, prefix: str = "") -> Iterator[FieldMeaning]:
-    """What each number of an answer means, from the annotations of its dataclass, parts included."""
+    """The meaning of each number of an answer and its parts, from the annotations of its dataclass."""
     hints = get_type_hints(cls, include_extras=True)
     for field in fields(cls):
         hint = hints[field.name]

@@ -27,14 +27,14 @@ def is_idle(result: Result, axis: str) -> bool:
     failed = result.failed
     if bool((failed != failed.isel({axis: 0})).any()):
         return False
-    judged = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
-    return all(largest_change(result.dataset[name], axis) <= IDLE for name in judged)
+    metric_names = {rule.measure.name for rule in result.study.requirements} or {headline(result).name}
+    return all(largest_change(result.dataset[name], axis) <= IDLE for name in metric_names)
 
 
 def largest_change(metric: xr.DataArray, axis: str) -> float:
     """Largest relative change of a metric's quantiles along an axis; infinite where a quantile ceases to be finite."""
-    ordered = metric.transpose(axis, ..., "draw").values
-    quantiles = upper_quantiles(ordered, SHOWN_QUANTILES)
+    metric_values = metric.transpose(axis, ..., "draw").values
+    quantiles = upper_quantiles(metric_values, SHOWN_QUANTILES)
     finite = np.isfinite(quantiles)
     if (finite.any(axis=1) != finite.all(axis=1)).any():
         return float("inf")
@@ -84,9 +84,9 @@ def influence(result: Result, name: str) -> float:
     total = float(np.sum((outcome - outcome.mean()) ** 2))
     if total == 0.0 or len(groups) < 2:
         return 0.0
-    explained = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
+    explained_square = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
     chance = (len(groups) - 1) / max(1, outcome.size - 1)
-    return float(max(0.0, explained / total - chance))
+    return float(max(0.0, explained_square / total - chance))
 
 
 def by_influence(result: Result, names: list[str]) -> list[str]:

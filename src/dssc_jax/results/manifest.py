@@ -238,17 +238,17 @@ def require_same_study(folder: Path, manifest: Manifest, study: Study, resume: b
             str(folder), f"holds results of another study ({lines}); choose another `out`, nothing was written"
         )
     draws = old.get("draws", 1)
-    requested = study.config.draws
+    requested_draws = study.config.draws
     if study.config.sampling not in EXTENSIBLE:
         raise ConfigError(
             str(folder),
             f"holds {draws} draws of '{study.config.sampling}' sampling, which depend on their number: "
-            f"{requested} of them are another set; choose another `out`, nothing was written",
+            f"{requested_draws} of them are another set; choose another `out`, nothing was written",
         )
     if not resume:
         raise ConfigError(
             str(folder),
-            f"holds {draws} draws of this study; add {requested - draws} with `resume`, or choose another `out`, "
+            f"holds {draws} draws of this study; add {requested_draws - draws} with `resume`, or choose another `out`, "
             "nothing was written",
         )
 

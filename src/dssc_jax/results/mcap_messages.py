@@ -80,8 +80,8 @@ def poses(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Writ
     place = np.stack([columns[name] for name in PLACE], axis=1)
     attitude = np.stack([columns[name] for name in ATTITUDE], axis=1)
     path = PosesInFrame(frame_id=WORLD)
-    running = np.flatnonzero(np.isfinite(place).all(axis=1))
-    for row in running:
+    finite_samples = np.flatnonzero(np.isfinite(place).all(axis=1))
+    for row in finite_samples:
         time = int(times[row])
         pose = PoseInFrame(frame_id=WORLD)
         transform = FrameTransform(parent_frame_id=WORLD, child_frame_id=VEHICLE)
@@ -93,18 +93,18 @@ def poses(columns: Mapping[str, np.ndarray], times: np.ndarray) -> Iterator[Writ
             quaternion.w, quaternion.x, quaternion.y, quaternion.z = map(float, attitude[row])
         yield Written("/pose", time, pose)
         yield Written("/tf", time, transform)
-    for row in running[:: max(1, -(-len(running) // MOST_PATH_POSES))]:
+    for row in finite_samples[:: max(1, -(-len(finite_samples) // MOST_PATH_POSES))]:
         point = path.poses.add()
         point.position.x, point.position.y, point.position.z = map(float, place[row])
         point.orientation.w = 1.0
     yield Written("/path", int(times[0]), path)
     if set(DESIRED) <= set(columns):
-        desired = np.stack([columns[name] for name in DESIRED], axis=1)
-        for row in np.flatnonzero(np.isfinite(desired).all(axis=1)):
+        desired_places = np.stack([columns[name] for name in DESIRED], axis=1)
+        for row in np.flatnonzero(np.isfinite(desired_places).all(axis=1)):
             desired_pose = PoseInFrame(frame_id=WORLD)
             desired_pose.timestamp.FromNanoseconds(int(times[row]))
             desired_pose.pose.position.x, desired_pose.pose.position.y, desired_pose.pose.position.z = map(
-                float, desired[row]
+                float, desired_places[row]
             )
             desired_pose.pose.orientation.w = 1.0
             yield Written("/desired_pose", int(times[row]), desired_pose)

@@ -263,9 +263,10 @@ class Result:
         layout = Layout.of(self.study)
         with store.Store(path, self.study, self.manifest | {"layout": layout.to_dict(), "complete": False}) as target:
             for block in layout.blocks():
-                drawn = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
-                grid = {name: self.dataset[name].values[block] for name in variables(self.study) if name not in drawn}
-                target.chunks.write(block, grid, drawn)
+                law_values = {name: self.dataset[name].values[block[-1]] for name in self.study.laws}
+                names = [name for name in variables(self.study) if name not in law_values]
+                grid = {name: self.dataset[name].values[block] for name in names}
+                target.chunks.write(block, grid, law_values)
             target.complete({})
             self.path = path
             target.summarise(self.lines())

@@ -28,18 +28,18 @@ def outcome_codes(study: Study) -> dict[int, str]:
     A code gives only the first violated requirement, in the study's order; the slacks show all of them.
     """
     requirements = {int(Outcome.REQUIREMENT) + i: f"first_violated_{r.label}" for i, r in enumerate(study.requirements)}
-    broken = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
+    early_ends = {int(Outcome.SINGULAR_ATTITUDE): "singular_attitude"} if len(study.loop.channels) > 1 else {}
     if study.table["plant"].get("ground") is not None:  # of a study whose code is not loaded, too
-        broken[int(Outcome.INTO_GROUND)] = "into_ground"
-    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | broken | requirements
+        early_ends[int(Outcome.INTO_GROUND)] = "into_ground"
+    return {int(Outcome.OK): "ok", int(Outcome.NON_FINITE): "non_finite"} | early_ends | requirements
 
 
 def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
     """Describe how a draw ended, with every violated requirement if it completed."""
     if outcome < Outcome.REQUIREMENT:
         return ENDINGS[Outcome(outcome)]
-    broken = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
-    return f"violates {' and '.join(broken)}"
+    violated_labels = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
+    return f"violates {' and '.join(violated_labels)}"
 
 
 @dataclass(frozen=True)
@@ -55,50 +55,48 @@ def variables(study: Study) -> dict[str, Variable]:
     """Every variable of the study's dataset. ``outcome`` is last: its presence marks a block as complete."""
     grid = (*study.axes, "draw")
     real = f"float{study.config.loop.precision}"
-    described = {}
+    by_name = {}
     for name, law in study.laws.items():
         quantity = study.quantities[name]
         attributes = {"units": quantity.unit, "long_name": quantity.meaning, "law": str(law)}
-        described[name] = Variable(("draw",), "float64", attributes)
+        by_name[name] = Variable(("draw",), "float64", attributes)
     for measure in study.measures:
         attributes = {"units": measure.unit, "long_name": measure.meaning + measure.window_text}
-        described[measure.name] = Variable(grid, real, attributes)
+        by_name[measure.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
         attributes = {"units": requirement.measure.unit, "long_name": f"signed slack of {requirement.text}"}
-        described[requirement.name] = Variable(grid, real, attributes)
+        by_name[requirement.name] = Variable(grid, real, attributes)
     for requirement in study.requirements:
         meaning = f"time from which on a violation of {requirement.text} was certain (NaN: it is met)"
-        described[requirement.violation_name] = Variable(grid, real, {"units": "s", "long_name": meaning})
+        by_name[requirement.violation_name] = Variable(grid, real, {"units": "s", "long_name": meaning})
     attributes = {"units": "s", "long_name": "time of the first non-finite step (NaN: none)"}
-    described["failed_at"] = Variable(grid, real, attributes)
+    by_name["failed_at"] = Variable(grid, real, attributes)
     if study.loop.settled:
         attributes = {
             "units": "s",
             "long_name": "time from which on it had settled, and was not simulated (NaN: none)",
         }
-        described["settled_at"] = Variable(grid, real, attributes)
+        by_name["settled_at"] = Variable(grid, real, attributes)
     codes = outcome_codes(study)
     attributes = {"long_name": OUTCOME, "flag_values": list(codes), "flag_meanings": " ".join(codes.values())}
-    described["outcome"] = Variable(grid, "int32", attributes)
-    return described
+    by_name["outcome"] = Variable(grid, "int32", attributes)
+    return by_name
 
 
 def units_of(study: Study) -> dict[str, str]:
     """Unit of each number of a draw by name; those without a unit are left out."""
-    described = variables(study) | coordinates(study)
-    return {
-        name: variable.attributes["units"] for name, variable in described.items() if "units" in variable.attributes
-    }
+    by_name = variables(study) | coordinates(study)
+    return {name: variable.attributes["units"] for name, variable in by_name.items() if "units" in variable.attributes}
 
 
 def coordinates(study: Study) -> dict[str, Variable]:
     """The dataset's coordinates: one per axis, and the draw index."""
-    described = {}
+    by_name = {}
     for name in study.axes:
         quantity = study.quantities[name]
-        described[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
-    described["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
-    return described
+        by_name[name] = Variable((name,), "float64", {"units": quantity.unit, "long_name": quantity.meaning})
+    by_name["draw"] = Variable(("draw",), "int64", {"long_name": "draw index"})
+    return by_name
 
 
 def coordinate_values(study: Study) -> dict[str, np.ndarray]:
@@ -108,8 +106,8 @@ def coordinate_values(study: Study) -> dict[str, np.ndarray]:
 
 def dataset_attributes(study: Study) -> dict[str, str]:
     """The dataset's own attributes, following the CF conventions."""
-    described = {"comment": study.config.description} if study.config.description else {}
-    return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **described}
+    comment = {"comment": study.config.description} if study.config.description else {}
+    return {"Conventions": "CF-1.11", "title": study.name, "source": "dssc_jax", **comment}
 
 
 def in_memory(study: Study) -> xr.Dataset:
@@ -124,19 +122,22 @@ def in_memory(study: Study) -> xr.Dataset:
         shape = [sizes[dim] for dim in variable.dims]
         fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
         blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    described = coordinates(study)
+    axes = coordinates(study)
     return xr.Dataset(
         blank,
-        coords={name: ((name,), values, dict(described[name].attributes)) for name, values in coords.items()},
+        coords={name: ((name,), values, dict(axes[name].attributes)) for name, values in coords.items()},
         attrs=dataset_attributes(study),
     )
 
 
-def put(
-    dataset: xr.Dataset, box: tuple[slice, ...], results: Mapping[str, np.ndarray], drawn: Mapping[str, np.ndarray]
+def copy_block(
+    dataset: xr.Dataset,
+    block: tuple[slice, ...],
+    results: Mapping[str, np.ndarray],
+    law_values: Mapping[str, np.ndarray],
 ) -> None:
     """Copy a block of the grid, and the drawn values of its draws, into a dataset of :func:`in_memory`."""
     for name, array in results.items():
-        dataset[name].values[box] = array
-    for name, column in drawn.items():
-        dataset[name].values[box[-1]] = column
+        dataset[name].values[block] = array
+    for name, column in law_values.items():
+        dataset[name].values[block[-1]] = column

@@ -49,7 +49,7 @@ class ScoredDraws:
         return np.linalg.inv(matrix @ matrix.T)
 
     def free(self, names: list[str]) -> np.ndarray:
-        """Which of the laws have these names, shape (laws,)."""
+        """Whether each law has one of these names, shape (laws,)."""
         return np.isin(list(self.study.laws), names)
 
     def weighted(self, family: type[Change], confidence: float) -> WeightedDraws:

@@ -108,8 +108,8 @@ class StatedAmounts:
             rule = f"has a sweep over {', '.join(study.axes)}; how wrong its laws may be is a question about one point"
             raise ConfigError(study.source, rule)
         require_independent(study, "an interval for wrong laws")
-        moved = self.shift is not None or self.widening is not None
-        if moved and not any(law.movable for law in study.laws.values()):
+        changes_all_laws = self.shift is not None or self.widening is not None
+        if changes_all_laws and not any(law.movable for law in study.laws.values()):
             raise ConfigError(study.source, NO_LAW)
 
     def errors(self, draws: ScoredDraws, interval: tuple[float, float], confidence: float) -> list[StatedError]:
@@ -122,16 +122,16 @@ class StatedAmounts:
         """
         bounds = draws.bounds(interval)
         free = draws.free(draws.names)
-        found = []
+        errors = []
         for name, radius in self.within.items():
-            found.append(StatedError(name, radius, BALLS[name].interval(interval, radius), None))
+            errors.append(StatedError(name, radius, BALLS[name].interval(interval, radius), None))
         if self.shift is not None:
             weighted = draws.weighted(Shift, confidence).interval_within(self.shift)
-            found.append(StatedError("mean_shift", self.shift, bounds.shifted(free, self.shift), weighted))
+            errors.append(StatedError("mean_shift", self.shift, bounds.shifted(free, self.shift), weighted))
         if self.widening is not None:
             weighted = draws.weighted(Widening, confidence).interval_within(math.log(self.widening))
-            found.append(StatedError("widening", self.widening, bounds.widened(free, self.widening), weighted))
-        return found
+            errors.append(StatedError("widening", self.widening, bounds.widened(free, self.widening), weighted))
+        return errors
 
 
 def confidence_of(method: Method, confidence: float = CONFIDENCE) -> float:

@@ -28,7 +28,7 @@ from dssc_jax.results.manifest import (
     stored_layout,
     write_manifest,
 )
-from dssc_jax.results.schema import in_memory, put
+from dssc_jax.results.schema import copy_block, in_memory
 from dssc_jax.study import Study, hash_of, received
 
 
@@ -53,12 +53,12 @@ class Store:
         require_startable(folder, study, resume)
         with writing(folder):
             files.make_folder(folder)
-            self.held = files.HeldFolder(folder)
+            self.held_folder = files.HeldFolder(folder)
         try:
             with writing(folder):
                 self._lock = lock.take(folder)
         except BaseException:
-            self.held.close()
+            self.held_folder.close()
             raise
         try:
             old = read_manifest(folder) if occupied(folder) else None
@@ -81,7 +81,7 @@ class Store:
     def close(self) -> None:
         """Release the lock and close the folder."""
         self._lock.release()
-        self.held.close()
+        self.held_folder.close()
 
     @property
     def finished(self) -> bool:
@@ -104,7 +104,7 @@ class Store:
         self.manifest = manifest
         self.pending = layout.blocks()
         arrays = lay_out(self.folder, self.study, layout)
-        self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held=self.held)
+        self.chunks = Chunks(self.folder, self.study, layout, arrays=arrays, held_folder=self.held_folder)
 
     def _resume(self, old: Manifest, new: Manifest, adds_draws: bool) -> bool:
         """Continue an earlier run, perhaps with more draws; False if that run stopped before it created its store."""
@@ -118,7 +118,7 @@ class Store:
             files.delete_partials(self.folder)
             self.manifest = old
         reshape(self.folder, self.study, layout)
-        self.chunks = Chunks(self.folder, self.study, layout, "r+", held=self.held)
+        self.chunks = Chunks(self.folder, self.study, layout, "r+", held_folder=self.held_folder)
         self.pending, obsolete_files = self.chunks.pending()
         if self.pending:
             require_same_machinery(self.folder, old, new)
@@ -149,13 +149,13 @@ class Store:
         if manifest.get(DIGESTS, over_all(self.folder, layout)) != over_all(self.folder, layout):
             raise ConfigError(str(self.folder / DIGESTS), "is damaged: these are not the run's digests; start over")
 
-    def write(self, block: Block, results: Arrays, drawn: Arrays) -> None:
+    def write(self, block: Block, results: Arrays, law_values: Arrays) -> None:
         """Write a pending block; where none was finished before, also keep it, so that the folder need not be read."""
-        self.chunks.write(block, results, drawn)
+        self.chunks.write(block, results, law_values)
         if self.values is None and self.pending == self.layout.blocks():
             self.values = in_memory(self.study)
         if self.values is not None:
-            put(self.values, block, results, drawn)
+            copy_block(self.values, block, results, law_values)
 
     def complete(self, entries: Manifest) -> None:
         """Record in the manifest that the run is complete.
@@ -169,7 +169,7 @@ class Store:
         self._require_sealed(self.manifest, self.layout)  # recomputed blocks equal the original ones
         self.require_kept()
         self.manifest = self.manifest | entries | {DIGESTS: over_all(self.folder, self.layout), "complete": True}
-        with writing(self.folder, self.held):
+        with writing(self.folder, self.held_folder):
             write_manifest(self.folder, self.manifest)
 
     def require_kept(self) -> None:
@@ -178,7 +178,7 @@ class Store:
         Raises:
             ConfigError: It does not; the message says what is lost and where.
         """
-        self.held.require_in_place()
+        self.held_folder.require_in_place()
         pending, _ = Chunks(self.folder, self.study, self.layout).pending()
         require_coordinates(self.folder, self.study)
         if pending:
@@ -202,9 +202,9 @@ class Store:
         Raises:
             ConfigError: The folder cannot be written, or it no longer holds the manifest of the finished run.
         """
-        with writing(self.folder, self.held):
+        with writing(self.folder, self.held_folder):
             files.write_text(self.folder / SUMMARY, lines)
-        self.held.require_in_place()
+        self.held_folder.require_in_place()
         if hash_of(read_manifest(self.folder)) != hash_of(self.manifest):
             raise ConfigError(str(self.folder / MANIFEST), "does not hold what was written; finish with `resume`")
 

@@ -53,13 +53,14 @@ class Statements(NamedTuple):
 
         A draw without a value counts as ``missing``.
         """
-        ordered = ranked(values, missing)
+        sorted_values = ranked(values, missing)
         columns = {}
         for level in QUANTILES:
-            columns[f"q{100 * level:g}"] = upper_quantile(ordered, level)
+            columns[f"q{100 * level:g}"] = upper_quantile(sorted_values, level)
             if not isinstance(self.method, Replicated):
-                ranks = quantile_ranks(ordered.shape[-1], level, self.method.level(self.confidence))
-                columns[f"q{100 * level:g}_interval"] = np.stack([at_rank(ordered, rank) for rank in ranks], axis=-1)
+                ranks = quantile_ranks(sorted_values.shape[-1], level, self.method.level(self.confidence))
+                ends = [at_rank(sorted_values, rank) for rank in ranks]
+                columns[f"q{100 * level:g}_interval"] = np.stack(ends, axis=-1)
         return {name: nullable(column) for name, column in columns.items()}
 
 
@@ -92,8 +93,8 @@ def points(study: Study, dataset: xr.Dataset, method: Method, confidence: float)
     count = len(lanes["outcome"])
     grid = np.meshgrid(*study.axes.values(), indexing="ij")
     at = {name: values.ravel() for name, values in zip(study.axes, grid, strict=True)}
-    marked = "certified" in dataset
-    certified = dataset["certified"].transpose(*study.axes).values.ravel() if marked else np.full(count, None)
+    has_certificates = "certified" in dataset
+    certified = dataset["certified"].transpose(*study.axes).values.ravel() if has_certificates else np.full(count, None)
     size = min(max(BATCH_LANES // draws, 1), BATCH_POINTS)
     for first in range(0, count, size):
         batch = slice(first, first + size)
@@ -179,11 +180,11 @@ def requirements(
     violations_of_draw = np.sum(list(violations.values()), axis=0)
     table = []
     for number, requirement in enumerate(study.requirements):
-        broken = violations[requirement.label]
-        alone = np.count_nonzero(broken & (violations_of_draw == 1) & ~early, axis=-1).tolist()
+        is_violated = violations[requirement.label]
+        alone_counts = np.count_nonzero(is_violated & (violations_of_draw == 1) & ~early, axis=-1).tolist()
         head = {"name": requirement.label, "text": requirement.text}
-        columns = statements.shares(broken) | {
-            "alone": alone,
+        columns = statements.shares(is_violated) | {
+            "alone": alone_counts,
             "first": np.count_nonzero(first == number, axis=-1).tolist(),
             "violated_at": nullable(median_of_some(lanes[requirement.violation_name])),
         }
@@ -201,14 +202,14 @@ def requirements(
 
 
 def values_missing(point: SummaryRow) -> list[str]:
-    """For the required margins and metrics of a point: how many draws have none, and why, in words."""
-    named: dict[tuple[int, int], list[str]] = {}
+    """Sentences on the required margins and metrics of a point: how many draws have none, and why."""
+    names_by_counts: dict[tuple[int, int], list[str]] = {}
     for row in point["requirements"]:
         counts = row.get("unstable", 0), row.get("no_operating_point", 0)
         if any(counts):
-            named.setdefault(counts, []).append(row["text"])
+            names_by_counts.setdefault(counts, []).append(row["text"])
     sentences = []
-    for (unstable, unsettled), names in named.items():
+    for (unstable, unsettled), names in names_by_counts.items():
         reasons = [f"in {unstable:,} the loop is unstable"] if unstable else []
         reasons += [f"in {unsettled:,} it has no operating point within the limits"] if unsettled else []
         sentences.append(f"draws without a margin violate {' and '.join(names)}: {', '.join(reasons)}")
@@ -235,9 +236,9 @@ def overlaps(violations: Mapping[str, np.ndarray], early: np.ndarray, statements
     """
     table = []
     for first, second in combinations(violations, 2):
-        joint = violations[first] & violations[second]
-        completed = np.count_nonzero(joint & ~early, axis=-1).tolist()
-        columns = {"draws": completed} | statements.shares(joint)
+        violates_both = violations[first] & violations[second]
+        completed_counts = np.count_nonzero(violates_both & ~early, axis=-1).tolist()
+        columns = {"draws": completed_counts} | statements.shares(violates_both)
         table.append([{"names": [first, second]} | row for row in rows(columns)])
     return table
 

@@ -104,8 +104,8 @@ def compute(job: Job, blocks: list[Block]) -> Share:
         except ConfigError as error:
             raise error.within(f"worker {get_worker().address}") from None
         seconds_before = engine.clock.run_seconds
-        for block, results, drawn in execute(engine, blocks):
-            chunks.write(block, results, drawn)
+        for block, results, law_values in execute(engine, blocks):
+            chunks.write(block, results, law_values)
         clock = engine.clock
         lanes = sum(map(lanes_in, blocks))
         return Share(
@@ -130,8 +130,8 @@ class Cluster:
         self.local = local
         self.lost: list[str] = []
         self._present = self._workers()
-        self._looked = time.monotonic()
-        self._seen = self._looked
+        self._last_look = time.monotonic()
+        self._last_present = self._last_look
 
     def _workers(self) -> set[str]:
         return set(self.client.nthreads())
@@ -148,9 +148,9 @@ class Cluster:
             raise ConfigError(OPTION, f"the workers lack this package: {error}") from error
         reference, *other_workers = machines
         for worker in other_workers:
-            differing = machinery_differences(machines[reference], machines[worker])
-            if differing:
-                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differing)}"
+            differences = machinery_differences(machines[reference], machines[worker])
+            if differences:
+                text = f"workers {reference} and {worker} would not give bit-identical results: {listed(differences)}"
                 raise ConfigError(OPTION, text)
         return machines[reference]
 
@@ -173,24 +173,24 @@ class Cluster:
         job = Job(json.dumps(study.table), str(target.folder.resolve()), target.layout.block, self.local, native)
         workers = len(self._present)
         shares = []
-        for share in self._done(job, block_ranges(target.pending, workers)):
+        for share in self._finished_shares(job, block_ranges(target.pending, workers)):
             shares.append(share)
             advance(share.lanes)
         times = summed(shares, study.loop.steps, time.perf_counter() - began)
         return {"times": times, "cluster": {"address": self.address, "workers": workers, "lost": self.lost}}
 
-    def _done(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
+    def _finished_shares(self, job: Job, tasks: list[list[Block]]) -> Iterator[Share]:
         distributed = importlib.import_module("distributed")
-        waiting = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
+        unfinished = {self.client.submit(compute, job, blocks, pure=False) for blocks in tasks}
         try:
-            while waiting:
+            while unfinished:
                 try:
-                    done, waiting = distributed.wait(waiting, timeout=POLL, return_when="FIRST_COMPLETED")
+                    finished, unfinished = distributed.wait(unfinished, timeout=POLL, return_when="FIRST_COMPLETED")
                 except TimeoutError:
-                    done = set()
-                if time.monotonic() > self._looked + POLL or not waiting:
+                    finished = set()
+                if time.monotonic() > self._last_look + POLL or not unfinished:
                     self._look()
-                for future in done:
+                for future in finished:
                     yield future.result()
         except distributed.KilledWorker as error:
             raise ConfigError(OPTION, f"{error.last_worker.address} and others died of one task; {GO_ON}") from error
@@ -206,10 +206,10 @@ class Cluster:
         for worker in sorted(present - self._present):
             self.notify(f"worker {worker} joined")
         self._present = present
-        self._looked = time_of_look
+        self._last_look = time_of_look
         if present:
-            self._seen = time_of_look
-        if time_of_look > self._seen + PATIENCE:
+            self._last_present = time_of_look
+        if time_of_look > self._last_present + PATIENCE:
             raise ConfigError(OPTION, f"no worker for {PATIENCE:g} s; {GO_ON}")
 
 
@@ -264,7 +264,7 @@ def connected(address: str, notify: Callable[[str], None], local: str | None = N
 
 
 def parsed(address: str) -> int:
-    """Number of processes of ``local:N``, 0 for the address of a scheduler.
+    """Number of processes in ``local:N``; 0 for the address of a scheduler.
 
     Raises:
         ConfigError: It is neither.
@@ -307,8 +307,8 @@ def worker_environment(index: int, count: int) -> dict[str, str]:
 
 def visible_gpus() -> list[str]:
     """The GPUs that a process may use, found without starting JAX, which would occupy one."""
-    allowed = os.environ.get("CUDA_VISIBLE_DEVICES")
-    if allowed is not None:
-        return [name for name in allowed.split(",") if name]
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name for name in visible.split(",") if name]
     numbers = [path.name.removeprefix("nvidia") for path in Path("/dev").glob("nvidia[0-9]*")]
     return sorted(numbers, key=int)

@@ -77,9 +77,9 @@ def chosen_design(study: Study, folder: Path | None = None, resume: bool = False
         reason = f"plain draws: the loop has in-loop noise{place}, which Sobol points leave as random as it is"
         return DesignChoice(plain(study), reason, 2 * PROBES, request)
     failures = pilot_failures(engine)
-    expected = (failures + 0.5) / (PILOT + 1) * study.config.draws
+    expected_failures = (failures + 0.5) / (PILOT + 1) * study.config.draws
     share = f"{failures} of {PILOT} pilot draws fail{place}"
-    if min(expected, study.config.draws - expected) < SEEN:
+    if min(expected_failures, study.config.draws - expected_failures) < SEEN:
         reason = f"plain draws: {share}; Sobol points save nothing with fewer than {SEEN} failures, or draws without"
         return DesignChoice(plain(study), reason, PILOT + 2 * PROBES, request)
     nets, size = nets_of(study.config.draws)
@@ -98,7 +98,7 @@ def sobol(study: Study, nets: int, size: int) -> Study:
 
 
 def nets_of(draws: int) -> tuple[int, int]:
-    """Number of nets, from ``NETS`` to twice as many, and points of each: together at least so many draws."""
+    """Number of nets, from ``NETS`` to twice as many, and points of each net: together at least ``draws`` draws."""
     size = 1 << max(0, (draws // NETS).bit_length() - 1)  # draws / NETS rounded down to a power of two, or 1
     return math.ceil(draws / size), size
 
@@ -131,10 +131,10 @@ def recorded_choice(study: Study, folder: Path, resume: bool) -> DesignChoice | 
     if not records_this_study or not (has_same_draws or extends):
         return None
     request = study.hash, study.config.draws
-    stored = manifest["study"]
-    if stored["sampling"] == "random":
+    recorded_study = manifest["study"]
+    if recorded_study["sampling"] == "random":
         return DesignChoice(plain(study), entry["reason"], entry["pilot"], request)
-    nets = stored["replicates"]
+    nets = recorded_study["replicates"]
     points = math.ceil(study.config.draws / nets)
     size = 1 << (points - 1).bit_length()  # rounded up to a power of two, as a Sobol net needs
     return DesignChoice(sobol(study, nets, size), entry["reason"], entry["pilot"], request)

@@ -89,9 +89,9 @@ class RecordedDraws:
     def _masked(self, results: Arrays) -> Arrays:
         """Signals are NaN from the end of a draw on."""
         ended = np.fmin(results["failed_at"], results.get("settled_at", np.inf))
-        gone = self.times >= ended[:, None]
+        has_ended = self.times >= ended[:, None]
         return {
-            name: np.where(gone, np.nan, array) if isinstance(name, SignalKey) and gone.any() else array
+            name: np.where(has_ended, np.nan, array) if isinstance(name, SignalKey) and has_ended.any() else array
             for name, array in results.items()
         }
 
@@ -101,8 +101,8 @@ class RecordedDraws:
         def lane(values: dict[str, jax.Array], index: jax.Array) -> dict[Any, Any]:
             key = draw_key(study.config.seed, index)
             margins = {name: values[name] for name in margins_of(study.measures)}
-            judged = study.measures, study.requirements
-            run, recorded = simulate_recorded(study.loop, study.params(values), key, *judged, self.every, margins)
+            criteria = study.measures, study.requirements
+            run, recorded = simulate_recorded(study.loop, study.params(values), key, *criteria, self.every, margins)
             columns = trajectory_columns(study, recorded)
             signals = {SignalKey(name): columns[name] for name in self.signals}
             # JAX would sort the keys of a plain dict, which are not comparable

@@ -18,7 +18,7 @@ from dssc_jax.engine.integration import integration_error
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import SCHEMA, Manifest, code_entries, require_startable
 from dssc_jax.results.result import Result
-from dssc_jax.results.schema import in_memory, put
+from dssc_jax.results.schema import copy_block, in_memory
 from dssc_jax.results.stated_errors import STATED, StatedAmounts
 from dssc_jax.results.store import Store
 from dssc_jax.runs.design_choice import chosen_design
@@ -117,7 +117,7 @@ def run(
         choice = chosen_design(study, None if out is None else Path(out), resume)
         study = choice.study
         entries = choice.entry
-    stated = stated_entry(study, within, shift, widening)
+    amounts_entry = stated_entry(study, within, shift, widening)
     layout = Layout.of(study, block) if block else Layout.of(study)
     if out is None:
         if cluster:
@@ -125,7 +125,7 @@ def run(
         if resume:
             raise ConfigError("out", "is needed to resume")
         engine = Engine(study, layout.lanes, tile, devices)
-        return run_in_memory(study, layout, engine, progress, entries | integration_entry(study, check) | stated)
+        return run_in_memory(study, layout, engine, progress, entries | integration_entry(study, check) | amounts_entry)
     require_startable(Path(out), study, resume)
     this_process = ThisProcess(study, tile, devices)
     if not resume and not cluster:
@@ -141,9 +141,9 @@ def run(
         if not target.finished:
             advance = LanesDone(progress, target.layout, target.pending)
             times = workers.fill(target, advance)
-            target.complete(times | integration_entry(study, check) | stated)
-        elif stated and stated[STATED] != target.manifest.get(STATED):
-            target.complete(stated)
+            target.complete(times | integration_entry(study, check) | amounts_entry)
+        elif amounts_entry and amounts_entry[STATED] != target.manifest.get(STATED):
+            target.complete(amounts_entry)
         result = Result.of(study, *target.read(), Path(out))
         target.summarise(result.lines())
     return result
@@ -165,7 +165,7 @@ class ThisProcess:
 
     def __post_init__(self) -> None:
         self.began = time.perf_counter()
-        self.computed: Iterator[tuple[Block, Arrays, Arrays]] | None = None
+        self.first_results: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
     def machinery(self) -> Manifest:
         """See :func:`dssc_jax.engine.batching.computing`."""
@@ -174,12 +174,12 @@ class ThisProcess:
     def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
         """Start the first of some blocks; see :func:`dssc_jax.engine.batching.execute`."""
         self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
-        self.computed = execute(self.engine, blocks)
-        return self.computed
+        self.first_results = execute(self.engine, blocks)
+        return self.first_results
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
-        for box, results, values in self.computed or self.start(target.layout, target.pending):
+        for box, results, values in self.first_results or self.start(target.layout, target.pending):
             target.write(box, results, values)
             advance(lanes_in(box))
         return {"times": self.engine.times(self.began)}
@@ -197,14 +197,14 @@ class LanesDone:
     def __init__(self, progress: ProgressCallback | None, layout: Layout, pending: list[Block]) -> None:
         self.progress = progress
         self.total = math.prod(layout.shape)
-        self.done = self.total - sum(map(lanes_in, pending))
+        self.finished_lanes = self.total - sum(map(lanes_in, pending))
         self(0)
 
     def __call__(self, lanes: int) -> None:
         """Add a number of finished lanes."""
-        self.done += lanes
+        self.finished_lanes += lanes
         if self.progress:
-            self.progress(self.done, self.total)
+            self.progress(self.finished_lanes, self.total)
 
 
 def integration_entry(study: Study, check: bool) -> Manifest:
@@ -233,12 +233,12 @@ def run_in_memory(
     """Run a study in memory; the manifest gets further entries."""
     began = time.perf_counter()
     blocks = layout.blocks()
-    computed = execute(engine, blocks)
+    block_results = execute(engine, blocks)
     manifest = run_manifest(study, layout, computing())
     dataset = in_memory(study)
     advance = LanesDone(progress, layout, blocks)
-    for box, results, values in computed:
-        put(dataset, box, results, values)
+    for box, results, values in block_results:
+        copy_block(dataset, box, results, values)
         advance(lanes_in(box))
     manifest |= {"complete": True, "times": engine.times(began), **entries}
     return Result.of(study, dataset, manifest)

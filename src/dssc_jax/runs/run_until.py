@@ -13,7 +13,7 @@ from dssc_jax.engine.evaluation import require_independent
 from dssc_jax.engine.sampling import Arrays
 from dssc_jax.results.manifest import Manifest, read_manifest
 from dssc_jax.results.result import Result
-from dssc_jax.results.schema import in_memory, put
+from dssc_jax.results.schema import copy_block, in_memory
 from dssc_jax.runs.design_choice import DesignChoice, plain
 from dssc_jax.runs.run import integration_entry, run_manifest, stated_entry
 from dssc_jax.statistics import Look, StoppingRule
@@ -60,7 +60,7 @@ def run_until(
     """
     require_sequential(study)
     study, entries = with_independent_draws(study)
-    stated = stated_entry(study, within, shift, widening)
+    amounts_entry = stated_entry(study, within, shift, widening)
     if most < FIRST:
         raise ConfigError(study.source, f"a data-driven stop needs at least {FIRST} draws, its first look, got {most}")
     longest = study.override({"draws": most})
@@ -73,7 +73,7 @@ def run_until(
     batches_done: list[Arrays] = []
     failed = np.empty(0, dtype=bool)
     looks = rule.looks(most)
-    seen: list[Look] = []
+    past_looks: list[Look] = []
     counts: list[int] = []
     verdict = None
     for look in looks:
@@ -84,30 +84,30 @@ def run_until(
             if progress:
                 progress(len(failed), most)
         failures = int(np.count_nonzero(failed[: look.draws]))
-        seen.append(look)
+        past_looks.append(look)
         counts.append(failures)
         verdict = rule.verdict(look, failures)
         if verdict:
             break
-    draws = seen[-1].draws
+    draws = past_looks[-1].draws
     if progress:
         progress(draws, most)
     final = study.override({"draws": draws})
     dataset = in_memory(final)
-    joined = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
-    put(dataset, (slice(0, draws),), joined, values_of_draws(final, slice(0, draws)))
+    columns = {name: np.concatenate([part[name] for part in batches_done])[:draws] for name in batches_done[0]}
+    copy_block(dataset, (slice(0, draws),), columns, values_of_draws(final, slice(0, draws)))
     manifest = run_manifest(final, Layout.of(final), computing()) | {
         "complete": True,
         "times": engine.times(began),
         **integration_entry(final, check),
-        **stated,
+        **amounts_entry,
         **entries,
         "stopping": {
             "data_driven": True,
             "rule": rule.text,
             "most": most,
             "verdict": verdict or UNDECIDED,
-            "looks": [look._asdict() | {"failures": count} for look, count in zip(seen, counts, strict=True)],
+            "looks": [look._asdict() | {"failures": count} for look, count in zip(past_looks, counts, strict=True)],
             "stops": rule.stops(most),
         },
     }

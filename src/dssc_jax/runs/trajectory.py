@@ -97,15 +97,16 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
     if every < 1:
         raise ConfigError(study.source, f"every must be >= 1, got {every}")
     every = min(every, study.loop.steps)
-    kept = -(-study.loop.steps // every)
-    if kept > MOST_KEPT:
-        raise ConfigError(study.source, f"a trajectory keeps at most {MOST_KEPT} samples, got {kept}; raise every")
+    sample_count = -(-study.loop.steps // every)
+    if sample_count > MOST_KEPT:
+        rule = f"a trajectory keeps at most {MOST_KEPT} samples, got {sample_count}; raise every"
+        raise ConfigError(study.source, rule)
 
     def lane(values: dict[str, jax.Array], index: jax.Array) -> tuple[Run, Recorded]:
         key = draw_key(study.config.seed, index)
         margins = {name: values[name] for name in margins_of(study.measures)}
-        judged = study.measures, study.requirements
-        return simulate_recorded(study.loop, study.params(values), key, *judged, every, margins)
+        criteria = study.measures, study.requirements
+        return simulate_recorded(study.loop, study.params(values), key, *criteria, every, margins)
 
     names = [*study.axes, *study.laws, *margins_of(study.measures)]
     program = cache(lambda: kernels.compiled_single(lane, names, plain))
@@ -124,15 +125,15 @@ def recorder(study: Study, every: int = 1, plain: bool = False) -> Callable[[int
 
 def as_trajectory(study: Study, draw: int, values: Mapping[str, float], ended: Run, recorded: Recorded) -> xr.Dataset:
     """The recorded signals of one draw as a dataset, with units, meanings and how the draw ended."""
-    gone = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
+    has_ended = recorded.instant.t >= np.fmin(ended.failed_at, ended.settled_at)  # from there on it is frozen
     columns = {
-        name: np.where(gone, np.nan, column) if gone.any() or column.dtype == bool else column
+        name: np.where(has_ended, np.nan, column) if has_ended.any() or column.dtype == bool else column
         for name, column in trajectory_columns(study, recorded).items()
     }
-    described = {name: column_attributes(name, study) for name in columns}
+    attributes = {name: column_attributes(name, study) for name in columns}
     code = int(ended.outcome)
     return xr.Dataset(
-        {name: (("t",), column, described[name]) for name, column in columns.items()},
+        {name: (("t",), column, attributes[name]) for name, column in columns.items()},
         coords={"t": (("t",), recorded.instant.t, {"units": "s", "long_name": "time"})},
         attrs={
             "study": study.name,
@@ -155,8 +156,8 @@ def events_in(study: Study, values: Mapping[str, float]) -> dict[str, list[str] 
         return {}
     kinds = [str(table.get("kind", "rotor")) for table in study.config.event]
     names = [f"event.{index}.at" for index in range(len(kinds))]
-    known = {**study.derived(values), **values}
-    times = [float(known.get(name, nominal(study.leaves()[name]))) for name in names]
+    all_values = {**study.derived(values), **values}
+    times = [float(all_values.get(name, nominal(study.leaves()[name]))) for name in names]
     return {"event_kinds": kinds, "event_times": times}
 
 
@@ -196,35 +197,36 @@ def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.nda
 def column_attributes(name: str, study: Study) -> dict[str, str]:
     """Unit and meaning of a trajectory's column; an info field without a quantity has only its name."""
     channel, _, field = name.partition("_")
-    named = channel in study.loop.channels and bool(channel) and bool(field)
-    signal = field if named else name
-    index = study.loop.channels.index(channel) if named else 0
+    has_channel = channel in study.loop.channels and bool(channel) and bool(field)
+    signal = field if has_channel else name
+    index = study.loop.channels.index(channel) if has_channel else 0
     units = study.units[index]
     vector, _, part = signal.rpartition("_")
     controllers = study.loop.controller
-    loaded = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
-    quantities = SIGNALS | measured_quantities(study) | quantities_of(controllers[index].info if loaded else None)
-    observed = {} if named else study.loop.quantities
-    if signal in quantities or signal in observed:
-        quantity = quantities[signal] if signal in quantities else observed[signal]
+    has_controllers = isinstance(controllers, tuple)  # not those of a study whose code was not loaded
+    info = controllers[index].info if has_controllers else None
+    quantities = SIGNALS | measured_quantities(study) | quantities_of(info)
+    signal_quantities = {} if has_channel else study.loop.quantities
+    if signal in quantities or signal in signal_quantities:
+        quantity = quantities[signal] if signal in quantities else signal_quantities[signal]
         unit = units.of(quantity.unit)
         meaning = units.named(quantity.meaning)
-    elif vector in observed:
-        unit = observed[vector].unit
-        meaning = f"{observed[vector].meaning} {part}"
+    elif vector in signal_quantities:
+        unit = signal_quantities[vector].unit
+        meaning = f"{signal_quantities[vector].meaning} {part}"
     else:
         unit = ""
         meaning = signal
-    return {"units": unit, "long_name": f"{channel}: {meaning}" if named else meaning}
+    return {"units": unit, "long_name": f"{channel}: {meaning}" if has_channel else meaning}
 
 
 def measured_quantities(study: Study) -> dict[str, Quantity]:
     """Unit and meaning of the column of each measured signal."""
-    found = {}
+    quantities = {}
     for signal in study.loop.measures:
         quantity = signal.quantity
-        found[f"measured_{signal.name}"] = Quantity(quantity.unit, f"measured {quantity.meaning}")
-    return found
+        quantities[f"measured_{signal.name}"] = Quantity(quantity.unit, f"measured {quantity.meaning}")
+    return quantities
 
 
 def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = None, every: int = 1) -> xr.Dataset:
@@ -249,9 +251,9 @@ def replay(result: "Result", draw: int, *, point: Mapping[str, float] | None = N
     index = point_of(result, draw, point)
     exact = {name: study.axes[name][i] for name, i in index.items()}
     trajectory = recorder(study if exact else study.without_sweep(), every, plain=True)(draw, exact)
-    compared = agreement_of(result, trajectory)
-    trajectory.attrs["deviation"] = float(compared.deviation[0])
-    trajectory.attrs["agreement"] = compared.verdict
+    comparison = agreement_of(result, trajectory)
+    trajectory.attrs["deviation"] = float(comparison.deviation[0])
+    trajectory.attrs["agreement"] = comparison.verdict
     return trajectory
 
 
@@ -278,8 +280,8 @@ def agreement_of(result: "Result", run: xr.Dataset) -> Agreement:
     study = result.study
     lanes = [np.array([axis.index(run.attrs[name])]) for name, axis in study.axes.items()]
     names = (name for name in variables(study) if name in run.attrs)
-    computed = {name: np.array([run.attrs[name]]) for name in names}
-    return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), computed)
+    trajectory_values = {name: np.array([run.attrs[name]]) for name in names}
+    return agreement(study, result.dataset, (*lanes, np.array([run.attrs["draw"]])), trajectory_values)
 
 
 def nearest_index(values: tuple[float, ...], requested: float | None) -> int:

@@ -90,42 +90,45 @@ def verify(result: Result, draws: int = LANES, seed: int | None = None) -> Verif
     seed = secrets.randbelow(2**32) if seed is None else seed
     shape = result.dataset["outcome"].shape
     total = int(np.prod(shape))
-    picked = np.sort(np.random.default_rng(seed).choice(total, min(draws, total), replace=False))
-    lanes = np.unravel_index(picked, shape)
-    computed = recompute(result.study, lanes)
-    compared = agreement(result.study, result.dataset, lanes, computed)
-    shown = compared.decided if compared.decided.any() else np.ones_like(compared.decided)
-    largest = int(np.argmax(np.where(shown, compared.deviation, -1.0)))
+    lane_numbers = np.sort(np.random.default_rng(seed).choice(total, min(draws, total), replace=False))
+    lanes = np.unravel_index(lane_numbers, shape)
+    plain_results = recompute(result.study, lanes)
+    comparison = agreement(result.study, result.dataset, lanes, plain_results)
+    is_compared = comparison.decided if comparison.decided.any() else np.ones_like(comparison.decided)
+    largest = int(np.argmax(np.where(is_compared, comparison.deviation, -1.0)))
+    worst = None
+    if comparison.deviation[largest] > 0.0:
+        worst = worst_lane(result, lanes, plain_results, comparison, largest)
     return Verification(
-        lanes=len(picked),
+        lanes=len(lane_numbers),
         seed=seed,
-        deviation=float(compared.deviation[largest]),
-        worst=worst_lane(result, lanes, computed, compared, largest) if compared.deviation[largest] > 0.0 else None,
-        verdict=compared.verdict,
-        undecided=int(np.count_nonzero(~compared.decided)),
+        deviation=float(comparison.deviation[largest]),
+        worst=worst,
+        verdict=comparison.verdict,
+        undecided=int(np.count_nonzero(~comparison.decided)),
         otherwise=machinery_differences(result.manifest, computing() | {"code": recorded(result.study.table)}),
-        single_precision=single_precision(result, lanes, computed)
+        single_precision=single_precision(result, lanes, plain_results)
         if result.study.config.loop.precision == 32
         else None,
     )
 
 
-def worst_lane(result: Result, lanes: Lanes, computed: Arrays, compared: Agreement, at: int) -> JsonObject:
+def worst_lane(result: Result, lanes: Lanes, plain_results: Arrays, comparison: Agreement, at: int) -> JsonObject:
     """The value with the largest deviation, and its location."""
-    name = str(compared.variable[at])
+    name = str(comparison.variable[at])
     study = result.study
     point = {axis: values[i[at]] for (axis, values), i in zip(study.axes.items(), lanes, strict=False)}
-    stored = stored_lanes(result.dataset, [name], lanes)[name]
-    values = {"stored": stored[at].item(), "computed": computed[name][at].item()}
+    stored_values = stored_lanes(result.dataset, [name], lanes)[name]
+    values = {"stored": stored_values[at].item(), "computed": plain_results[name][at].item()}
     return {"variable": name, "draw": int(lanes[-1][at]), **point, **values}
 
 
-def single_precision(result: Result, lanes: Lanes, computed: Arrays) -> SinglePrecision:
+def single_precision(result: Result, lanes: Lanes, plain_results: Arrays) -> SinglePrecision:
     """Compare lanes in float32 with the same lanes in float64."""
     study = result.study.override({"loop.precision": 64})
     exact = recompute(study, lanes)
     sizes = {name: typical_size(result.dataset[name].values) for name in exact}
-    gaps = deviations(study, sizes, exact, {name: computed[name].astype(exact[name].dtype) for name in exact})
+    gaps = deviations(study, sizes, exact, {name: plain_results[name].astype(exact[name].dtype) for name in exact})
     largest = np.max([gap for name, gap in gaps.items() if name != "outcome"], axis=0)
-    differs = int(np.count_nonzero(exact["outcome"] != computed["outcome"]))
+    differs = int(np.count_nonzero(exact["outcome"] != plain_results["outcome"]))
     return SinglePrecision(differs, float(np.median(largest)), float(largest.max()))

@@ -119,9 +119,9 @@ class Drift(NamedTuple):
         transition[:, 1, 1] = decay
         # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
         position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
-        mixed = np.expm1(-w) ** 2
+        squared_loss = np.expm1(-w) ** 2
         speed = -np.expm1(-2.0 * w)
-        covariance = np.stack([np.stack([position, mixed], -1), np.stack([mixed, speed], -1)], -1)
+        covariance = np.stack([np.stack([position, squared_loss], -1), np.stack([squared_loss, speed], -1)], -1)
         scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
         transition[:, 0, 1] *= scale[0]
         return transition, covariance * np.outer(scale, scale)
@@ -138,8 +138,8 @@ class Drift(NamedTuple):
         early = np.minimum(first, second) / self.time
         decay = np.exp(-early)
         at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
-        relaxed = -np.expm1(-np.abs(first - second) / self.time)
-        return (at + np.expm1(-early) ** 2 * relaxed) / self.mean_square
+        difference_loss = -np.expm1(-np.abs(first - second) / self.time)
+        return (at + np.expm1(-early) ** 2 * difference_loss) / self.mean_square
 
 
 def small_drift(w: np.ndarray) -> np.ndarray:
@@ -165,8 +165,8 @@ def correlation_time(noise: Noise) -> float:
         sizes = np.sqrt(noise.covariance(times, times) * noise.covariance(noise.span, noise.span))
         return float(ago[np.argmax(noise.covariance(times, noise.span) <= math.exp(-1.0) * sizes)])
     lags = noise.time * np.linspace(0.0, 5.0, 2001)
-    decayed = noise.correlation(lags) <= math.exp(-1.0)
-    return float(lags[np.argmax(decayed)])
+    has_decayed = noise.correlation(lags) <= math.exp(-1.0)
+    return float(lags[np.argmax(has_decayed)])
 
 
 def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> float:
@@ -188,9 +188,9 @@ def independent_samples(noise: Noise, times: np.ndarray, limit: int = 800) -> fl
     else:
         correlated = noise.share * noise.correlation(times[:, None] - times[None, ::stride])
         variance = np.full(len(times), noise.share)
-    chosen = variance[::stride]
-    squares = np.square(correlated).sum() + (2.0 * white * chosen + white**2).sum()
-    return float((variance + white).sum() * (chosen + white).sum() / squares)
+    sampled_variance = variance[::stride]
+    squares = np.square(correlated).sum() + (2.0 * white * sampled_variance + white**2).sum()
+    return float((variance + white).sum() * (sampled_variance + white).sum() / squares)
 
 
 def precision(noise: Noise, times: np.ndarray) -> tuple[np.ndarray, float, int]:
@@ -260,9 +260,9 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
     factor = cholesky_banded(bands, lower=True, check_finite=False)
     spread = np.zeros((len(times), size, columns.shape[1]))
     spread[:, 0] = columns
-    solved = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
+    whitened = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
     log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - log_det_precision
-    return (plain - columns.T @ solved) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
+    return (plain - columns.T @ whitened) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
 
 
 class NoiseFit(NamedTuple):
@@ -300,12 +300,12 @@ def fit_noise(noise: Noise, times: np.ndarray, columns: np.ndarray, floor: float
     gradient = products[1:, 0]
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    shown = values > RANK * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, bool)
-    along = vectors[:, shown].T @ (gradient / scale)
-    square = float(products[0, 0] - np.sum(along**2 / values[shown]))
-    freedom = len(times) - int(shown.sum())
+    is_determined = values > RANK * max(float(values[-1]), 1e-300) if len(values) else np.zeros(0, bool)
+    projections = vectors[:, is_determined].T @ (gradient / scale)
+    square = float(products[0, 0] - np.sum(projections**2 / values[is_determined]))
+    freedom = len(times) - int(is_determined.sum())
     square = max(square, floor * freedom, 1e-300)
-    log_det += float(np.log(values[shown]).sum()) + 2.0 * float(np.log(scale).sum())
+    log_det += float(np.log(values[is_determined]).sum()) + 2.0 * float(np.log(scale).sum())
     variance = square / max(freedom - 2, 1)
     log_likelihood = -0.5 * (log_det + freedom * math.log(square))
     return NoiseFit(log_likelihood, variance, information / variance, gradient / variance)

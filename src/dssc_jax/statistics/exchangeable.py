@@ -1,4 +1,4 @@
-"""How unlike a set of independent curves another curve is, with a p-value that is exact for any law of the curves.
+"""The difference of a curve from a set of independent curves, with a p-value that is exact for any law of the curves.
 
 One number is computed for each curve, in a way that does not depend on the order of the curves, the tested one among
 them. If the tested curve has the law of the others, all n + 1 numbers are exchangeable, so that its rank among them is
@@ -31,9 +31,9 @@ def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:
     """
     spread = np.zeros(len(tested), bool)
     rounding = ROUNDING * usual_sizes(np.concatenate([curves, tested[None]])).max()
-    for signal, known in enumerate(np.isfinite(tested)):
-        if known.any():
-            distance, size = distances_from_median(curves[:, signal, known], tested[signal, known])
+    for signal, is_measured in enumerate(np.isfinite(tested)):
+        if is_measured.any():
+            distance, size = distances_from_median(curves[:, signal, is_measured], tested[signal, is_measured])
             least = max(LEAST_SPREAD * size, rounding)
             spread[signal] = np.count_nonzero(distance.max(axis=1) > least) >= 2
     return spread
@@ -82,13 +82,13 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     Raises:
         ValueError: nothing of the tested curve is known.
     """
-    known = np.isfinite(tested)
-    if not known.any():
+    is_measured = np.isfinite(tested)
+    if not is_measured.any():
         raise ValueError("nothing of the tested curve is known")
     statistics = np.full(len(curves) + 1, np.nan)
     departures_of_tested = np.full(tested.shape, np.nan)
     for signal in np.flatnonzero(spread_signals(curves, tested)):
-        at = known[signal]
+        at = is_measured[signal]
         distance, size = distances_from_median(curves[:, signal, at], tested[signal, at])
         finite = np.where(np.isinf(distance), np.nan, distance)
         spread = np.nanmedian(finite, axis=0)
@@ -135,13 +135,13 @@ class Yardstick(NamedTuple):
         spread[constant] = np.nan
         return cls(middle, spread)
 
-    def largest_departure(self, curve: np.ndarray, known: np.ndarray) -> float:
+    def largest_departure(self, curve: np.ndarray, is_measured: np.ndarray) -> float:
         """The largest distance of a curve from the middle, in units of the spread; infinite where it has ended.
 
         Args:
             curve: Shape (signals, times).
-            known: Which values are compared, shape (signals, times); at least one has spread.
+            is_measured: Which values are compared, shape (signals, times); at least one has spread.
         """
-        compared = known & np.isfinite(self.spread)
-        departures = np.abs(curve - self.middle)[compared] / self.spread[compared]
+        is_compared = is_measured & np.isfinite(self.spread)
+        departures = np.abs(curve - self.middle)[is_compared] / self.spread[is_compared]
         return float(np.where(np.isfinite(departures), departures, np.inf).max())

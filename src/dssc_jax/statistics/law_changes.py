@@ -27,7 +27,7 @@ class Change(ABC):
 
     @abstractmethod
     def amount(self, size: float) -> float:
-        """Name of the size in answers: a shift in standard deviations, or a relative width."""
+        """The size as answers state it: a shift in standard deviations, or a relative width."""
 
     @abstractmethod
     def limits(self, size: float) -> tuple[float, float]:
@@ -95,8 +95,8 @@ class Shift(Change):
 
     def log_weights(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""
-        solved = self.precision @ amounts
-        return scores @ solved - 0.5 * amounts @ solved
+        weighted_amounts = self.precision @ amounts
+        return scores @ weighted_amounts - 0.5 * amounts @ weighted_amounts
 
     def mean_slope(self, amounts: np.ndarray, scores: np.ndarray, shares: np.ndarray) -> np.ndarray:
         """See :class:`Change`."""
@@ -146,10 +146,10 @@ class Widening(Change):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""
         inverse = np.exp(-amounts)
-        remaining = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
-        if np.linalg.eigvalsh(remaining)[0] <= 0.0:
+        reduced_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
+        if np.linalg.eigvalsh(reduced_precision)[0] <= 0.0:
             return np.inf
-        return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(remaining)[1] - self._log_determinant()))
+        return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(reduced_precision)[1] - self._log_determinant()))
 
     def corner(self, size: float, free: np.ndarray) -> float:
         """That of the same width of all."""

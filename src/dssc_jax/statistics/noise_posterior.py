@@ -1,4 +1,4 @@
-"""Which correlated noise a residual has: the posterior law over kinds of noise and their parameters.
+"""The correlated noise of a residual: the posterior law over kinds of noise and their parameters.
 
 A residual seldom tells its correlation well, a sparse one hardly at all. What follows from the noise is therefore
 averaged over all noises that the residual allows, with their posterior probabilities, instead of taken for the most
@@ -254,8 +254,8 @@ class NoiseSearch:
         logs = [math.log(WHITE_PRIOR)]
         fits = [self.with_sensor(WHITE, self.white)]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
-            points, proposed = drawn_points(mode)
-            for point, log_proposed in zip(points, proposed, strict=True):
+            points, proposal_densities = drawn_points(mode)
+            for point, log_proposed in zip(points, proposal_densities, strict=True):
                 log_density, fit = self.density(kind, point)
                 logs.append(math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / len(points)) + log_density - log_proposed)
                 fits.append(self.with_sensor(kind(point, self.scale), fit))

@@ -33,7 +33,7 @@ def worst_when_moved(p: float, distance: float) -> float:
 
 
 def largest_distance(p: float, limit: float) -> float:
-    """Up to which distance no set of probability p can become more probable than the limit.
+    """The distance up to which no set of probability p can become more probable than the limit.
 
     Args:
         p: Probability of the set, in [0, 1].
@@ -69,7 +69,7 @@ def worst_when_widened(p: float, width: float, numbers: int) -> float:
 
 
 def largest_width(p: float, limit: float, numbers: int) -> float:
-    """Up to which relative width of all scores no set of probability p can become more probable than the limit.
+    """The relative width of all scores up to which no set of probability p becomes more probable than the limit.
 
     Returns:
         1 if p is above the limit; infinity if p is 0.

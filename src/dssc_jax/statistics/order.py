@@ -43,29 +43,29 @@ def ranked(values: np.ndarray, missing: float = np.inf) -> np.ndarray:
     return np.sort(np.where(np.isnan(values), missing, values))
 
 
-def at_rank(ordered: np.ndarray, rank: int) -> np.ndarray:
+def at_rank(sorted_values: np.ndarray, rank: int) -> np.ndarray:
     """The order statistic X_(rank) along the last axis, counted from 1; infinite beyond the number of draws."""
-    if 1 <= rank <= ordered.shape[-1]:
-        return ordered[..., rank - 1]
-    return np.full(ordered.shape[:-1], -np.inf if rank < 1 else np.inf)
+    if 1 <= rank <= sorted_values.shape[-1]:
+        return sorted_values[..., rank - 1]
+    return np.full(sorted_values.shape[:-1], -np.inf if rank < 1 else np.inf)
 
 
-def upper_quantile(ordered: np.ndarray, level: float) -> np.ndarray:
+def upper_quantile(sorted_values: np.ndarray, level: float) -> np.ndarray:
     """The smallest value with at least the share ``level`` of the draws at or below it, along the last axis.
 
     An order statistic: a finite value is never averaged with an infinite one.
 
     Args:
-        ordered: The draws as :func:`ranked` returns them.
+        sorted_values: The draws as :func:`ranked` returns them.
         level: In [0, 1].
     """
-    return at_rank(ordered, max(1, math.ceil(level * ordered.shape[-1])))
+    return at_rank(sorted_values, max(1, math.ceil(level * sorted_values.shape[-1])))
 
 
 def upper_quantiles(values: np.ndarray, levels: Sequence[float], missing: float = np.inf) -> np.ndarray:
     """Quantiles along the last axis, in which a draw without a value counts as ``missing``, shape (levels, ...)."""
-    ordered = ranked(values, missing)
-    return np.stack([upper_quantile(ordered, level) for level in levels])
+    sorted_values = ranked(values, missing)
+    return np.stack([upper_quantile(sorted_values, level) for level in levels])
 
 
 @lru_cache
@@ -112,8 +112,8 @@ def quantile_interval(values: np.ndarray, level: float, confidence: float = CONF
         (40.0, 61.0)
     """
     low, high = quantile_ranks(len(values), level, confidence)
-    ordered = ranked(values)
-    return float(at_rank(ordered, low)), float(at_rank(ordered, high))
+    sorted_values = ranked(values)
+    return float(at_rank(sorted_values, low)), float(at_rank(sorted_values, high))
 
 
 def wilks_confidence(draws: int, content: float, order: int = 1, sides: int = 1) -> float:
@@ -183,9 +183,9 @@ def tolerance_limits(
     if side not in ("lower", "upper", "both"):
         raise ValueError(f"side must be lower, upper or both, got '{side}'")
     order = wilks_order(len(values), content, confidence, sides=2 if side == "both" else 1)
-    ordered = ranked(values)
-    low = float(at_rank(ordered, order)) if order and side != "upper" else -np.inf
-    high = float(at_rank(ordered, len(values) + 1 - order)) if order and side != "lower" else np.inf
+    sorted_values = ranked(values)
+    low = float(at_rank(sorted_values, order)) if order and side != "upper" else -np.inf
+    high = float(at_rank(sorted_values, len(values) + 1 - order)) if order and side != "lower" else np.inf
     return low, high
 
 

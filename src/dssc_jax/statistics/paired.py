@@ -108,12 +108,12 @@ def difference_interval(
     if np.any(a < 0) or np.any(b < 0) or np.any(a + b > n):
         raise ValueError(f"needs only_a, only_b >= 0 and only_a + only_b <= draws, got {only_a}, {only_b}, {draws}")
     error = 1.0 - confidence
-    discordant = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
+    discordant_interval = clopper_pearson(a + b, n, 1.0 - DISCORDANCE * error)
     only_a_if_discordant = clopper_pearson(a, np.maximum(a + b, 1), 1.0 - (1.0 - DISCORDANCE) * error)
     only_a_if_discordant = np.where((a + b == 0)[..., None], [0.0, 1.0], only_a_if_discordant)
     side = 2.0 * only_a_if_discordant - 1.0
-    low = np.where(side[..., 0] >= 0.0, discordant[..., 0], discordant[..., 1]) * side[..., 0]
-    high = np.where(side[..., 1] >= 0.0, discordant[..., 1], discordant[..., 0]) * side[..., 1]
+    low = np.where(side[..., 0] >= 0.0, discordant_interval[..., 0], discordant_interval[..., 1]) * side[..., 0]
+    high = np.where(side[..., 1] >= 0.0, discordant_interval[..., 1], discordant_interval[..., 0]) * side[..., 1]
     return np.stack([low, high], axis=-1)
 
 

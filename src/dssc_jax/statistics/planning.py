@@ -149,13 +149,13 @@ def plan(error: float, confidence: float = CONFIDENCE, probability: float | None
     if probability is not None:
         question = f"failure probability, expected at {probability:g} (Clopper-Pearson)"
         draws = expected_draws(error, probability, confidence)
-        reached = reach_probability(draws, error, probability, confidence)
+        success_share = reach_probability(draws, error, probability, confidence)
         interval = f"the {100 * confidence:g} % interval reaches at most {error:g} to either side"
         answers += [
             Answer(
                 f"{question}, at the expected count",
                 draws,
-                f"{interval} if failures come at their expected number: in {100 * reached:.0f} % of all cases",
+                f"{interval} if failures come at their expected number: in {100 * success_share:.0f} % of all cases",
             ),
             Answer(
                 f"{question}, assured",

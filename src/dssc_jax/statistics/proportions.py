@@ -261,9 +261,9 @@ def lognormal_interval(values: np.ndarray, confidence: float = CONFIDENCE) -> tu
     location = special.stdtrit(count - 1, 1.0 - tail) * math.sqrt(variance / count)
     spread = 0.5 * variance * ((count - 1) / special.chdtri(count - 1, [tail, 1.0 - tail]) - 1.0)
     low, high = logarithms.mean() + 0.5 * variance + np.hypot(location, spread) * [-1.0, 1.0]
-    seen = clopper_pearson(count, len(values), confidence)[0] if count < len(values) else 1.0
+    positive_share = clopper_pearson(count, len(values), confidence)[0] if count < len(values) else 1.0
     with np.errstate(over="ignore"):
-        return float(seen * np.exp(low)), float(np.exp(high))
+        return float(positive_share * np.exp(low)), float(np.exp(high))
 
 
 def rounded_probability(probability: float) -> str:

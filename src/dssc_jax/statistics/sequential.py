@@ -145,12 +145,12 @@ class AcceptReject:
 
     def looks(self, most: int) -> Iterator[Look]:
         """The looks up to ``most`` draws, with the numbers of failures at which the likelihood ratio decides."""
-        failed = math.log(self.reject / self.accept)
-        passed = math.log1p(-self.reject) - math.log1p(-self.accept)
+        log_ratio_of_failure = math.log(self.reject / self.accept)
+        log_ratio_of_pass = math.log1p(-self.reject) - math.log1p(-self.accept)
         bound = -math.log(1.0 - self.confidence)
         for draws in looks(most, SPARSE_RATIO):
-            lower = math.floor((-bound - draws * passed) / (failed - passed))
-            upper = math.ceil((bound - draws * passed) / (failed - passed))
+            lower = math.floor((-bound - draws * log_ratio_of_pass) / (log_ratio_of_failure - log_ratio_of_pass))
+            upper = math.ceil((bound - draws * log_ratio_of_pass) / (log_ratio_of_failure - log_ratio_of_pass))
             yield Look(draws, max(lower, -1), min(upper, draws + 1))
 
     def stops(self, most: int) -> int:

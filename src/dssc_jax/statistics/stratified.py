@@ -42,13 +42,13 @@ def stratified_interval(
     limits = clopper_pearson(failures[dense], draws[dense], confidence)
     below = np.sum(np.square(mean[dense] * (shares[dense] - limits[:, 0])))
     above = np.sum(np.square(mean[dense] * (limits[:, 1] - shares[dense])))
-    failing = ~dense & (failures > passes)
-    passing = ~dense & ~failing
+    has_few_passes = ~dense & (failures > passes)
+    has_few_failures = ~dense & ~has_few_passes
     event_weights = mean / draws
-    lower, upper = distances(event_weights[passing], failures[passing], confidence)
+    lower, upper = distances(event_weights[has_few_failures], failures[has_few_failures], confidence)
     below += lower**2
     above += upper**2
-    lower, upper = distances(event_weights[failing], passes[failing], confidence)
+    lower, upper = distances(event_weights[has_few_passes], passes[has_few_passes], confidence)
     below += upper**2
     above += lower**2
     by_net = weights @ shares
@@ -62,7 +62,7 @@ def stratified_interval(
 
 
 def distances(weights: np.ndarray, counts: np.ndarray, confidence: float) -> tuple[float, float]:
-    """Distances of the limits of a weighted sum of rare events from it, below and above.
+    """Distances of the lower and the upper limit from a weighted sum of rare events.
 
     Args:
         weights: Weight of an event in each stratum, shape (strata,).
@@ -102,13 +102,13 @@ def allocation(
         return np.argmin(numbers + np.exp(logarithm) * (below + above), axis=1)
 
     def excess(logarithm: float) -> float:
-        chosen = best(logarithm)
-        length = np.sqrt(below[rows, chosen].sum()) + np.sqrt(above[rows, chosen].sum())
-        total = numbers[chosen].sum()
+        sizes = best(logarithm)
+        length = np.sqrt(below[rows, sizes].sum()) + np.sqrt(above[rows, sizes].sum())
+        total = numbers[sizes].sum()
         return 1.0 if length > width and total < most else -1.0
 
     cheapest, narrowest = -20.0, 80.0
     if excess(cheapest) < 0.0:
         return numbers[best(cheapest)].astype(int)
-    found = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
-    return numbers[best(found)].astype(int)
+    log_multiplier = optimize.root_scalar(excess, bracket=(cheapest, narrowest), method="bisect", xtol=1e-3).root
+    return numbers[best(log_multiplier)].astype(int)

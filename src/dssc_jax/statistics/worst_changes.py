@@ -1,4 +1,4 @@
-"""The worst change of the laws of a given size, by importance weights of the draws that are there.
+"""The worst change of the laws of a given size, by importance weights of the existing draws.
 
 The failure probability under a changed law is the mean over the draws of the weights of those that fail. Its logarithm
 has a gradient in closed form, and its largest value over the changes of a size is sought from several starts. Where the
@@ -34,7 +34,7 @@ LARGEST_SIZE = 8.0  # beyond, weights of no number of draws say anything
 
 @dataclass(frozen=True)
 class WeightedChange:
-    """A change, and what the weighted draws say of it.
+    """A change, with the failure probability that the weighted draws give for it.
 
     Args:
         amounts: Of each number, shape (numbers,).
@@ -119,10 +119,10 @@ class WeightedDraws:
             slope = self.change.mean_slope(amounts, failing, weights / weights.sum())
             return -sign * value, -sign * slope * self.free
 
-        found = []
+        minima = []
         for start in self._starts(failing, sign, low, high):
-            found.append(optimize.minimize(cost, start * self.free, jac=True, bounds=limits, method="L-BFGS-B"))
-        return np.asarray(min(found, key=lambda result: result.fun).x)
+            minima.append(optimize.minimize(cost, start * self.free, jac=True, bounds=limits, method="L-BFGS-B"))
+        return np.asarray(min(minima, key=lambda result: result.fun).x)
 
     def _starts(self, failing: np.ndarray, sign: float, low: float, high: float) -> list[np.ndarray]:
         """No change, and corners: towards the mean of the failing draws, and towards some of them."""
@@ -183,7 +183,7 @@ def largest_change(draws: WeightedDraws, limit: float) -> LargestChange:
 
 
 def largest(holds: Callable[[float], bool], end: float) -> float:
-    """The largest size at which a condition holds that holds up to there; 0 if it never does."""
+    """The largest size up to which a condition holds; 0 if it never holds."""
     if not holds(0.0):
         return 0.0
     if holds(end):

@@ -75,14 +75,14 @@ def test_loops_oscillate_at_the_margin_and_are_stable_within_it(channels):
     full_c[:, columns] = c
     operating = Operating(StateMatrices(a[:, 0], a, full_b, full_c), np.ones(len(a), bool), np.zeros(len(a), bool), ())
     found = multiloop_margins([f"c{i}" for i in range(channels)], operating, T_S)
-    np.testing.assert_allclose(found.found, found.guaranteed, rtol=1e-6)
+    np.testing.assert_allclose(found.attained, found.guaranteed, rtol=1e-6)
     rng = np.random.default_rng(0)
     for i in range(len(a)):
         perturbed = a[i] + b[i] @ np.diag(found.factors[i] - 1.0) @ c[i]
         critical = np.exp(1j * found.frequency[i] * T_S)
         assert np.abs(np.linalg.eigvals(perturbed) - critical).min() < 1e-6
         disk = 2.0 * (found.factors[i] - 1.0) / (found.factors[i] + 1.0)
-        np.testing.assert_allclose(np.abs(disk), found.found[i], rtol=1e-9)
+        np.testing.assert_allclose(np.abs(disk), found.attained[i], rtol=1e-9)
         for _ in range(200):
             delta = 0.999 * found.guaranteed[i] * np.exp(2j * np.pi * rng.random(channels))
             within = a[i] + b[i] @ np.diag((1.0 + 0.5 * delta) / (1.0 - 0.5 * delta) - 1.0) @ c[i]

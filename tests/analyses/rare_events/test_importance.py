@@ -6,7 +6,12 @@ from scipy import integrate, optimize, special, stats
 
 import dssc_jax as dj
 from dssc_jax.analyses.rare_events.design_points import find_design_points, with_curvature
-from dssc_jax.analyses.rare_events.importance import ImportanceSampling, WeightedEstimate, chosen, importance_sampling
+from dssc_jax.analyses.rare_events.importance import (
+    ImportanceSampling,
+    WeightedEstimate,
+    importance_sampling,
+    systematic_sample,
+)
 from dssc_jax.analyses.rare_events.prediction import predicted
 from tests.analyses.rare_events.test_rare import FOUR_BRANCH, four_branch, hidden
 from tests.runs.test_run_until import TABLE
@@ -121,7 +126,7 @@ def test_a_systematic_sample_keeps_its_chances():
     chances = np.array([1.0, 0.5, 0.25, 0.25, 0.6])
     counts = np.zeros(5)
     for _ in range(4000):
-        indices = chosen(chances, rng)
+        indices = systematic_sample(chances, rng)
         assert len(indices) in (2, 3)
         assert len(set(indices.tolist())) == len(indices)
         counts[indices] += 1

@@ -107,9 +107,11 @@ def test_slacks_of_the_theorem_as_constraints():
 def test_certified_iterates(monkeypatch):
     """Every point that is simulated in the search has passed the strict check."""
     visited, checked = [], []
-    at, allowed = Problem.at, Problem.allowed
+    at, is_admissible = Problem.at, Problem.is_admissible
     monkeypatch.setattr(Problem, "at", lambda self, z, draws: visited.append(z.tobytes()) or at(self, z, draws))
-    monkeypatch.setattr(Problem, "allowed", lambda self, z: allowed(self, z) and not checked.append(z.tobytes()))
+    monkeypatch.setattr(
+        Problem, "is_admissible", lambda self, z: is_admissible(self, z) and not checked.append(z.tobytes())
+    )
     found = dj.tune(dj.Study.from_table(CERTIFIED))
     origin = found.plan.mirror.origin.tobytes()
     assert len(checked) >= 10

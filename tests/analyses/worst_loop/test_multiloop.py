@@ -116,7 +116,7 @@ def test_the_satellite_without_uncertainty_has_its_published_margin():
         result[:, 2:, :2] = c
         return result
 
-    found = margins_of(evaluate(np.zeros((1, 1))), 2, period).found[0]
+    found = margins_of(evaluate(np.zeros((1, 1))), 2, period).attained[0]
     covered = joint_mu_bound(evaluate, 1, 2, 1.001 / found, 20_000, unlimited)
     s = 1j * np.geomspace(1e-3, 1e3, 2000)[:, None, None]
     loop = np.array([[1.0, -2.0], [0.0, 1.0]]) @ np.array([[1.0, 10.0], [-10.0, 1.0]])
@@ -131,7 +131,7 @@ def test_the_satellites_margin_is_near_python_controls():
     plant = control.ss([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
     gains = control.ss([], [], [], [[1.0, -2.0], [0.0, 1.0]])
     published = control.disk_margins(gains * plant, np.geomspace(0.1, 1000.0, 500))[0]  # broken at the commands
-    assert published == pytest.approx(margins_of(satellite(np.zeros((1, 3))), 2, T_S).found[0], rel=0.05)
+    assert published == pytest.approx(margins_of(satellite(np.zeros((1, 3))), 2, T_S).attained[0], rel=0.05)
 
 
 def test_three_channels_are_bounded_below_dense_perturbations():

@@ -113,10 +113,14 @@ class Contest(NamedTuple):
             parts.append(running.run(with_controller(study, name, table)).dataset)
             progress()
         first = parts[0]
-        drawn = [name for name in first if all("law" in part.get(name, part["outcome"]).attrs for part in parts)]
-        common = [name for name in first if name not in drawn and all(name in part for part in parts)]
+        uncertain, common = [], []
+        for name in first:
+            if all("law" in part.get(name, part["outcome"]).attrs for part in parts):
+                uncertain.append(name)
+            elif all(name in part for part in parts):
+                common.append(name)
         axis = named_axis(list(tables))
-        dataset = xr.concat([part[common] for part in parts], dim=axis, join="exact").assign(first[drawn])
+        dataset = xr.concat([part[common] for part in parts], dim=axis, join="exact").assign(first[uncertain])
         failed = dataset["outcome"] != Outcome.OK
         dataset["failed"] = (failed.dims, failed.values, {"long_name": "the draw failed"})
         return cls(tables, dataset)
@@ -161,7 +165,7 @@ class Contest(NamedTuple):
 
 
 class ContestPart(NamedTuple):
-    """What a contest holds besides its part of the dataset.
+    """The tables and variable names of a contest; its data lie in the comparison's dataset.
 
     Args:
         tables: The ``[controller]`` table of each controller.
@@ -178,8 +182,8 @@ class ContestPart(NamedTuple):
 
     def contest(self, dataset: xr.Dataset) -> Contest:
         """The contest with these controllers' part of the dataset."""
-        named = dataset.assign_coords(controller=named_axis(list(self.tables)))
-        return Contest(self.tables, named[list(self.variables)])
+        labelled = dataset.assign_coords(controller=named_axis(list(self.tables)))
+        return Contest(self.tables, labelled[list(self.variables)])
 
 
 def named_axis(names: list[str]) -> xr.DataArray:
@@ -342,9 +346,8 @@ def compare(
     total = len(names) * (3 if candidates else 1)
 
     def step() -> None:
-        done = next(steps)
         if progress:
-            progress(done, total)
+            progress(next(steps), total)
 
     budget = Tuning.of(study, candidates, tuning_draws) if candidates else None
     if budget and len(study.loop.channels) > 1:

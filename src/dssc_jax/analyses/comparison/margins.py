@@ -110,9 +110,9 @@ class MarginContest(Analysis):
         """
         pairs = []
         for a, b in itertools.combinations(self.margins, 2):
-            left = self.margins[a].reached
-            right = self.margins[b].reached
-            paired = compare_failures(left > right, right > left, confidence)
+            reach_of_a = self.margins[a].reached
+            reach_of_b = self.margins[b].reached
+            paired = compare_failures(reach_of_a > reach_of_b, reach_of_b > reach_of_a, confidence)
             pair = MarginPair(
                 a, b, paired.only_a, paired.only_b, paired.draws, paired.difference, paired.interval, paired.p_value
             )
@@ -194,10 +194,10 @@ def compare_margins(
     walk = {"over": over, "bounds": bounds, "log": log, "points": points, "bisections": bisections}
     margins: dict[str, Margins] = {}
 
-    def advance(done: int, total: int | None) -> None:
+    def advance(finished_lanes: int, total: int | None) -> None:
         del total
         if progress:
-            progress(len(margins) * lanes + done, len(names) * lanes)
+            progress(len(margins) * lanes + finished_lanes, len(names) * lanes)
 
     for name, rival in studies.items():
         margins[name] = margin(rival, **walk, progress=advance)

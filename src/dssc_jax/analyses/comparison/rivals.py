@@ -27,7 +27,7 @@ LIMITED = "limited"
 
 
 class RivalName(NamedTuple):
-    """What the name of a controller in a comparison stands for.
+    """The controller that a name in a comparison denotes.
 
     Args:
         kind: Kind of the controller.
@@ -61,8 +61,8 @@ def with_own_controllers(study: Study, names: Iterable[str]) -> Study:
 
     So a stored comparison tells, like any study, which code it refers to.
     """
-    known = {kind_of_all(study), *study.config.compare}
-    missing = [name for name in names if ":" in name and name not in known]
+    declared_names = {kind_of_all(study), *study.config.compare}
+    missing = [name for name in names if ":" in name and name not in declared_names]
     if not missing:
         return study
     tables = {name: {"kind": name, **common_gains(study, name)} for name in missing}
@@ -76,7 +76,7 @@ def kind_of_all(study: Study) -> str:
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
-    """Error pole and nominal control of the study, as far as a controller of one's own has these gains."""
+    """The study's error pole and nominal control, if the user's own controller has these gains."""
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)
@@ -104,9 +104,9 @@ def controller_table(study: Study, name: str) -> ControllerTable:
     """
     controller = study.config.controller
     common_kind = kind_of_all(study)
-    chosen = study.config.compare.get(name)
-    if chosen is not None:
-        table = {key: value for key, value in chosen.items() if key != "tune"}
+    own_table = study.config.compare.get(name)
+    if own_table is not None:
+        table = {key: value for key, value in own_table.items() if key != "tune"}
         return merged(controller, table) if table.get("kind", common_kind) == common_kind else table
     if name == common_kind:
         return dict(controller)
@@ -165,8 +165,10 @@ def with_limit(study: Study, name: str, table: ControllerTable) -> ControllerTab
     """
     limit = CONTROLLERS[table["kind"]].default_member.limit
     if not limit:
-        known = [kind for kind, entry in CONTROLLERS.items() if entry.default_member.limit]
-        raise ConfigError(f"compare.{name}", f"'{table['kind']}' has no limit; these have one: {', '.join(known)}")
+        limited_kinds = [kind for kind, entry in CONTROLLERS.items() if entry.default_member.limit]
+        raise ConfigError(
+            f"compare.{name}", f"'{table['kind']}' has no limit; these have one: {', '.join(limited_kinds)}"
+        )
     limits = {}
     for channel, gains in zip(study.loop.channels, study.template.controller, strict=True):
         if not isinstance(gains, DsscGains):

@@ -93,7 +93,7 @@ def ranges(study: Study, requested: Mapping[str, Any]) -> dict[str, tuple[float,
 
 
 def untuned_reason(study: Study, controller: str) -> str:
-    """Why :func:`ranges` finds no gain of the study's controller, in words, with the numbers that may be named.
+    """The reason why :func:`ranges` finds no gain of the study's controller, with the numbers that may be named.
 
     Args:
         study: The study with this controller.
@@ -147,8 +147,8 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     best = min(range(len(all_scores)), key=all_scores.__getitem__)
     pair = {name: column[[0, best]] for name, column in candidates.items()}
     given_score, best_score = scores(evaluator, pair, np.arange(budget.draws, budget.draws + RUNOFF))
-    chosen = int(best_score < given_score)
-    return {name: float(column[chosen]) for name, column in pair.items()}
+    winner = int(best_score < given_score)
+    return {name: float(column[winner]) for name, column in pair.items()}
 
 
 def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
@@ -158,7 +158,7 @@ def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
 
 
 def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np.ndarray) -> list[tuple[int, float]]:
-    """Failures of each candidate on successive draws, and its low quantile of the worst slack, the sign changed.
+    """Each candidate's failures on successive draws, and minus the low quantile of its worst slack.
 
     The smaller score is the better one.
     """
@@ -171,9 +171,9 @@ def scores(evaluator: Evaluator, candidates: Mapping[str, np.ndarray], draws: np
         lanes = {name: np.tile(column, count) for name, column in laws.items()}
         lanes |= {name: np.repeat(column, len(draws)) for name, column in part.items()}
         results = evaluator(np.tile(draws, count), lanes)
-        shaped = {name: array.reshape(count, len(draws)) for name, array in results.items()}
-        failures = np.count_nonzero(shaped["outcome"] != Outcome.OK, axis=-1)
-        low = np.quantile(merit(evaluator.swept, shaped), 0.01 * LOW, axis=-1, method="inverted_cdf")
+        result_table = {name: array.reshape(count, len(draws)) for name, array in results.items()}
+        failures = np.count_nonzero(result_table["outcome"] != Outcome.OK, axis=-1)
+        low = np.quantile(merit(evaluator.swept, result_table), 0.01 * LOW, axis=-1, method="inverted_cdf")
         result += list(zip(failures.tolist(), (-low).tolist(), strict=True))
     return result
 

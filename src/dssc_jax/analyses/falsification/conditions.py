@@ -1,4 +1,4 @@
-"""What a study needs to be hunted, and what of it is not computed then."""
+"""Require what a search for the worst draw needs, and leave out the margins that it does not consider."""
 
 from dssc_jax.analyses.defaults import LEAST_BUDGET, MOST_BUDGET
 from dssc_jax.closed_loop.requirements import counted_places
@@ -21,27 +21,29 @@ def require_hunt(study: Study, budget: int) -> None:
 
 
 def require_known(study: Study, requirement: str) -> None:
-    """Require that a label, if there is one, is that of a requirement.
+    """Require that a label is empty or names a requirement of the study.
 
     Raises:
         ConfigError: It is not.
     """
     if not counted_places(study.requirements, requirement):
-        labels = [known.label for known in study.requirements]
+        labels = [candidate.label for candidate in study.requirements]
         rule = f"'{requirement}' is not required by this study; {nearest(requirement, labels)}"
         raise ConfigError("requirement", rule)
 
 
 def without_other_margins(study: Study, requirement: str) -> Study:
-    """The study without required margins that do not count, since a margin costs more than many flights.
+    """The study without the required margins that the search ignores: a margin costs more than many flights.
 
     Args:
         study: The study.
         requirement: Label of the only requirement that counts; empty: all count, and the study stays as it is.
     """
-    counted = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
-    if any(required.measure.metric.margin is not None for required in counted):
+    relevant_requirements = [study.requirements[place] for place in counted_places(study.requirements, requirement)]
+    if any(required.measure.metric.margin is not None for required in relevant_requirements):
         return study
     tables = list(zip(study.table.get("requirement", []), study.config.requirement, strict=True))
-    kept = [table for table, parsed in tables if parsed.margin is None]
-    return study if len(kept) == len(tables) else study.override({"requirement": kept})
+    tables_without_margin = [table for table, parsed in tables if parsed.margin is None]
+    if len(tables_without_margin) == len(tables):
+        return study
+    return study.override({"requirement": tables_without_margin})

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import BUDGET
 from dssc_jax.analyses.falsification.conditions import require_hunt, require_known, without_other_margins
-from dssc_jax.analyses.falsification.hunt import Hunt, Programs, Seen
+from dssc_jax.analyses.falsification.hunt import Hunt, Programs, SimulatedPoints
 from dssc_jax.analyses.falsification.search_sets import ScoreBall, SearchSet, search_set
 from dssc_jax.closed_loop.requirements import Requirement, counted_places
 from dssc_jax.core.quantities import Quantity
@@ -79,8 +79,8 @@ def value_text(requirement: Requirement, slack: float) -> str:
     value = requirement.bound - slack if requirement.maximum is not None else requirement.bound + slack
     if np.isnan(value):
         return "no number"
-    shown, unit = requirement.shown(value)
-    return f"{shown:.4g} {unit}".removesuffix(" 1")
+    number, unit = requirement.shown(value)
+    return f"{number:.4g} {unit}".removesuffix(" 1")
 
 
 def likelihood_answer(likelihood: Likelihood) -> LikelihoodAnswer:
@@ -120,36 +120,39 @@ class Falsified(Analysis):
 
     @classmethod
     def of(
-        cls, region: SearchSet, seen: Sequence[Seen], seconds: float, stopped: str = "", requirement: str = ""
+        cls,
+        region: SearchSet,
+        batches: Sequence[SimulatedPoints],
+        seconds: float,
+        stopped: str = "",
+        requirement: str = "",
     ) -> Self:
         """Collect the simulated points in the order of the search."""
-        points, slacks, binding, signed, spent, ended, failed_at, first, violated_at, single_slacks = (
-            np.concatenate(parts) for parts in zip(*seen, strict=True)
-        )
-        study, distances = region.study, region.distances(points)
+        simulated = SimulatedPoints(*(np.concatenate(parts) for parts in zip(*batches, strict=True)))
+        study, distances = region.study, region.distances(simulated.points)
         columns = {
-            "slack": (slacks, "1", "signed slack"),
-            "binding": (binding, "1", "index of the worst requirement"),
-            "distance_to_bound": (signed, "", "slack of the worst requirement in its metric's unit"),
-            "simulations": (spent, "1", "simulations spent until then"),
-            "ended": (ended, "1", "outcome code of a draw that ended early, else 0"),
-            "failed_at": (failed_at, "s", "time at which it ended early (NaN: it did not)"),
-            "first": (first, "1", "index of the requirement that it violated first, else -1"),
-            "violated_at": (violated_at, "s", "time at which that was certain (NaN: none was violated)"),
+            "slack": (simulated.slacks, "1", "signed slack"),
+            "binding": (simulated.binding, "1", "index of the worst requirement"),
+            "distance_to_bound": (simulated.distances, "", "slack of the worst requirement in its metric's unit"),
+            "simulations": (simulated.simulation_counts, "1", "simulations spent until then"),
+            "ended": (simulated.ended, "1", "outcome code of a draw that ended early, else 0"),
+            "failed_at": (simulated.failed_at, "s", "time at which it ended early (NaN: it did not)"),
+            "first": (simulated.first, "1", "index of the requirement that it violated first, else -1"),
+            "violated_at": (simulated.violated_at, "s", "time at which that was certain (NaN: none was violated)"),
             "distance": (distances, "1", "distance from the median draw in standard normal scores"),
             "log_density": (-0.5 * distances**2, "1", "logarithm of the scores' density relative to the mode"),
             "mass": (mass_within(distances, region.size), "1", "probability of a draw at most this far"),
         }
-        for required, column in zip(study.requirements, single_slacks.T, strict=True):
+        for required, column in zip(study.requirements, simulated.single_slacks.T, strict=True):
             columns[required.name] = (column, "", f"slack of {required.text} in its metric's unit")
-        for name, column in region.values(points).items():
+        for name, column in region.values(simulated.points).items():
             columns[name] = (column, study.quantities[name].unit, study.quantities[name].meaning)
-        described = {
+        variables = {
             name: ("point", column, {"units": unit, "long_name": meaning})
             for name, (column, unit, meaning) in columns.items()
         }
         within = region.radius if isinstance(region, ScoreBall) else None
-        return cls(study, xr.Dataset(described, attrs={"title": study.name}), within, seconds, stopped, requirement)
+        return cls(study, xr.Dataset(variables, attrs={"title": study.name}), within, seconds, stopped, requirement)
 
     @property
     def worst(self) -> int:
@@ -206,12 +209,12 @@ class Falsified(Analysis):
     def worst_seen(self) -> dict[str, str]:
         """The worst metric of each requirement over all points whose draws run to their end, by the requirement."""
         complete = self.dataset["ended"].values == 0
-        found = {}
+        texts = {}
         for requirement in self.study.requirements:
             slacks = self.dataset[requirement.name].values[complete]
             if np.any(~np.isnan(slacks)):
-                found[requirement.short] = value_text(requirement, float(np.nanmin(slacks)))
-        return found
+                texts[requirement.short] = value_text(requirement, float(np.nanmin(slacks)))
+        return texts
 
     def ending_at(self, point: int) -> str | None:
         """How the draw of a point ends early, in words; None if it runs to its end."""
@@ -270,10 +273,10 @@ class Falsified(Analysis):
         """The numbers that summary.json holds."""
         nearest = self.nearest_failure
         required = self.study.requirements
-        counted = counted_places(required, self.requirement)
+        relevant_places = counted_places(required, self.requirement)
         return FalsifiedAnswer(
             within=None if self.within is None else likelihood_answer(Likelihood(self.within, len(self.study.laws))),
-            requirements=tuple(required[place].text for place in counted),
+            requirements=tuple(required[place].text for place in relevant_places),
             failed=self.slack < 0.0,
             worst=self.point_answer(self.worst),
             units={name: self.study.quantities[name].unit for name in self.study.laws},
@@ -371,4 +374,4 @@ def hunt(
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:
             stage()
-    return Falsified.of(region, search.seen, time.perf_counter() - began, search.stopped, requirement)
+    return Falsified.of(region, search.batches, time.perf_counter() - began, search.stopped, requirement)

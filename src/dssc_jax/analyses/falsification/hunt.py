@@ -60,7 +60,7 @@ def climbers(budget: int, size: int) -> int:
     return max(1, min(STARTS, int(CLIMBED * budget) // (CLIMB * (1 + size))))
 
 
-class Seen(NamedTuple):
+class SimulatedPoints(NamedTuple):
     """Simulated points.
 
     Args:
@@ -68,7 +68,7 @@ class Seen(NamedTuple):
         slacks: That of the worst requirement, relative to its scale, shape (n,).
         binding: Index of that requirement, shape (n,).
         distances: Its slack in the metric's unit, shape (n,).
-        spent: Simulations spent until then, shape (n,).
+        simulation_counts: Simulations spent until then, shape (n,).
         ended: Code of how the draw ended early; 0 if it ran to its end, shape (n,).
         failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).
         first: Index of the requirement that it violated first, before it ended; -1 if none, shape (n,).
@@ -80,7 +80,7 @@ class Seen(NamedTuple):
     slacks: np.ndarray
     binding: np.ndarray
     distances: np.ndarray
-    spent: np.ndarray
+    simulation_counts: np.ndarray
     ended: np.ndarray
     failed_at: np.ndarray
     first: np.ndarray
@@ -109,20 +109,20 @@ class Hunt:
     rng: np.random.Generator
     progress: ProgressCallback | None
     requirement: str = ""
-    spent: int = 0
+    simulation_count: int = 0
     worst: float = np.inf
-    seen: list[Seen] = field(default_factory=list)
+    batches: list[SimulatedPoints] = field(default_factory=list)
     requirements: tuple[Requirement, ...] = ()
     unspent: str = ""
 
     @property
     def stopped(self) -> str:
         """Why the search stopped before its budget was spent, in words; empty if it spent it."""
-        if self.spent >= self.budget:
+        if self.simulation_count >= self.budget:
             return ""
         if self.worst > -np.inf:
             return self.unspent
-        points = self.seen[-1]
+        points = self.batches[-1]
         place = int(np.argmin(points.slacks))
         if points.ended[place]:
             return "a draw ended early, and no draw is worse"
@@ -138,24 +138,33 @@ class Hunt:
         """Slacks and results of points; ``cost`` is the number of simulations that one point costs."""
         results = evaluator(np.zeros(len(points), dtype=int), self.region.values(points))
         self.requirements = self.requirements or with_typical_slacks(self.programs.study.requirements, results)
-        counted = counted_places(self.requirements, self.requirement)
-        requirements = [self.requirements[place] for place in counted]
+        relevant_places = counted_places(self.requirements, self.requirement)
+        requirements = [self.requirements[place] for place in relevant_places]
         slacks = worst_slack(requirements, results)
-        binding = np.array(counted)[binding_requirement(requirements, results)]
+        binding = np.array(relevant_places)[binding_requirement(requirements, results)]
         all_slacks = np.array([results[requirement.name] for requirement in self.requirements])
         distances = np.take_along_axis(all_slacks, binding[None], 0)[0]
-        spent = self.spent + cost * np.arange(1, len(points) + 1)
+        simulation_counts = self.simulation_count + cost * np.arange(1, len(points) + 1)
         ended = np.where(ended_early(results["outcome"]), results["outcome"], 0)
         first, violated_at = first_violation(self.requirements, results)
-        self.seen.append(
-            Seen(
-                points, slacks, binding, distances, spent, ended, results["failed_at"], first, violated_at, all_slacks.T
+        self.batches.append(
+            SimulatedPoints(
+                points,
+                slacks,
+                binding,
+                distances,
+                simulation_counts,
+                ended,
+                results["failed_at"],
+                first,
+                violated_at,
+                all_slacks.T,
             )
         )
-        self.spent += cost * len(points)
+        self.simulation_count += cost * len(points)
         self.worst = min(self.worst, float(slacks.min()))
         if self.progress:
-            self.progress(min(self.spent, self.budget), self.budget)
+            self.progress(min(self.simulation_count, self.budget), self.budget)
         return slacks, results
 
     def explore(self) -> None:
@@ -164,49 +173,49 @@ class Hunt:
 
     def ranked(self) -> tuple[np.ndarray, np.ndarray]:
         """All points so far with their slacks, worst first."""
-        points, slacks, *_ = (np.concatenate(parts) for parts in zip(*self.seen, strict=True))
+        points, slacks, *_ = (np.concatenate(parts) for parts in zip(*self.batches, strict=True))
         order = np.argsort(slacks, kind="stable")
         return points[order], slacks[order]
 
     @property
-    def counted(self) -> list[Requirement]:
-        """The requirements that count."""
+    def relevant_requirements(self) -> list[Requirement]:
+        """The requirements that the search considers."""
         return [self.requirements[place] for place in counted_places(self.requirements, self.requirement)]
 
     def single_slacks(self) -> np.ndarray:
-        """Slack of every requirement that counts relative to its scale, of all points so far, shape (n, counted)."""
+        """Slack of each relevant requirement, relative to its scale, at all points so far; shape (n, requirements)."""
         places = counted_places(self.requirements, self.requirement)
-        scales = np.array([requirement.scale for requirement in self.counted])
-        slacks = np.concatenate([seen.single_slacks[:, places] for seen in self.seen]) / scales
+        scales = np.array([requirement.scale for requirement in self.relevant_requirements])
+        slacks = np.concatenate([batch.single_slacks[:, places] for batch in self.batches]) / scales
         return np.where(np.isnan(slacks), -np.inf, slacks)
 
     def starts(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Starting points of climbs, and the requirement that each descends, as an index of those that count.
+        """Starting points of climbs, and the index of the relevant requirement whose slack each climb descends.
 
         The worst draw of all requirements is the worst among those of each. The requirement that binds at most points
         would otherwise hide another one, whose worst draws lie elsewhere. So they take turns, the most critical one
         first: a climb starts at its worst point that is far enough from the other starts, or at the worst that is left.
         """
-        points = np.concatenate([seen.points for seen in self.seen])
+        points = np.concatenate([batch.points for batch in self.batches])
         slacks = self.single_slacks()
         targets = np.resize(np.argsort(slacks.min(axis=0), kind="stable"), count)
-        chosen: list[int] = []
+        starts: list[int] = []
         for target in targets:
-            left = [index for index in np.argsort(slacks[:, target], kind="stable").tolist() if index not in chosen]
-            apart = (index for index in left if self.is_apart(points[index], points[chosen]))
-            chosen.append(next(apart, left[0]))
-        return points[chosen], targets
+            unused = [index for index in np.argsort(slacks[:, target], kind="stable").tolist() if index not in starts]
+            apart = (index for index in unused if self.is_apart(points[index], points[starts]))
+            starts.append(next(apart, unused[0]))
+        return points[starts], targets
 
-    def is_apart(self, point: np.ndarray, others: np.ndarray) -> bool:
-        """Whether a point is far enough from each of some others, shape (n, laws)."""
-        return all(self.region.separate(point, other) for other in others)
+    def is_apart(self, point: np.ndarray, neighbours: np.ndarray) -> bool:
+        """Whether a point is far enough from each of its neighbours, shape (n, laws)."""
+        return all(self.region.separate(point, neighbour) for neighbour in neighbours)
 
     def climb(self) -> None:
         """Run projected gradient descents simultaneously, each of one slack and with its own step length.
 
         Native code has no derivatives, and neither has an early end; then evolution gets this share of the budget.
         """
-        if native_code(self.programs.study) or not self.counted:
+        if native_code(self.programs.study) or not self.relevant_requirements:
             return
         cost, room, evaluator = 1 + self.size, int(CLIMBED * self.budget), self.programs.steep
         points, targets = self.starts(climbers(self.budget, self.size))
@@ -218,10 +227,10 @@ class Hunt:
         for _ in range(room // (cost * len(points)) - 1):
             trial = self.region.descended(points, slopes, stride)
             _, results = self.simulate(trial, evaluator, cost)
-            slacks, fresh = self.descent(trial, results, targets)
+            slacks, trial_slopes = self.descent(trial, results, targets)
             better = slacks < best
             points = np.where(better[:, None], trial, points)
-            slopes = np.where(better[:, None], fresh, slopes)
+            slopes = np.where(better[:, None], trial_slopes, slopes)
             best, stride = np.minimum(best, slacks), stride * np.where(better, LONGER, SHORTER)
             if self.worst == -np.inf:
                 return
@@ -229,8 +238,8 @@ class Hunt:
     def descent(self, points: np.ndarray, results: Arrays, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The slack that each climb descends, shape (n,), and its derivatives by the coordinates, shape (n, laws)."""
         laws = list(self.programs.study.laws)
-        slacks = np.array([worst_slack([requirement], results) for requirement in self.counted])
-        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in self.counted])
+        slacks = np.array([worst_slack([requirement], results) for requirement in self.relevant_requirements])
+        gradients = np.array([worst_slopes([requirement], results, laws) for requirement in self.relevant_requirements])
         climbs = np.arange(len(points))
         slopes = self.region.slopes(points, gradients[targets, climbs])
         return slacks[targets, climbs], np.where(np.isfinite(slopes), slopes, 0.0)
@@ -238,22 +247,22 @@ class Hunt:
     def evolve(self) -> None:
         """Run differential evolution, starting from the worst points so far."""
         count = members(self.budget, self.size)
-        first: Any = self.ranked()[0][:count]
-        left = self.budget - self.spent
-        generations = left // count - 1
-        self.unspent = f"the {left % count} simulations left are fewer than a generation of {count}"
+        first_generation: Any = self.ranked()[0][:count]
+        remaining_budget = self.budget - self.simulation_count
+        generations = remaining_budget // count - 1
+        self.unspent = f"the {remaining_budget % count} simulations left are fewer than a generation of {count}"
         if generations < 1:
-            self.unspent = f"the {left} simulations left are fewer than two generations of {count}"
+            self.unspent = f"the {remaining_budget} simulations left are fewer than two generations of {count}"
             return
 
         def cost(columns: np.ndarray) -> np.ndarray:
             slacks, _ = self.simulate(self.region.projected(np.atleast_2d(columns.T)), self.programs.plain)
             return np.clip(slacks, -1e100, 1e100)
 
-        found = differential_evolution(
-            cost, [self.region.limits] * self.size, init=first, rng=self.rng, tol=0.0,
+        evolution = differential_evolution(
+            cost, [self.region.limits] * self.size, init=first_generation, rng=self.rng, tol=0.0,
             maxiter=generations, polish=False, vectorized=True, updating="deferred",
             callback=lambda x, convergence: self.worst == -np.inf,
         )  # fmt: skip
-        if found.nit < generations:
+        if evolution.nit < generations:
             self.unspent = f"all {count} draws of the last generation are equally bad"

@@ -17,28 +17,28 @@ class AllChanges:
 
     Args:
         draws: The weighted draws.
-        found: What the weights say.
+        largest: The largest change by the weights.
         guaranteed: The largest size whatever draws fail; 0 if nothing is guaranteed.
         limit_at: Size -> upper limit of the failure probability whatever draws fail.
     """
 
     draws: WeightedDraws
-    found: LargestChange
+    largest: LargestChange
     guaranteed: float
     limit_at: Callable[[float], float]
 
     def curves(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sizes, shape (points,), and the probability, its limit, and that whatever draws fail; shape (points, 3).
+        """Sizes, shape (points,), and at each size the probability, its limit, and the guaranteed limit; (points, 3).
 
         NaN where the weights are not trusted.
         """
-        end = max(self.found.explored, BEYOND * self.guaranteed, np.finfo(float).eps)
-        sizes = np.union1d(np.linspace(0.0, end, POINTS), [self.found.explored])
+        end = max(self.largest.explored, BEYOND * self.guaranteed, np.finfo(float).eps)
+        sizes = np.union1d(np.linspace(0.0, end, POINTS), [self.largest.explored])
         rows = []
         for size in sizes:
-            weighted = (np.nan, np.nan)
-            if size <= self.found.explored and self.found.explored > 0.0:
+            weighted_estimate = (np.nan, np.nan)
+            if size <= self.largest.explored and self.largest.explored > 0.0:
                 worst = self.draws.worst(float(size))
-                weighted = (worst.probability, worst.interval[1])
-            rows.append((*weighted, self.limit_at(float(size))))
+                weighted_estimate = (worst.probability, worst.interval[1])
+            rows.append((*weighted_estimate, self.limit_at(float(size))))
         return sizes, np.array(rows)

@@ -45,7 +45,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class WeightedAnswer:
-    """What the draws' weights say of one kind of change of all laws."""
+    """The weighted draws' answer for one kind of change of all laws."""
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[float | None, Quantity("that of the change", "largest change; None: not reached")]
@@ -56,22 +56,22 @@ class WeightedAnswer:
     reason: Annotated[str, Quantity("", "why the weights say no more; empty: they reach the limit")]
 
     @classmethod
-    def of(cls, found: LargestChange, change: Change) -> Self:
+    def of(cls, largest: LargestChange, change: Change) -> Self:
         """The answer in the units of the change."""
         return cls(
-            bound=change.amount(found.bound),
-            estimate=None if found.estimate is None else change.amount(found.estimate),
-            explored=change.amount(found.explored),
-            probability=found.worst.probability,
-            effective=found.worst.effective,
-            effective_failures=found.worst.failing,
-            reason=found.reason,
+            bound=change.amount(largest.bound),
+            estimate=None if largest.estimate is None else change.amount(largest.estimate),
+            explored=change.amount(largest.explored),
+            probability=largest.worst.probability,
+            effective=largest.worst.effective,
+            effective_failures=largest.worst.failing,
+            reason=largest.reason,
         )
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What it is worth to know in which part of its law one number lies; the law has parts of equal probability."""
+    """The value of knowing in which part of its law a number lies; the parts have equal probability."""
 
     parts: Annotated[int, Quantity("1", "number of parts")]
     removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]

@@ -40,22 +40,22 @@ class FreshLimits:
     changes: dict[str, FreshLimit]
 
 
-def worst_direction(draws: WeightedDraws, found: LargestChange) -> np.ndarray:
+def worst_direction(draws: WeightedDraws, largest: LargestChange) -> np.ndarray:
     """The amounts of the worst change, the largest of them 1 in size."""
-    amounts = found.worst.amounts if found.explored > 0.0 else draws.extreme(TRIAL, 1.0)
+    amounts = largest.worst.amounts if largest.explored > 0.0 else draws.extreme(TRIAL, 1.0)
     return amounts / max(float(np.abs(amounts).max()), np.finfo(float).tiny)
 
 
-def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, found: LargestChange, limit: float) -> FreshLimit:
-    """The largest change along one direction, whose failure probability is taken to grow along it.
+def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, largest: LargestChange, limit: float) -> FreshLimit:
+    """The largest change along one direction, assuming that the failure probability grows along it.
 
     Args:
         fresh: The new draws.
         draws: The weighted draws, which give the direction and the kind of change.
-        found: What the weights say.
+        largest: The largest change by the weights.
         limit: Largest failure probability allowed.
     """
-    direction = worst_direction(draws, found)
+    direction = worst_direction(draws, largest)
 
     @lru_cache
     def failures(size: float) -> int:
@@ -68,13 +68,13 @@ def fresh_limit(fresh: FreshDraws, draws: WeightedDraws, found: LargestChange, l
     estimate = farthest(lambda size: failures(size) <= limit * fresh.count)
     low, high = clopper_pearson(failures(bound), fresh.count, draws.confidence).tolist()
     amount = draws.change.amount
-    reached = None if estimate == LARGEST else amount(estimate)
-    return FreshLimit(amount(bound), reached, failures(bound), (low, high))
+    estimated_amount = None if estimate == LARGEST else amount(estimate)
+    return FreshLimit(amount(bound), estimated_amount, failures(bound), (low, high))
 
 
 def fresh_limits(fresh: FreshDraws, changes: Sequence[AllChanges], limit: float) -> FreshLimits:
     """The largest change of each kind; arguments as of :func:`fresh_limit`."""
-    limits = {part.draws.change.name: fresh_limit(fresh, part.draws, part.found, limit) for part in changes}
+    limits = {kind.draws.change.name: fresh_limit(fresh, kind.draws, kind.largest, limit) for kind in changes}
     return FreshLimits(fresh.count, fresh.simulated, limits)
 
 
@@ -89,5 +89,5 @@ def farthest(holds: Callable[[float], bool]) -> float:
             return LARGEST
         inside = outside
         outside = 2.0 * outside
-    inner, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
-    return float(inner)
+    largest_size, _ = bisect(lambda largest_size: holds(float(largest_size)), inside, outside, HALVINGS)
+    return float(largest_size)

@@ -112,7 +112,7 @@ class LawErrors(Analysis):
         """The numbers that summary.json holds."""
         probability = self.failures / self.draws
         requirements = tuple(requirement.text for requirement in self.study.requirements)
-        estimated = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
+        estimated_radii = {name: ball.largest_radius(probability, self.limit) for name, ball in BALLS.items()}
         radii = {name: ball.largest_radius(self.interval[1], self.limit) for name, ball in BALLS.items()}
         shift = self.weights["mean_shift"]
         widening = self.weights["widening"]
@@ -126,7 +126,7 @@ class LawErrors(Analysis):
             mean_shift=max(shift.bound, self.guaranteed.mean_shift),
             widening=max(widening.bound, self.guaranteed.widening or 1.0),
             guaranteed=self.guaranteed,
-            estimates=Estimates(**estimated, mean_shift=shift.estimate, widening=widening.estimate),
+            estimates=Estimates(**estimated_radii, mean_shift=shift.estimate, widening=widening.estimate),
             weights=self.weights,
             most_important=self.most_important(),
             measure_next=self.measure_next(),
@@ -188,7 +188,7 @@ def failing_median_interval(law: Law, row: xr.Dataset) -> tuple[float, float] | 
 
 
 def knowledge_in(row: xr.Dataset) -> Knowledge | None:
-    """What knowing a number is worth; None if too few draws failed."""
+    """The value of knowing a number; None if too few draws failed."""
     parts, removed, removed_low, removed_high, changes, changes_low, changes_high = (
         float(row[name]) for name in KNOWLEDGE
     )
@@ -271,7 +271,7 @@ def laws(
         interval=(low, high),
         interval_method=result.method.name,
         guaranteed=guaranteed,
-        weights={part.draws.change.name: WeightedAnswer.of(part.found, part.draws.change) for part in changes},
+        weights={part.draws.change.name: WeightedAnswer.of(part.largest, part.draws.change) for part in changes},
         stated=amounts.errors(draws, (low, high), confidence),
         fresh=fresh_limits(new, changes, limit) if fresh and draws.failed.any() else None,
         seconds=time.perf_counter() - began,

@@ -121,10 +121,10 @@ class LawRanges(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         low, high = self.interval
-        checked = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
+        check_text = "new draws agree" if self.verified else "NEW DRAWS CONTRADICT THE WEIGHTS"
         return (
             f"failure probability in [{low:.3g}, {high:.3g}] for every law within the ranges "
-            f"({100 * CONFIDENCE:g} % confidence; {checked}); a limit of {100 * self.limit:g} % is {self.verdict}"
+            f"({100 * CONFIDENCE:g} % confidence; {check_text}); a limit of {100 * self.limit:g} % is {self.verdict}"
         )
 
     def figure(self) -> Figure:
@@ -218,11 +218,11 @@ def require_even(draws: RangedDraws, study: Study) -> None:
     """
     if draws.trusted:
         return
-    needed = int(np.ceil(len(draws.failed) * LEAST_EFFECTIVE / draws.least_effective))
+    sufficient_draws = int(np.ceil(len(draws.failed) * LEAST_EFFECTIVE / draws.least_effective))
     rule = (
         f"the ranges of its laws are too wide for {len(draws.failed):,} draws: they are worth "
-        f"{draws.least_effective:.0f} draws of some of the laws, and {LEAST_EFFECTIVE:g} are needed; about {needed:,} "
-        "draws would do, or narrower ranges"
+        f"{draws.least_effective:.0f} draws of some of the laws, and {LEAST_EFFECTIVE:g} are needed; about "
+        f"{sufficient_draws:,} draws would do, or narrower ranges"
     )
     raise ConfigError(study.source, rule)
 
@@ -240,12 +240,12 @@ class Simulated:
         self.middle = study.with_laws({name: law.middle for name, law in self.ranged.items()})
         self.engine = Engine(self.middle, min(BLOCK, study.config.draws))
         self.progress = progress
-        self.done = 0
+        self.simulation_count = 0
         self.values: dict[str, np.ndarray] = {}
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """So many draws of the mixtures; those that exist are kept."""
+        """A number of draws of the mixtures; existing draws are used again."""
         indices = np.arange(len(self.failed), count)
         values = draw(self.middle, indices)
         points = unit_points(self.middle, indices)
@@ -260,22 +260,22 @@ class Simulated:
     def failures(self, values: Mapping[str, np.ndarray], indices: np.ndarray) -> np.ndarray:
         """Whether draws fail, shape (n,)."""
         outcomes = evaluate(self.engine, dict(values), indices)["outcome"]
-        self.done += len(indices)
+        self.simulation_count += len(indices)
         if self.progress:
-            self.progress(self.done, None)
+            self.progress(self.simulation_count, None)
         return outcomes != Outcome.OK
 
-    def checked(self, found: WeightedLaws, start: int, count: int) -> ExtremeLaws:
-        """Laws of the box with new draws of them, from an index on."""
+    def checked(self, estimate: WeightedLaws, start: int, count: int) -> ExtremeLaws:
+        """Check laws of the box by new draws of them, from an index on."""
         indices = np.arange(start, start + count)
-        failed = self.failures(draw(self.middle.with_laws(found.laws), indices), indices)
+        failed = self.failures(draw(self.middle.with_laws(estimate.laws), indices), indices)
         failures = int(np.count_nonzero(failed))
         low, high = clopper_pearson(failures, count, CONFIDENCE).tolist()
         return ExtremeLaws(
-            laws={name: {law.kind: list(law.arguments)} for name, law in found.laws.items()},
-            probability=found.probability,
-            interval=found.interval,
-            effective=found.effective,
+            laws={name: {law.kind: list(law.arguments)} for name, law in estimate.laws.items()},
+            probability=estimate.probability,
+            interval=estimate.interval,
+            effective=estimate.effective,
             fresh_failures=failures,
             fresh_interval=(low, high),
         )
@@ -287,7 +287,7 @@ def dataset_of(study: Study, lowest: ExtremeLaws, highest: ExtremeLaws) -> xr.Da
     for name, law in study.ranged_laws.items():
         for place, (low, high) in enumerate(law.ranges):
             if low < high:
-                ends = [found.laws[name][law.kind][place] for found in (lowest, highest)]
+                ends = [extreme.laws[name][law.kind][place] for extreme in (lowest, highest)]
                 rows.append((f"{name}: {LAWS[law.kind].argument_names[place]}", low, high, *ends))
     labels, *columns = zip(*rows, strict=True)
     meanings = {

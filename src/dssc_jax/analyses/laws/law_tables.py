@@ -53,7 +53,7 @@ def dataset_of(
     """
     sizes, shifted = shift.curves()
     log_widths, widened = widening.curves()
-    worst = dict(zip(draws.study.laws, shift.found.worst.amounts, strict=True))
+    worst = dict(zip(draws.study.laws, shift.largest.worst.amounts, strict=True))
     columns: dict[str, Column] = law_columns(draws, shift.draws, widening.draws, bounds, limit)
     part = np.array([worst[name] for name in draws.names])
     columns |= knowledge_columns(draws, shift.draws.confidence, limit)
@@ -108,14 +108,14 @@ def knowledge_columns(draws: ScoredDraws, confidence: float, limit: float) -> di
         ends = median_ends(failing, confidence)
         for column, number in zip(columns.values(), (*numbers, *quantiles, *ends), strict=True):
             column.append(float(number))
-    described = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
+    variables = {name: (TABLE, np.array(columns[name]), share(meaning)) for name, meaning in KNOWLEDGE.items()}
     for name, quantile in FAILING.items():
         meaning = f"level of the law below which {100 * quantile:g} % of the failed draws lie"
-        described[name] = (TABLE, np.array(columns[name]), share(meaning))
+        variables[name] = (TABLE, np.array(columns[name]), share(meaning))
     for name in MEDIAN_ENDS:
         meaning = "an end of the interval of the median level in failed draws"
-        described[name] = (TABLE, np.array(columns[name]), share(meaning))
-    return described
+        variables[name] = (TABLE, np.array(columns[name]), share(meaning))
+    return variables
 
 
 def median_ends(levels: np.ndarray, confidence: float) -> tuple[float, float]:

@@ -23,7 +23,7 @@ TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, 
 
 @dataclass(frozen=True)
 class WeightedLaws:
-    """Laws of a box, and what the weighted draws say of them.
+    """Laws of a box, with the failure probability that the weighted draws give for them.
 
     Args:
         laws: By number.
@@ -46,11 +46,11 @@ def components(law: RangedLaw) -> list[Law]:
 def mixture_values(law: RangedLaw, levels: np.ndarray) -> np.ndarray:
     """Values of the mixture from uniform levels: the first of B equal parts of them gives the first law, and so on."""
     laws = components(law)
-    scaled = levels * len(laws)
-    chosen = np.minimum(scaled.astype(int), len(laws) - 1)
+    positions = levels * len(laws)
+    component_indices = np.minimum(positions.astype(int), len(laws) - 1)
     tiny = np.finfo(float).eps
-    inner = np.clip(scaled - chosen, tiny, 1.0 - tiny)
-    return np.choose(chosen, [component.quantile(inner) for component in laws])
+    component_levels = np.clip(positions - component_indices, tiny, 1.0 - tiny)
+    return np.choose(component_indices, [component.quantile(component_levels) for component in laws])
 
 
 def log_mixture(law: RangedLaw, values: np.ndarray) -> np.ndarray:
@@ -120,12 +120,14 @@ class RangedDraws:
         middle = np.mean(self.bounds, axis=1)
         if 2 ** len(self.bounds) <= MOST_CORNERS:
             return np.array([*product(*self.bounds), middle])
-        chosen = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
-        return np.array([*np.take_along_axis(np.array(self.bounds)[None], chosen[..., None], axis=2)[..., 0], middle])
+        end_indices = np.random.default_rng(0).integers(0, 2, (MOST_CORNERS, len(self.bounds)))
+        return np.array(
+            [*np.take_along_axis(np.array(self.bounds)[None], end_indices[..., None], axis=2)[..., 0], middle]
+        )
 
     @cached_property
     def least_effective(self) -> float:
-        """The least effective number of draws over the corners of the box and its middle."""
+        """The smallest effective number of draws over the corners of the box and its middle."""
         sizes = [effective_size(np.exp(self.log_weights(self.laws_at(point)))) for point in self.corners]
         return min(sizes)
 
@@ -162,11 +164,11 @@ class RangedDraws:
         best = min(candidates, key=at_point)
         scale = np.ptp(self.bounds, axis=1)
         low = np.array(self.bounds)[:, 0]
-        polished = optimize.minimize(
+        descent = optimize.minimize(
             lambda share: at_point(low + scale * np.clip(share, 0.0, 1.0)),
             (best - low) / scale,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * len(low),
         )
-        point = low + scale * np.clip(polished.x, 0.0, 1.0)
+        point = low + scale * np.clip(descent.x, 0.0, 1.0)
         return min((best, point), key=at_point)

@@ -22,14 +22,14 @@ def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[
         poles: Of L, shape (draws, states).
         angles: omega T_s, shape (frequencies,).
     """
-    known = np.all(np.isfinite(response), axis=1)
-    response = response[known]
+    has_response = np.all(np.isfinite(response), axis=1)
+    response = response[has_response]
     if not len(response):
         return {name: np.full((len(LEVELS_OF_FAN), response.shape[1]), np.nan) for name in FANS}
     loop = -response / (1.0 + response)
     columns = {
         "loop_gain": np.abs(loop),
-        "loop_phase": joint_phase(loop, poles[known], angles),
+        "loop_phase": joint_phase(loop, poles[has_response], angles),
         "sensitivity": np.abs(1.0 + response),
         "complementary": np.abs(response),
     }
@@ -53,10 +53,10 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
     phase = np.unwrap(np.angle(loop * np.exp(1j * turned)), axis=1) - turned
     with np.errstate(divide="ignore"):
         distance = np.median(np.abs(np.log(np.abs(loop))), axis=0)
-    crossing = phase[:, np.argmin(distance)]
-    middle = np.angle(np.mean(np.exp(1j * crossing)))
+    crossover_phase = phase[:, np.argmin(distance)]
+    middle = np.angle(np.mean(np.exp(1j * crossover_phase)))
     middle -= TURN * np.ceil(middle / TURN - 0.25)  # within (-3 pi/2, pi/2], around an integrator's
-    phase -= TURN * np.round((crossing - middle) / TURN)[:, None]
+    phase -= TURN * np.round((crossover_phase - middle) / TURN)[:, None]
     median = np.median(phase, axis=0)
     return phase - TURN * np.round((phase - median) / TURN)
 

@@ -57,9 +57,9 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     require_independent(study, "a tolerance limit")
     began = time.perf_counter()
     study = study.without_sweep()
-    operating_points, taken = operation(study, tuple(times))
+    operating_points, notes = operation(study, tuple(times))
     for operating in operating_points.values():
-        taken += operating.taken
+        notes += operating.taken
     parts = {name: parts_of(study, operating) for name, operating in operating_points.items()}
     if not any(parts.values()):
         raise ConfigError(
@@ -70,21 +70,21 @@ def loop_margins(study: Study, *, times: Sequence[float] = (), progress: Progres
     poles = []
     for by_loop in parts.values():
         poles += [part.poles.ravel() for part in by_loop.values()]
-    common = common_grid(np.concatenate(poles))
+    common_angles = common_grid(np.concatenate(poles))
     sample_time = study.config.loop.sample_time
     broken_loops: dict[str, dict[str, BrokenLoop]] = {}
     for count, (name, by_loop) in enumerate(parts.items(), start=1):
         broken_loops[name] = {}
         for loop, part in by_loop.items():
-            broken = broken_loop(part, common, sample_time)
+            broken = broken_loop(part, common_angles, sample_time)
             if broken is not None:
                 broken_loops[name][loop] = broken
         if progress:
             progress(count * study.config.draws, len(parts) * study.config.draws)
-    dataset = margins_dataset(study, broken_loops, common / sample_time)
+    dataset = margins_dataset(study, broken_loops, common_angles / sample_time)
     multiloop = {name: multiloop_margins(study.loop.channels, at, sample_time) for name, at in operating_points.items()}
     dataset = dataset.merge(multiloop_columns(multiloop))
-    return LoopMargins(study, dataset, tuple(map(float, times)), taken, time.perf_counter() - began)
+    return LoopMargins(study, dataset, tuple(map(float, times)), notes, time.perf_counter() - began)
 
 
 class Part(NamedTuple):
@@ -106,42 +106,44 @@ class Part(NamedTuple):
 
 
 def parts_of(study: Study, operating: Operating) -> dict[str, Part]:
-    """The part of the loop that matters at each break point; one without effect is left out."""
+    """The relevant part of the loop at each break point; break points without effect are left out."""
     matrices = operating.matrices
     parts = {}
     for point, name in enumerate(break_points(study.loop)):
         closed = operating.closed(point)
-        kept = matrices.loop_states(point, closed)
-        if kept.size:
-            a = matrices.a[np.ix_(closed, kept, kept)]
-            b = matrices.b[closed][:, kept, point]
-            c = matrices.c[closed][:, point, kept]
+        state_indices = matrices.loop_states(point, closed)
+        if state_indices.size:
+            a = matrices.a[np.ix_(closed, state_indices, state_indices)]
+            b = matrices.b[closed][:, state_indices, point]
+            c = matrices.c[closed][:, point, state_indices]
             parts[name] = Part(closed, a, b, c, np.linalg.eigvals(a))
     return parts
 
 
-def broken_loop(part: Part, common: np.ndarray, sample_time: float) -> BrokenLoop | None:
+def broken_loop(part: Part, common_angles: np.ndarray, sample_time: float) -> BrokenLoop | None:
     """Margins and frequency response at one break point; None if the signal there has no effect.
 
     Args:
         part: The broken loop.
-        common: Angles of the frequency response, shape (frequencies,).
+        common_angles: Angles of the frequency response, shape (frequencies,).
         sample_time: T_s [s].
     """
-    closed, a, b, c, poles = part
-    g = np.full((len(closed), common.size), np.nan, complex)
-    g[closed] = response_of(a, b, c)(np.broadcast_to(common, (len(a), common.size)))
+    has_closed_loop, a, b, c, poles = part
+    g = np.full((len(has_closed_loop), common_angles.size), np.nan, complex)
+    g[has_closed_loop] = response_of(a, b, c)(np.broadcast_to(common_angles, (len(a), common_angles.size)))
     if np.nanmax(np.abs(g)) < NO_EFFECT:
         return None
-    opened = np.full((len(closed), a.shape[-1]), np.nan, complex)
-    opened[closed] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+    open_loop_poles = np.full((len(has_closed_loop), a.shape[-1]), np.nan, complex)
+    open_loop_poles[has_closed_loop] = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
     stable = np.max(np.abs(poles), axis=1) < 1.0
-    status = np.full(len(closed), Status.NO_OPERATING_POINT.value)
-    status[closed] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
-    columns = {field: np.full(len(closed), np.nan) for field in ClassicalMargins._fields}
+    status = np.full(len(has_closed_loop), Status.NO_OPERATING_POINT.value)
+    status[has_closed_loop] = np.where(stable, Status.STABLE.value, Status.UNSTABLE.value)
+    columns = {field: np.full(len(has_closed_loop), np.nan) for field in ClassicalMargins._fields}
     if stable.any():
-        angles = grid_with_poles(common, np.concatenate([poles, opened[closed]], axis=1)[stable])
+        angles = grid_with_poles(
+            common_angles, np.concatenate([poles, open_loop_poles[has_closed_loop]], axis=1)[stable]
+        )
         margins = classical_margins(response_of(a[stable], b[stable], c[stable]), angles, sample_time)
         for field, values in margins._asdict().items():
             columns[field][status == Status.STABLE] = values
-    return BrokenLoop(columns, status, g, opened)
+    return BrokenLoop(columns, status, g, open_loop_poles)

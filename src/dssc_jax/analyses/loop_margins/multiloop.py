@@ -32,14 +32,14 @@ class MultiloopMargins(NamedTuple):
     Args:
         channels: The channels whose commands have an effect.
         guaranteed: alpha that is guaranteed at all frequencies looked at, shape (draws,).
-        found: alpha of a perturbation that makes the loop singular, shape (draws,).
+        attained: alpha of a perturbation that makes the loop singular, shape (draws,).
         frequency: The critical frequency [rad/s], shape (draws,).
         factors: The factors of that perturbation, shape (draws, channels).
     """
 
     channels: tuple[str, ...]
     guaranteed: np.ndarray
-    found: np.ndarray
+    attained: np.ndarray
     frequency: np.ndarray
     factors: np.ndarray
 
@@ -86,26 +86,28 @@ class JointMargins(NamedTuple):
     """Disk margins of n loops: fields of :class:`MultiloopMargins` without the names, for stable loops alone."""
 
     guaranteed: np.ndarray
-    found: np.ndarray
+    attained: np.ndarray
     frequency: np.ndarray
     factors: np.ndarray
 
 
-def joint_places(channels: Sequence[str], matrices: StateMatrices, reached: np.ndarray) -> JointPlaces | None:
+def joint_places(
+    channels: Sequence[str], matrices: StateMatrices, has_operating_point: np.ndarray
+) -> JointPlaces | None:
     """Where the commands with an effect enter the loop; None if they are fewer than two.
 
     Args:
         channels: Names of the channels.
         matrices: Of all draws.
-        reached: Which draws have an operating point, shape (draws,).
+        has_operating_point: Whether each draw has an operating point, shape (draws,).
     """
     names = place_names(channels)
     places = np.array([names.index(f"{channel} {BreakPoint.INPUT}".strip()) for channel in channels])
-    influences = np.any(matrices.a[reached] != 0.0, axis=0)
-    forward = [closure(np.any(matrices.b[reached][:, :, p] != 0.0, axis=0), influences.T) for p in places]
-    backward = [closure(np.any(matrices.c[reached][:, p] != 0.0, axis=0), influences) for p in places]
-    kept = [ahead & reaching for ahead, reaching in zip(forward, backward, strict=True)]
-    effective = [i for i, states in enumerate(kept) if states.any()]
+    influences = np.any(matrices.a[has_operating_point] != 0.0, axis=0)
+    forward = [closure(np.any(matrices.b[has_operating_point][:, :, p] != 0.0, axis=0), influences.T) for p in places]
+    backward = [closure(np.any(matrices.c[has_operating_point][:, p] != 0.0, axis=0), influences) for p in places]
+    states_of_channels = [ahead & reaching for ahead, reaching in zip(forward, backward, strict=True)]
+    effective = [i for i, states in enumerate(states_of_channels) if states.any()]
     if len(effective) < 2:
         return None
     states = np.flatnonzero(
@@ -123,19 +125,19 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
         sample_time: T_s [s].
     """
     matrices = operating.matrices
-    reached = operating.reached
-    joint = joint_places(channels, matrices, reached)
+    has_operating_point = operating.reached
+    joint = joint_places(channels, matrices, has_operating_point)
     if joint is None:
         return None
-    stable = np.flatnonzero(reached)
+    stable = np.flatnonzero(has_operating_point)
     poles = np.linalg.eigvals(matrices.a[np.ix_(stable, joint.states, joint.states)])
     inside = np.max(np.abs(poles), axis=1) < 1.0
     stable = stable[inside]
-    draws = len(reached)
+    draws = len(has_operating_point)
     margins = MultiloopMargins(
         channels=tuple(channels[i] for i in joint.channels),
         guaranteed=np.full(draws, np.nan),
-        found=np.full(draws, np.nan),
+        attained=np.full(draws, np.nan),
         frequency=np.full(draws, np.nan),
         factors=np.full((draws, len(joint.channels)), np.nan, complex),
     )
@@ -145,8 +147,8 @@ def multiloop_margins(channels: Sequence[str], operating: Operating, sample_time
             matrices.b[np.ix_(stable, joint.states, joint.points)],
             matrices.c[np.ix_(stable, joint.points, joint.states)],
         )
-        found = joint_margins(loops, poles[inside], sample_time)
-        for name, values in found._asdict().items():
+        stable_margins = joint_margins(loops, poles[inside], sample_time)
+        for name, values in stable_margins._asdict().items():
             getattr(margins, name)[stable] = values
     return margins
 
@@ -185,16 +187,16 @@ def peak(loops: JointLoops, angles: np.ndarray, bound: Bound = upper_bounds) -> 
     responses = loops.at(angles)
     count, columns, channels, _ = responses.shape
     flat = responses.reshape(-1, channels, channels)
-    rough = balanced_bounds(flat).reshape(count, columns)
-    padded = np.pad(rough, ((0, 0), (1, 1)), constant_values=-np.inf)
-    is_top = (rough >= padded[:, :-2]) & (rough >= padded[:, 2:])
-    tops = np.argsort(-np.where(is_top, rough, 0.0), axis=1)[:, :MOST_PEAKS]
-    picked = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
-    sharp = bound(picked).reshape(count, -1)
-    order = np.argsort(-sharp, axis=1)[:, :REFINED_PEAKS]
+    rough_bounds = balanced_bounds(flat).reshape(count, columns)
+    padded_bounds = np.pad(rough_bounds, ((0, 0), (1, 1)), constant_values=-np.inf)
+    is_top = (rough_bounds >= padded_bounds[:, :-2]) & (rough_bounds >= padded_bounds[:, 2:])
+    tops = np.argsort(-np.where(is_top, rough_bounds, 0.0), axis=1)[:, :MOST_PEAKS]
+    peak_responses = np.take_along_axis(responses, tops[:, :, None, None], 1).reshape(-1, channels, channels)
+    sharp_bounds = bound(peak_responses).reshape(count, -1)
+    order = np.argsort(-sharp_bounds, axis=1)[:, :REFINED_PEAKS]
     candidates = np.take_along_axis(tops, order, 1)
     places = [np.take_along_axis(angles, candidates, 1)]
-    values = [np.take_along_axis(sharp, order, 1)]
+    values = [np.take_along_axis(sharp_bounds, order, 1)]
     for column in candidates.T:
         at = column[:, None]
         low = np.take_along_axis(angles, np.maximum(at - 1, 0), 1)

@@ -26,10 +26,10 @@ from dssc_jax.study import Study
 
 
 class Operation(NamedTuple):
-    """Operating points of a study, by name, and what is taken for parts that are smooth nowhere, in words."""
+    """Operating points of a study, by name, and notes on the substitutes for parts that are smooth nowhere."""
 
     points: dict[str, Operating]
-    taken: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def operation(study: Study, times: tuple[float, ...]) -> Operation:
@@ -44,7 +44,7 @@ def operation(study: Study, times: tuple[float, ...]) -> Operation:
             or a time is outside the flight.
     """
     places = declared_places(study, moving=bool(times))
-    points = along(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
+    points = operating_points_in_flight(study, times, places) if times else {EQUILIBRIUM: equilibrium(study, places)}
     return Operation(points, tuple(substitute_notes(places)))
 
 
@@ -69,28 +69,30 @@ def resting_operation(resting: RestingLoop, draws: int) -> tuple[Operating, np.n
     places = resting.places
     indices = np.arange(draws)
     values = draw(study, indices)
-    states, matrices, settled, felt = resting.settle(values, indices)
-    if not settled.any():
+    states, matrices, is_settled, signal_states = resting.settle(values, indices)
+    if not is_settled.any():
         raise ConfigError(
             study.source, "no draw has an equilibrium at a constant reference; linearise along the flight"
         )
-    found = examination(lane_loop(study, places, is_resting=True), places)(values, indices, states, 1)
-    findings = resting.linearise.resolve_open_loops(values, indices, states, 1, found)
-    taken = corner_notes(study, places, findings[settled], EQUILIBRIUM)
-    plain = settled & ~np.any((found == Finding.CORNER) | (found == Finding.DEFECT), axis=1)
-    cornered = np.any(findings == Finding.CORNER, axis=1)
+    raw_findings = examination(lane_loop(study, places, is_resting=True), places)(values, indices, states, 1)
+    findings = resting.linearise.resolve_open_loops(values, indices, states, 1, raw_findings)
+    notes = corner_notes(study, places, findings[is_settled], EQUILIBRIUM)
+    is_smooth = is_settled & ~np.any((raw_findings == Finding.CORNER) | (raw_findings == Finding.DEFECT), axis=1)
+    has_corner = np.any(findings == Finding.CORNER, axis=1)
 
     def after(pushed: np.ndarray) -> np.ndarray:
         return resting.linearise.next_states(values, indices, pushed, 1, resting.smooth(draws))
 
-    if plain.any():
-        require_derivative(study, after, states, matrices, plain, felt)
-    if cornered.any():
+    if is_smooth.any():
+        require_derivative(study, after, states, matrices, is_smooth, signal_states)
+    if has_corner.any():
         matrices = resting.linearise(values, indices, states, 1, findings)
-    return Operating(matrices, settled, np.any(findings == Finding.BEYOND, axis=1), taken), findings
+    return Operating(matrices, is_settled, np.any(findings == Finding.BEYOND, axis=1), notes), findings
 
 
-def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) -> dict[str, Operating]:
+def operating_points_in_flight(
+    study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]
+) -> dict[str, Operating]:
     """Every draw's matrices at the states of its flight at the given times, by name.
 
     Raises:
@@ -102,18 +104,18 @@ def along(study: Study, times: tuple[float, ...], places: tuple[LoopPart, ...]) 
         raise ConfigError("times", rule)
     indices = np.arange(study.config.draws)
     values = draw(study, indices)
-    flown = flown_states(study, values, indices, samples)
+    flight_states = flown_states(study, values, indices, samples)
     linearise = Linearisation(study, places, is_resting=False)
     examine = examination(lane_loop(study, places, is_resting=False), places)
     operating = {}
-    for t, k, states in zip(times, samples, flown, strict=True):
+    for t, k, states in zip(times, samples, flight_states, strict=True):
         findings = examine(values, indices, states, k)
         findings = linearise.resolve_open_loops(values, indices, states, k, findings)
         matrices = linearise(values, indices, states, k, findings)
         finite = np.all(np.isfinite(states), axis=1) & np.all(np.isfinite(matrices.a), axis=(1, 2))
         name = f"t = {t:g} s"
-        taken = corner_notes(study, places, findings[finite], name)
-        operating[name] = Operating(matrices, finite, np.any(findings == Finding.BEYOND, axis=1), taken)
+        notes = corner_notes(study, places, findings[finite], name)
+        operating[name] = Operating(matrices, finite, np.any(findings == Finding.BEYOND, axis=1), notes)
     return operating
 
 

@@ -181,12 +181,12 @@ class LoopMargins(Analysis):
         """Statistics of the disk margin of all loops at once."""
         data = self.dataset.sel(operating_point=point)
         margins = np.where(np.isnan(data["multiloop_disk"].values), -np.inf, data["multiloop_disk"].values)
-        found = np.where(np.isnan(data["multiloop_found"].values), np.inf, data["multiloop_found"].values)
-        worst = data.isel(draw=int(np.argmin(found)))
+        attained_margins = np.where(np.isnan(data["multiloop_found"].values), np.inf, data["multiloop_found"].values)
+        worst = data.isel(draw=int(np.argmin(attained_margins)))
         channels = list(map(str, data["channel"].values))
         return MultiloopStatistics(
             margin=margin_statistics(margins, MARGIN_KINDS["disk"]),
-            found=float(found.min()),
+            found=float(attained_margins.min()),
             frequency=float(worst["multiloop_frequency"]),
             factors=dict(zip(channels, worst["multiloop_gain"].values.tolist(), strict=True)),
             phases=dict(zip(channels, worst["multiloop_phase"].values.tolist(), strict=True)),
@@ -259,15 +259,23 @@ def margin_statistics(values: np.ndarray, kind: MarginKind) -> MarginStatistics:
 
 def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Dataset:
     """The disk margins of all loops at once as variables of a dataset; empty where one operating point has none."""
-    found = [margins for margins in multiloop.values() if margins is not None]
-    if len(found) < len(multiloop) or len({margins.channels for margins in found}) > 1:
+    multiloop_margins = [margins for margins in multiloop.values() if margins is not None]
+    if len(multiloop_margins) < len(multiloop) or len({margins.channels for margins in multiloop_margins}) > 1:
         return xr.Dataset()
     dims = ("operating_point", "draw")
-    factors = np.stack([margins.factors for margins in found])
+    factors = np.stack([margins.factors for margins in multiloop_margins])
     columns = {
-        "multiloop_disk": ([margins.guaranteed for margins in found], "1", "disk margin alpha of all loops at once"),
-        "multiloop_found": ([margins.found for margins in found], "1", "alpha of a perturbation that was found"),
-        "multiloop_frequency": ([margins.frequency for margins in found], "rad/s", "critical frequency"),
+        "multiloop_disk": (
+            [margins.guaranteed for margins in multiloop_margins],
+            "1",
+            "disk margin alpha of all loops at once",
+        ),
+        "multiloop_found": (
+            [margins.attained for margins in multiloop_margins],
+            "1",
+            "alpha of a perturbation that was found",
+        ),
+        "multiloop_frequency": ([margins.frequency for margins in multiloop_margins], "rad/s", "critical frequency"),
     }
     variables = {}
     for name, (values, unit, meaning) in columns.items():
@@ -275,7 +283,7 @@ def multiloop_columns(multiloop: Mapping[str, MultiloopMargins | None]) -> xr.Da
     for name, values, unit in (("gain", np.abs(factors), "1"), ("phase", np.angle(factors), "rad")):
         attributes = {"units": unit, "long_name": f"{name} of the perturbation that was found"}
         variables[f"multiloop_{name}"] = ((*dims, "channel"), values, attributes)
-    return xr.Dataset(variables, coords={"channel": list(found[0].channels)})
+    return xr.Dataset(variables, coords={"channel": list(multiloop_margins[0].channels)})
 
 
 def margins_dataset(
@@ -311,12 +319,12 @@ def margins_dataset(
     angles = frequencies * study.config.loop.sample_time
     with np.errstate(all="ignore"):
         fans = [fan_of(broken.response, broken.poles, angles) for broken in broken_loops]
-        shown = np.stack([(-broken.response / (1.0 + broken.response))[:LINES] for broken in broken_loops])
+        plotted_responses = np.stack([(-broken.response / (1.0 + broken.response))[:LINES] for broken in broken_loops])
     for name, (unit, meaning) in FANS.items():
         values = np.stack([fan[name] for fan in fans]).reshape(*shape, len(LEVELS_OF_FAN), -1)
         dims = (*LoopMargins.table[:2], "level", "frequency")
         columns[name] = (dims, values, {"units": unit, "long_name": f"{meaning}, quantile over the draws"})
-    for name, part in (("real", np.real(shown)), ("imaginary", np.imag(shown))):
+    for name, part in (("real", np.real(plotted_responses)), ("imaginary", np.imag(plotted_responses))):
         values = part.reshape(*shape, -1, frequencies.size)
         attributes = {"units": "1", "long_name": f"{name} part of the loop transfer function L"}
         columns[f"loop_{name}"] = ((*LoopMargins.table[:2], "line", "frequency"), values, attributes)

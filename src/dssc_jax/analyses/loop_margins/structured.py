@@ -34,9 +34,9 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
     logs = np.zeros(squares.shape[:2])
     for _ in range(BALANCING_STEPS):
         for channel in range(squares.shape[1]):
-            scaled = squares * np.exp(2.0 * (logs[:, :, None] - logs[:, None, :]))
-            row = np.sum(scaled[:, channel, :], axis=1)
-            column = np.sum(scaled[:, :, channel], axis=1)
+            scaled_squares = squares * np.exp(2.0 * (logs[:, :, None] - logs[:, None, :]))
+            row = np.sum(scaled_squares[:, channel, :], axis=1)
+            column = np.sum(scaled_squares[:, :, channel], axis=1)
             coupled = (row > TINY) | (column > TINY)
             ratio = np.where(coupled, column + ONE_WAY * row, 1.0) / np.where(coupled, row + ONE_WAY * column, 1.0)
             logs[:, channel] += 0.25 * np.log(ratio)
@@ -45,8 +45,8 @@ def balanced(matrices: np.ndarray) -> np.ndarray:
 
 def scaled_norms(matrices: np.ndarray, logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Largest singular values of D M D^-1, shape (n,), and a subgradient of their logarithms in log D."""
-    left, values, right = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
-    slopes = np.abs(left[:, :, 0]) ** 2 - np.abs(right[:, 0, :]) ** 2
+    left_vectors, values, right_vectors = np.linalg.svd(matrices * np.exp(logs[:, :, None] - logs[:, None, :]))
+    slopes = np.abs(left_vectors[:, :, 0]) ** 2 - np.abs(right_vectors[:, 0, :]) ** 2
     return values[:, 0], slopes
 
 
@@ -79,12 +79,12 @@ def best_scales(matrices: np.ndarray) -> np.ndarray:
     for _ in range(ELLIPSOID_STEPS):
         slope = slopes[:, 1:]
         reach = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", slope, shape, slope), TINY))
-        moving = reach > 1e-12
+        is_moving = reach > 1e-12
         direction = np.einsum("nij,nj->ni", shape, slope) / reach[:, None]
-        centre = centre - np.where(moving[:, None], direction, 0.0) / (free + 1.0)
+        centre = centre - np.where(is_moving[:, None], direction, 0.0) / (free + 1.0)
         outer = direction[:, :, None] * direction[:, None, :]
         shrunk = free**2 / (free**2 - 1.0) * (shape - 2.0 / (free + 1.0) * outer)
-        shape = np.where(moving[:, None, None], shrunk, shape)
+        shape = np.where(is_moving[:, None, None], shrunk, shape)
         trial = np.concatenate([np.zeros((count, 1)), centre], axis=1)
         norms, slopes = scaled_norms(matrices, trial)
         logs = np.where((norms < best)[:, None], trial, logs)

@@ -31,7 +31,7 @@ def join_margins(margins: Mapping[str, Margins], dimension: str, meaning: str) -
 
 
 class MarginPart(NamedTuple):
-    """What :func:`part_margins` needs besides the joined dataset.
+    """The data of one margin that :func:`part_margins` needs besides the joined dataset.
 
     Args:
         settings: The fields of the margins.

@@ -106,7 +106,7 @@ class Margins(Analysis):
         parameter: str,
         walk: Walk,
         critical: Critical,
-        drawn: Mapping[str, np.ndarray],
+        drawn_numbers: Mapping[str, np.ndarray],
         criterion: tuple[str, ...],
         seconds: float,
         compile_seconds: float = 0.0,
@@ -126,7 +126,7 @@ class Margins(Analysis):
                 critical.violated,
                 {"units": "1", "long_name": "index of the requirement violated first"},
             )
-        for name, values in drawn.items():
+        for name, values in drawn_numbers.items():
             law = study.quantities[name]
             columns[name] = (values, {"units": law.unit, "long_name": law.meaning})
         index = ("draw", np.arange(study.config.draws), {"long_name": "draw index"})

@@ -124,18 +124,18 @@ def search_critical(slack_at: SlackFunction, draws: int, walk: Walk, bisections:
     """
     indices = np.arange(draws)
     slack = np.stack([slack_at(indices, np.full(draws, value)) for value in walk.grid])
-    passed = slack >= 0.0
-    failure = np.where(passed.all(axis=0), walk.points, np.argmin(passed, axis=0))
+    passes = slack >= 0.0
+    first_failure = np.where(passes.all(axis=0), walk.points, np.argmin(passes, axis=0))
     censoring = np.full(draws, Censoring.INSIDE)
-    censoring[failure == 0] = Censoring.BEFORE
-    censoring[failure == walk.points] = Censoring.BEYOND
+    censoring[first_failure == 0] = Censoring.BEFORE
+    censoring[first_failure == walk.points] = Censoring.BEYOND
     value = np.full(draws, np.nan)
-    crossing = np.flatnonzero(censoring == Censoring.INSIDE)
-    if crossing.size:
+    crossing_draws = np.flatnonzero(censoring == Censoring.INSIDE)
+    if crossing_draws.size:
         cells = walk.points - 1
-        safe = (failure[crossing] - 1) / cells
-        failing = failure[crossing] / cells
-        safe, _ = bisect(lambda share: slack_at(crossing, walk.at(share)) >= 0.0, safe, failing, bisections)
-        value[crossing] = walk.at(safe)
-    recovered = passed & (np.arange(walk.points)[:, None] > failure)
-    return Critical(value, censoring, np.any(recovered, axis=0), slack)
+        safe = (first_failure[crossing_draws] - 1) / cells
+        failing = first_failure[crossing_draws] / cells
+        safe, _ = bisect(lambda share: slack_at(crossing_draws, walk.at(share)) >= 0.0, safe, failing, bisections)
+        value[crossing_draws] = walk.at(safe)
+    passes_again = passes & (np.arange(walk.points)[:, None] > first_failure)
+    return Critical(value, censoring, np.any(passes_again, axis=0), slack)

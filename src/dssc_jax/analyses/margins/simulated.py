@@ -128,8 +128,8 @@ def admissible_walk(
 def lane_numbers(study: Study, over: str) -> Callable[[Arrays, np.ndarray], Arrays]:
     """(drawn numbers, values of the walk) -> the numbers of each lane: a value replaces the law, or widens all laws."""
     if over != SPREAD:
-        return lambda drawn, values: {**drawn, over: values}
-    return lambda drawn, values: {name: study.laws[name].spread(column, values) for name, column in drawn.items()}
+        return lambda numbers, values: {**numbers, over: values}
+    return lambda numbers, values: {name: study.laws[name].spread(column, values) for name, column in numbers.items()}
 
 
 def require_spread(study: Study, bounds: tuple[float, float]) -> None:
@@ -210,15 +210,15 @@ def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: Progre
     violated = FirstViolated(study.config.draws, walk.start)
 
     def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
-        sampled = studies[values[0]]
-        layout = Layout.of(sampled)
-        engine = Engine(sampled, layout.lanes, clock=clock)
+        first_study = studies[values[0]]
+        layout = Layout.of(first_study)
+        engine = Engine(first_study, layout.lanes, clock=clock)
         blocks = list(execute(engine, layout.blocks()))
-        for name in sampled.laws:
+        for name in first_study.laws:
             numbers[name] = np.concatenate([laws[name] for _, _, laws in blocks])
         progress(clock.lanes, len(studies) * len(draws))
         results = {name: np.concatenate([block[name] for _, block, _ in blocks]) for name in blocks[0][1]}
-        return violated.slack(draws, values, sampled, results)
+        return violated.slack(draws, values, first_study, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
     return critical._replace(violated=violated.requirement), numbers

@@ -34,11 +34,11 @@ def noise_spectrum(run: xr.Dataset, channel: str = "", after: float = 0.0) -> xr
     """
     prefix = f"{channel}_" if channel else ""
     if f"{prefix}sigma_measured" not in run:
-        known = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
-        raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, known)}")
-    kept = run.where(run["t"] >= after, drop=True)
-    noise = (kept[f"{prefix}sigma_measured"] - kept[f"{prefix}sigma"]).values
-    command = kept[f"{prefix}u"].values
+        channel_names = [str(name).removesuffix("_sigma") for name in run.data_vars if str(name).endswith("_sigma")]
+        raise ConfigError("channel", f"'{channel}' is no channel of this trajectory; {nearest(channel, channel_names)}")
+    late_samples = run.where(run["t"] >= after, drop=True)
+    noise = (late_samples[f"{prefix}sigma_measured"] - late_samples[f"{prefix}sigma"]).values
+    command = late_samples[f"{prefix}u"].values
     if noise.size < FEWEST_SEGMENTS * SEGMENT or not np.all(np.isfinite(command)):
         rule = f"needs {FEWEST_SEGMENTS * SEGMENT:,} finite samples after {after:g} s"
         raise ConfigError("run", f"{rule}, got {np.count_nonzero(np.isfinite(command)):,}")

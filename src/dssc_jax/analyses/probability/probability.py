@@ -1,4 +1,4 @@
-"""``probability``: a failure probability to a width, by as few simulations as a prediction of failures allows."""
+"""``probability``: a failure probability with an interval of a given width, by few simulations."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -142,14 +142,14 @@ def probability(
     if not study.laws:
         raise ConfigError(study.source, "nothing is uncertain; give at least one number a law")
     engine = Engine(study, LANES)
-    finished = 0
+    simulation_count = 0
 
     def slacks(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
-        nonlocal finished
+        nonlocal simulation_count
         results = evaluate(engine, values_at(study, points), noise)
-        finished += len(points)
+        simulation_count += len(points)
         if progress:
-            progress(finished, None)
+            progress(simulation_count, None)
         return worst_slack(study.requirements, results)
 
     estimate = stratified_probability(slacks, len(study.laws), (study.config.seed,), width, most)

@@ -1,4 +1,4 @@
-"""A failure probability from strata along a predicted border of failure, which a pilot's draws tell.
+"""A failure probability from strata along the border of failure that a pilot's draws predict.
 
 The strata are ranges of the predicted slack, narrow near the border. Their probabilities follow from the prediction
 alone, on Sobol nets, without a simulation. Fresh draws in each stratum give its share of failures: many where the
@@ -61,9 +61,9 @@ class StratifiedEstimate:
 
 def strata_edges(predictions: np.ndarray) -> np.ndarray:
     """Edges of strata whose probabilities grow on both sides of a prediction of 0."""
-    ordered = np.sort(predictions)
-    count = len(ordered)
-    border = int(np.searchsorted(ordered, 0.0))
+    sorted_predictions = np.sort(predictions)
+    count = len(sorted_predictions)
+    border = int(np.searchsorted(sorted_predictions, 0.0))
     positions = {border}
     for direction in (-1, 1):
         mass = FIRST_MASS * count
@@ -72,14 +72,14 @@ def strata_edges(predictions: np.ndarray) -> np.ndarray:
             positions.add(int(place))
             mass *= GROWTH
             place += direction * mass
-    kept = sorted(place for place in positions if 0 < place < count)
-    return np.unique(ordered[kept])
+    inner_positions = sorted(place for place in positions if 0 < place < count)
+    return np.unique(sorted_predictions[inner_positions])
 
 
 def stratified_probability(
     slack: SlackFunction, dimension: int, seeds: tuple[int, ...], width: float, most: int
 ) -> StratifiedEstimate:
-    """Estimate a failure probability with an interval of about a width.
+    """Estimate a failure probability with an interval of about a given width.
 
     Args:
         slack: Computes slacks of points of the unit cube, shape (n, d), with noise indices (n,).
@@ -94,9 +94,9 @@ def stratified_probability(
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside_cube(rng.random((SAMPLE, dimension)))
     edges, draws = planned(surrogate, surrogate(sample), width, most)
-    extra = min(MORE, int(draws.sum()) // MORE_SHARE)
-    if extra > PILOT // 4:
-        surrogate = improved(surrogate, sample, extra, counter)
+    extra_draws = min(MORE, int(draws.sum()) // MORE_SHARE)
+    if extra_draws > PILOT // 4:
+        surrogate = improved(surrogate, sample, extra_draws, counter)
         sample = inside_cube(rng.random((SAMPLE, dimension)))
         edges, draws = planned(surrogate, surrogate(sample), width, most)
     strata = len(draws)
@@ -105,25 +105,25 @@ def stratified_probability(
     for net in range(NETS):
         predictions = surrogate(inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
         weights[net] = np.bincount(np.searchsorted(edges, predictions), minlength=strata) / size
-    chosen, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
-    failed = counter(chosen, counter.fresh(len(chosen))) < 0.0
+    stratum_points, stratum = points_in_strata(surrogate, edges, draws, dimension, rng)
+    failed = counter(stratum_points, counter.fresh(len(stratum_points))) < 0.0
     failures = np.bincount(stratum[failed], minlength=strata)
     return StratifiedEstimate(counter.simulations, weights, failures, draws, edges)
 
 
-def improved(surrogate: Surrogate, sample: np.ndarray, extra: int, counter: Counter) -> Surrogate:
+def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter: Counter) -> Surrogate:
     """The prediction with further draws near the predicted border, chosen from a plain sample.
 
     Within the band from which they are chosen, all draws together count as often as the pilot's are expected to.
     """
     distances = np.abs(surrogate(sample))
-    nearest = np.argsort(distances)[: BAND * extra]
-    chosen = sample[nearest[::BAND]]
-    points = np.concatenate([surrogate.points, chosen])
-    slacks = np.concatenate([surrogate.slacks, counter(chosen, counter.fresh(extra))])
-    expected = PILOT * len(nearest) / len(sample)
+    nearest = np.argsort(distances)[: BAND * extra_draws]
+    border_points = sample[nearest[::BAND]]
+    points = np.concatenate([surrogate.points, border_points])
+    slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra_draws))])
+    pilot_in_band = PILOT * len(nearest) / len(sample)
     in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    return Surrogate(points, slacks, np.where(in_band, expected / (expected + extra), 1.0))
+    return Surrogate(points, slacks, np.where(in_band, pilot_in_band / (pilot_in_band + extra_draws), 1.0))
 
 
 def planned(surrogate: Surrogate, predictions: np.ndarray, width: float, most: int) -> tuple[np.ndarray, np.ndarray]:

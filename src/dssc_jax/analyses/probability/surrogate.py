@@ -61,8 +61,8 @@ def interpolation(points: np.ndarray, values: np.ndarray) -> Interpolation:
     """
     count, dimension = points.shape
     matrix = spline_matrix(points, SMOOTHING)
-    found = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
-    return Interpolation(points, found[:count], found[count:])
+    coefficients = linalg.solve(matrix, np.concatenate([values, np.zeros(dimension + 1)]), assume_a="sym")
+    return Interpolation(points, coefficients[:count], coefficients[count:])
 
 
 def spline_matrix(points: np.ndarray, smoothing: float) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""Probabilities of rare failures, by multilevel splitting."""
+"""Probabilities of rare failures, by importance sampling or multilevel splitting."""

@@ -81,37 +81,37 @@ def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignP
         ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squares
         directions = ahead[:, None] * slopes - points
         trials = points + steps[:, None] * directions
-        reached, reached_slopes = slope(trials)
+        trial_slacks, trial_slopes = slope(trials)
         penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squares) + 1e-9
         merit = 0.5 * np.sum(points**2, axis=1) + penalty * np.abs(slacks)
-        reached_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(reached)
+        trial_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(trial_slacks)
         predicted = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
-        better = running & (reached_merit < merit + SUFFICIENT * steps * predicted)
+        better = running & (trial_merit < merit + SUFFICIENT * steps * predicted)
         lengths = np.linalg.norm(trials - points, axis=1)
         points = np.where(better[:, None], trials, points)
-        slacks = np.where(better, reached, slacks)
-        slopes = np.where(better[:, None], reached_slopes, slopes)
+        slacks = np.where(better, trial_slacks, slacks)
+        slopes = np.where(better[:, None], trial_slopes, slopes)
         steps = np.where(better, np.minimum(LONGER * steps, 1.0), SHORTER * steps)
         running &= ~(better & (lengths < SETTLED)) & (steps >= SMALLEST_STEP)
     on_border = np.abs(slacks) < ON_BORDER * np.linalg.norm(slopes, axis=1)
     distances = np.linalg.norm(points, axis=1)
-    ordered = [index for index in np.argsort(distances) if on_border[index]]
+    border_indices = [index for index in np.argsort(distances) if on_border[index]]
     return [
         DesignPoint(points[index], float(distances[index]), np.nan)
-        for index in distinct(points, ordered, SAME, len(points))
-        if distances[index] <= distances[ordered[0]] + FARTHER
+        for index in distinct(points, border_indices, SAME, len(points))
+        if distances[index] <= distances[border_indices[0]] + FARTHER
     ]
 
 
 def distinct(points: np.ndarray, order: Iterable[int], distance: float, most: int) -> list[int]:
     """Indices, in the order given, of the first points that lie farther than a distance from all earlier ones."""
-    chosen: list[int] = []
+    distinct_indices: list[int] = []
     for index in order:
-        if len(chosen) == most:
+        if len(distinct_indices) == most:
             break
-        if np.all(np.sum((points[chosen] - points[index]) ** 2, axis=1) > distance**2):
-            chosen.append(index)
-    return chosen
+        if np.all(np.sum((points[distinct_indices] - points[index]) ** 2, axis=1) > distance**2):
+            distinct_indices.append(index)
+    return distinct_indices
 
 
 def with_curvature(slope: SlopeFunction, design_point: DesignPoint) -> DesignPoint:

@@ -28,7 +28,7 @@ from dssc_jax.analyses.rare_events.design_points import (
     with_curvature,
 )
 from dssc_jax.analyses.rare_events.estimate import Counter, Estimate, SlackFunction, plain_draws
-from dssc_jax.analyses.rare_events.mixture import WIDE, drawn, fitted, mixture_of
+from dssc_jax.analyses.rare_events.mixture import WIDE, fitted, mixture_of, mixture_sample
 from dssc_jax.analyses.rare_events.prediction import SMOOTHINGS, Prediction, predicted
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.numerics import stream
@@ -139,34 +139,34 @@ class Candidates(NamedTuple):
     failing: np.ndarray
 
     def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
-        """Chance of each to be simulated, so that about ``count`` are: by a score, and some of them blindly."""
+        """Chances of the points to be simulated, of about ``count`` in all: by their scores, a small part equal."""
         total = float(scores.sum())
         shares = scores / total if total else np.full(len(scores), 1.0 / len(scores))
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))
 
-    def telling(self, count: int) -> np.ndarray:
+    def informative_chances(self, count: int) -> np.ndarray:
         """Chances that improve the prediction."""
         return self.chances(self.masses * np.sqrt(self.failing * (1.0 - self.failing)), count)
 
-    def best(self, count: int) -> np.ndarray:
+    def efficient_chances(self, count: int) -> np.ndarray:
         """Chances with the least variance of the sum."""
         return self.chances(self.masses * np.sqrt(self.failing), count)
 
-    def needed(self, variation: float) -> int:
-        """Number of points with which the predicted coefficient of variation is so small."""
-        expected = self.masses * self.failing
-        total = float(expected.sum())
+    def sample_size(self, variation: float) -> int:
+        """Number of points with which the predicted coefficient of variation is as small as ``variation``."""
+        failing_masses = self.masses * self.failing
+        total = float(failing_masses.sum())
         if total == 0.0:
             return LEAST_SAMPLED
-        squares = float(np.sum(self.masses * expected / self.best(1)))
+        squares = float(np.sum(self.masses * failing_masses / self.efficient_chances(1)))
         return max(LEAST_SAMPLED, int(np.ceil(RESERVE * squares / (total * variation) ** 2)))
 
 
-def chosen(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Indices of a systematic sample, each with its chance, in random order."""
+def systematic_sample(chances: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Indices of a systematic sample in random order, each drawn with its chance."""
     order = rng.permutation(len(chances))
-    passed = np.floor(np.cumsum(chances[order]) + rng.random())
-    return order[np.diff(passed, prepend=0.0) > 0.0]
+    cumulative_counts = np.floor(np.cumsum(chances[order]) + rng.random())
+    return order[np.diff(cumulative_counts, prepend=0.0) > 0.0]
 
 
 @dataclass
@@ -185,7 +185,7 @@ class Search:
     points: np.ndarray
     slacks: np.ndarray
     prediction: Prediction = field(init=False)
-    found: list[DesignPoint] = field(init=False)
+    design_points: list[DesignPoint] = field(init=False)
 
     def learn(self, points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, ...] = SMOOTHINGS) -> None:
         """Add simulated points to the prediction, which chooses a smoothing, and search its design points.
@@ -198,17 +198,17 @@ class Search:
         lengths = np.linalg.norm(self.points, axis=1)
         order = np.lexsort((np.where(self.slacks < 0.0, lengths, self.slacks), self.slacks >= 0.0))
         starts = self.points[distinct(self.points, order, START_DISTANCE, STARTS)]
-        self.found = find_design_points(self.prediction.slope, starts)
+        self.design_points = find_design_points(self.prediction.slope, starts)
 
     def candidates(self, count: int) -> Candidates:
         """Points of the mixture that fits the predicted failures around the design points."""
-        means = np.array([design_point.point for design_point in self.found])
-        probabilities = np.array([design_point.first_order_probability for design_point in self.found])
+        means = np.array([design_point.point for design_point in self.design_points])
+        probabilities = np.array([design_point.first_order_probability for design_point in self.design_points])
         components = mixture_of(means, [np.eye(means.shape[1])] * len(means), probabilities)
         for _ in range(FITS):
-            points, ratios = drawn(components, FIT_CANDIDATES, self.rng)
+            points, ratios = mixture_sample(components, FIT_CANDIDATES, self.rng)
             components = fitted(components, points, ratios * self.prediction.failing(points))
-        points, ratios = drawn(components, count, self.rng)
+        points, ratios = mixture_sample(components, count, self.rng)
         return Candidates(points, ratios / len(points), self.prediction.failing(points))
 
     def simulated(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -235,19 +235,19 @@ def importance_sampling(
     plain, points, slacks = plain_draws(counter, generator(*seeds, stream("plain")), settings.plain, dimension)
     least = np.argsort(slacks, kind="stable")[:LEARNT]
     search = Search(counter, generator(*seeds, stream("importance")), points[least], slacks[least])
-    added = WIDE * search.rng.standard_normal((EXPLORED, dimension))
-    for finished in range(MOST_ROUNDS):
-        slacks, _ = search.simulated(added)
-        between = 0 < finished < ROUNDS
-        search.learn(added, slacks, (search.prediction.smoothing,) if between else SMOOTHINGS)
-        if not search.found:
+    new_points = WIDE * search.rng.standard_normal((EXPLORED, dimension))
+    for round_index in range(MOST_ROUNDS):
+        slacks, _ = search.simulated(new_points)
+        is_middle_round = 0 < round_index < ROUNDS
+        search.learn(new_points, slacks, (search.prediction.smoothing,) if is_middle_round else SMOOTHINGS)
+        if not search.design_points:
             return "no search ended at the border of failure"
         candidates = search.candidates(FIT_CANDIDATES)
-        if finished >= ROUNDS and candidates.needed(settings.variation) <= ENOUGH:
+        if round_index >= ROUNDS and candidates.sample_size(settings.variation) <= ENOUGH:
             break
-        telling = candidates.points[chosen(candidates.telling(ADDED), search.rng)]
-        designs = [design_point.point for design_point in search.found[:MOST_DESIGNS]]
-        added = np.concatenate([telling, designs])
+        informative = candidates.points[systematic_sample(candidates.informative_chances(ADDED), search.rng)]
+        designs = [design_point.point for design_point in search.design_points[:MOST_DESIGNS]]
+        new_points = np.concatenate([informative, designs])
     sample = sampled(search, settings)
     size = effective_size(sample.weights)
     if size < LEAST_EFFECTIVE:
@@ -259,7 +259,7 @@ def importance_sampling(
         weights=sample.weights,
         plain=plain,
         largest=sample.largest,
-        design_points=[with_curvature(search.prediction.slope, design_point) for design_point in search.found],
+        design_points=[with_curvature(search.prediction.slope, design_point) for design_point in search.design_points],
     )
 
 
@@ -286,29 +286,29 @@ def sampled(search: Search, settings: ImportanceSampling) -> Sample:
     again follow. Each batch counts in proportion to its planned number, which does not depend on its slacks.
     """
     count = 0
-    added = 0
+    batch_size = 0
     sample = Sample(np.empty((0, search.points.shape[1])), np.empty(0, int), np.empty(0), 0.0)
     while True:
-        candidates = search.candidates(max(CANDIDATES, 2 * added))
-        added = added or min(candidates.needed(settings.variation), MOST_AT_FIRST, settings.most)
-        chances = candidates.best(added)
-        indices = chosen(chances, search.rng)
+        candidates = search.candidates(max(CANDIDATES, 2 * batch_size))
+        batch_size = batch_size or min(candidates.sample_size(settings.variation), MOST_AT_FIRST, settings.most)
+        chances = candidates.efficient_chances(batch_size)
+        indices = systematic_sample(chances, search.rng)
         slacks, noise = search.simulated(candidates.points[indices])
         failed = indices[slacks < 0.0]
-        share = added / (count + added)
+        share = batch_size / (count + batch_size)
         weights = share * candidates.masses / chances
-        likely = np.argsort(-weights)
-        expected = np.cumsum((chances * candidates.failing)[likely])
-        unseen = weights[likely[min(np.searchsorted(expected, UNSEEN), len(likely) - 1)]]
+        by_weight = np.argsort(-weights)
+        expected_failures = np.cumsum((chances * candidates.failing)[by_weight])
+        likely_weight = weights[by_weight[min(np.searchsorted(expected_failures, UNSEEN), len(by_weight) - 1)]]
         sample = Sample(
             np.concatenate([sample.points, candidates.points[failed]]),
             np.concatenate([sample.noise, noise[slacks < 0.0]]),
             np.concatenate([(1.0 - share) * sample.weights, weights[failed]]),
-            max((1.0 - share) * sample.largest, float(unseen), float(weights[failed].max(initial=0.0))),
+            max((1.0 - share) * sample.largest, float(likely_weight), float(weights[failed].max(initial=0.0))),
         )
-        count += added
+        count += batch_size
         if variation_of(sample.weights) <= settings.variation or 2 * count > settings.most:
             return sample
-        surprising = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
-        search.learn(candidates.points[indices[surprising]], slacks[surprising])
-        added = count
+        surprises = np.argsort(-np.abs((slacks < 0.0) - candidates.failing[indices]))[: 2 * ADDED]
+        search.learn(candidates.points[indices[surprises]], slacks[surprises])
+        batch_size = count

@@ -47,7 +47,7 @@ def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) 
     return [*components, Component(np.zeros(dimension), WIDE * np.eye(dimension), WIDE_SHARE)]
 
 
-def drawn(components: list[Component], count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def mixture_sample(components: list[Component], count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """About ``count`` points of a mixture, a fixed number from each component, at least 2.
 
     Returns:

@@ -68,12 +68,12 @@ def predicted(points: np.ndarray, slacks: np.ndarray, smoothings: tuple[float, .
     """
     count, dimension = points.shape
     values = np.concatenate([scaled(slacks, 0.5), np.zeros(dimension + 1)])
-    found = []
+    candidates = []
     for smoothing in smoothings:
         inverse = np.linalg.inv(spline_matrix(points, smoothing))
         coefficients = inverse @ values
         precisions = np.diag(inverse)[:count]
         variance = max(float(np.mean(coefficients[:count] ** 2 / precisions)), LEAST_VARIANCE)
         surprise = count * np.log(variance) - float(np.log(precisions).sum())
-        found.append((surprise, Prediction(points, inverse, coefficients, smoothing, variance)))
-    return min(found, key=lambda candidate: candidate[0])[1]
+        candidates.append((surprise, Prediction(points, inverse, coefficients, smoothing, variance)))
+    return min(candidates, key=lambda candidate: candidate[0])[1]

@@ -172,8 +172,8 @@ class RareEvent(Analysis):
             estimates = data["estimate"].values
             levels = data["levels"].values
             return SplittingEstimate(self.simulations, points[~plain], noise, weights, draws, estimates, levels)
-        found = design_points_of(data)
-        return WeightedEstimate(self.simulations, points[~plain], noise, weights, draws, self.largest, found)
+        design_points = design_points_of(data)
+        return WeightedEstimate(self.simulations, points[~plain], noise, weights, draws, self.largest, design_points)
 
     @property
     def failing(self) -> xr.Dataset:
@@ -256,11 +256,11 @@ def columns_of(design_points: list[DesignPoint]) -> dict[str, tuple[object, np.n
 
 def design_points_of(dataset: xr.Dataset) -> list[DesignPoint]:
     """The design points that a dataset holds."""
-    found = []
+    design_points = []
     for index in range(dataset.sizes["design_point"]):
         row = dataset.isel(design_point=index)
-        found.append(DesignPoint(row["design"].values, float(row["distance"]), float(row["second_order"])))
-    return found
+        design_points.append(DesignPoint(row["design"].values, float(row["distance"]), float(row["second_order"])))
+    return design_points
 
 
 def weighted_quantiles(values: np.ndarray, weights: np.ndarray, levels: Sequence[float]) -> np.ndarray:
@@ -275,7 +275,7 @@ def rare(
     splitting: Splitting | None = USUAL,
     progress: ProgressCallback | None = None,
 ) -> RareEvent:
-    """Estimate a study's failure probability at its own values, if it is too small for plain draws.
+    """Estimate a failure probability that is too small for plain draws, at the study's own values.
 
     Importance sampling around the design points takes some hundred simulations besides the plain draws. Splitting takes
     some hundred thousand; it needs no design points. Both use the worst requirement's scaled slack.
@@ -300,10 +300,10 @@ def rare(
     dimension = len(study.laws)
     refusal = ""
     if importance is not None:
-        found = importance_sampling(slacks, dimension, seeds, importance)
-        if not isinstance(found, str):
-            return RareEvent.of(study, importance, found, slacks.noisy)
-        refusal = found
+        estimate_or_reason = importance_sampling(slacks, dimension, seeds, importance)
+        if not isinstance(estimate_or_reason, str):
+            return RareEvent.of(study, importance, estimate_or_reason, slacks.noisy)
+        refusal = estimate_or_reason
     if splitting is None:
         raise ConfigError(study.source, f"importance sampling has no answer: {refusal or 'it is off'}; try `splitting`")
     estimate = split(slacks, dimension, seeds, splitting)

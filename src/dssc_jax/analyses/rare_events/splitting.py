@@ -186,7 +186,7 @@ def split(
     for _ in range(MOST_LEVELS):
         moving = []
         for repeat in repeats:
-            if not done(repeat, splitting):
+            if not is_finished(repeat, splitting):
                 clones = raised(repeat, splitting)
                 if clones is not None:
                     moving.append(clones)
@@ -220,7 +220,7 @@ def started(rng: np.random.Generator, dimension: int, splitting: Splitting, coun
     return Repeat(rng, points, counter.fresh(splitting.particles), np.full(splitting.particles, np.nan))
 
 
-def done(repeat: Repeat, splitting: Splitting) -> bool:
+def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
     """Whether the next level would be at failure or beyond; also marks repeats too small to continue."""
     repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
     return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
@@ -236,12 +236,12 @@ def raised(repeat: Repeat, splitting: Splitting) -> Clones | None:
         The clones; None if no particle survives.
     """
     level = float(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed])
-    dying = repeat.slacks >= level
-    survivors = np.flatnonzero(~dying)
+    dies = repeat.slacks >= level
+    survivors = np.flatnonzero(~dies)
     if not len(survivors):
         repeat.dead = True
         return None
-    clones = np.flatnonzero(dying)
+    clones = np.flatnonzero(dies)
     parents = repeat.rng.choice(survivors, len(clones))
     repeat.estimate *= len(survivors) / len(repeat.slacks)
     repeat.levels += 1
@@ -259,17 +259,17 @@ def move(moving: list[Clones], counter: Counter) -> None:
     proposals = []
     indices = []
     for repeat, _, clones in moving:
-        fresh = repeat.rng.standard_normal((len(clones), repeat.points.shape[1]))
-        proposals.append(np.sqrt(1.0 - repeat.step**2) * repeat.points[clones] + repeat.step * fresh)
-        redrawn = repeat.rng.random(len(clones)) < REFRESHED
-        indices.append(np.where(redrawn, counter.fresh(len(clones)), repeat.noise[clones]))
+        innovations = repeat.rng.standard_normal((len(clones), repeat.points.shape[1]))
+        proposals.append(np.sqrt(1.0 - repeat.step**2) * repeat.points[clones] + repeat.step * innovations)
+        has_new_noise = repeat.rng.random(len(clones)) < REFRESHED
+        indices.append(np.where(has_new_noise, counter.fresh(len(clones)), repeat.noise[clones]))
     slacks = counter(np.concatenate(proposals), np.concatenate(indices))
     ends = np.cumsum([len(points) for points in proposals])[:-1]
     batches = zip(moving, proposals, indices, np.split(slacks, ends), strict=True)
-    for (repeat, level, clones), points, noise, reached in batches:
-        accepted = reached < level
-        repeat.points[clones[accepted]] = points[accepted]
-        repeat.noise[clones[accepted]] = noise[accepted]
-        repeat.slacks[clones[accepted]] = reached[accepted]
+    for (repeat, level, clones), points, noise, proposal_slacks in batches:
+        is_accepted = proposal_slacks < level
+        repeat.points[clones[is_accepted]] = points[is_accepted]
+        repeat.noise[clones[is_accepted]] = noise[is_accepted]
+        repeat.slacks[clones[is_accepted]] = proposal_slacks[is_accepted]
         weight = len(clones) / len(repeat.slacks)
-        repeat.step = float(np.clip(repeat.step * np.exp(weight * (accepted.mean() - ACCEPTED)), SMALLEST_STEP, 1.0))
+        repeat.step = float(np.clip(repeat.step * np.exp(weight * (is_accepted.mean() - ACCEPTED)), SMALLEST_STEP, 1.0))

@@ -139,8 +139,8 @@ class SafeRegion(Analysis):
             if ends:
                 ranges = [(float(second_values[low]), float(second_values[high])) for low, high in ends]
                 rows.append(SafeRange(float(value), ranges))
-        chosen = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
-        return [rows[k] for k in chosen]
+        row_indices = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_RANGES)).round().astype(int))
+        return [rows[k] for k in row_indices]
 
     @property
     def headline(self) -> str:
@@ -254,9 +254,9 @@ def region(
         raise ConfigError("region", f"needs two different numbers and 0 to {MOST_HALVINGS} halvings, got {halvings}")
     count = COARSE * 2**halvings + 1
     if thresholds(study.config.draws, count**2)[0] < 0:
-        needed = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
+        least_draws = first(lambda draws: thresholds(draws, count**2)[0] >= 0, study.config.draws)
         raise ConfigError(
-            "draws", f"must be at least {needed} to decide a point of {count**2}, got {study.config.draws}"
+            "draws", f"must be at least {least_draws} to decide a point of {count**2}, got {study.config.draws}"
         )
     lattice = Lattice(study, over, count, progress)
     lattice.follow_boundary(2**halvings)
@@ -268,7 +268,7 @@ def region(
 
 
 class Lattice:
-    """Failures at the points of a lattice, simulated where they are wanted.
+    """Failures at the points of a lattice, simulated on demand.
 
     Args:
         study: The study without a sweep.
@@ -295,17 +295,17 @@ class Lattice:
         return np.where(self.failures < 0, PairVerdict.NOT_SIMULATED, decided)
 
     def simulate(self, points: Iterable[tuple[int, int]]) -> None:
-        """Simulate the points among these that have not been."""
-        fresh = sorted({point for point in points if self.failures[point] < 0})
-        if not fresh:
+        """Simulate those of the points that have not been simulated yet."""
+        new_points = sorted({point for point in points if self.failures[point] < 0})
+        if not new_points:
             return
         draws = self.study.config.draws
-        values = {name: np.tile(column, len(fresh)) for name, column in self.drawn.items()}
-        for axis, lattice, places in zip(self.over, self.axes, zip(*fresh, strict=True), strict=True):
+        values = {name: np.tile(column, len(new_points)) for name, column in self.drawn.items()}
+        for axis, lattice, places in zip(self.over, self.axes, zip(*new_points, strict=True), strict=True):
             values[axis.name] = np.repeat(lattice[list(places)], draws)
-        indices = np.tile(np.arange(draws), len(fresh))
-        failed = self.evaluator.fails(indices, values).reshape(len(fresh), draws)
-        for point, count in zip(fresh, np.count_nonzero(failed, axis=1), strict=True):
+        indices = np.tile(np.arange(draws), len(new_points))
+        failed = self.evaluator.fails(indices, values).reshape(len(new_points), draws)
+        for point, count in zip(new_points, np.count_nonzero(failed, axis=1), strict=True):
             self.failures[point] = count
         if self.progress:
             self.progress(int(np.count_nonzero(self.failures >= 0)) * draws, None)

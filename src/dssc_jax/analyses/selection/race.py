@@ -46,7 +46,7 @@ class Race:
         draws: Draws of each candidate, shape (N,).
         failures: How many of them failed, shape (N,).
         within: Each chosen one fails at most this much more often than any not chosen, with the confidence.
-        left: Number of candidates that had not left at the end.
+        remaining: Number of candidates that were still in the race at its end.
         simulations: Number of simulations.
     """
 
@@ -54,7 +54,7 @@ class Race:
     draws: np.ndarray
     failures: np.ndarray
     within: float
-    left: int
+    remaining: int
     simulations: int
 
 
@@ -95,77 +95,81 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
         within: Difference of failure probabilities that does not matter, in (0, 1).
         most: Largest number of simulations; the last look may pass it by one growth.
     """
-    needed = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))
+    evidence_threshold = math.log(3.0 * keep * count / (1.0 - CONFIDENCE))
     tally = Tally(failing, count)
     running = np.arange(count)
     failed = np.zeros((count, 0), bool)
     goal = FIRST
     while True:
-        fresh = tally.simulate(running, slice(failed.shape[1], goal))
-        failed = np.concatenate([failed, fresh], axis=1)
+        new_outcomes = tally.simulate(running, slice(failed.shape[1], goal))
+        failed = np.concatenate([failed, new_outcomes], axis=1)
         tally.draws[running] = goal
         tally.failures[running] = failed.sum(axis=1)
-        alone = only_first(failed)
-        worse_than = log_evidence_of_less(alone, alone.T, goal, 0.0) >= needed
-        stays = worse_than.sum(axis=0) < keep
-        running, failed, alone = running[stays], failed[stays], alone[np.ix_(stays, stays)]
+        sole_failures = only_first(failed)
+        worse_than = log_evidence_of_less(sole_failures, sole_failures.T, goal, 0.0) >= evidence_threshold
+        is_racing = worse_than.sum(axis=0) < keep
+        running = running[is_racing]
+        failed = failed[is_racing]
+        sole_failures = sole_failures[np.ix_(is_racing, is_racing)]
         order = np.argsort(tally.failures[running], kind="stable")
         best, rivals = order[:keep], order[keep:]
-        against = (alone[np.ix_(best, rivals)], alone[np.ix_(rivals, best)].T, goal)
-        chosen = running[best]
-        shown = within
-        if rivals.size and not np.all(log_evidence_of_less(*against, within) >= needed):
-            small = hardly_failing(tally, running[order], keep, within, needed)
-            if small is not None:
-                chosen = small
+        counts_against = (sole_failures[np.ix_(best, rivals)], sole_failures[np.ix_(rivals, best)].T, goal)
+        winners = running[best]
+        proved_within = within
+        if rivals.size and not np.all(log_evidence_of_less(*counts_against, within) >= evidence_threshold):
+            safe_candidates = hardly_failing(tally, running[order], keep, within, evidence_threshold)
+            if safe_candidates is not None:
+                winners = safe_candidates
             elif tally.simulations >= most:
-                shown = proved_difference(against, needed)
+                proved_within = proved_difference(counts_against, evidence_threshold)
             else:
                 goal = math.ceil(GROWTH * goal)
                 continue
-        return Race(chosen, tally.draws, tally.failures, shown, len(running), tally.simulations)
+        return Race(winners, tally.draws, tally.failures, proved_within, len(running), tally.simulations)
 
 
-def hardly_failing(tally: Tally, order: np.ndarray, keep: int, within: float, needed: float) -> np.ndarray | None:
-    """As many candidates as are to be found, the best first, whose failure probability is surely small; None if not.
+def hardly_failing(
+    tally: Tally, order: np.ndarray, keep: int, within: float, evidence_threshold: float
+) -> np.ndarray | None:
+    """``keep`` candidates whose failure probability is surely small, the best first; None if there are too few.
 
     Args:
         tally: Draws and failures of all; updated.
         order: The candidates of the race, the best first; all have the same draws.
         keep: Number of candidates to find.
         within: What is small.
-        needed: Logarithm of the evidence that counts.
+        evidence_threshold: Logarithm of the evidence that counts.
     """
-    most = math.ceil(2.0 * needed / within)  # some more than it takes without a failure
-    found: list[int] = []
+    most = math.ceil(2.0 * evidence_threshold / within)  # some more than it takes without a failure
+    proved_candidates: list[int] = []
     for begin in range(0, TRIED * keep, keep):
-        tried = order[begin : begin + keep]
+        contenders = order[begin : begin + keep]
         while True:
-            failures, draws = tally.failures[tried], tally.draws[tried]
-            proved = log_evidence_of_less(failures, 0, draws, within) >= needed
-            found += tried[proved].tolist()
-            tried = tried[~proved & (failures <= HOPEFUL * within * draws) & (draws < most)]
-            if not tried.size:
+            failures, draws = tally.failures[contenders], tally.draws[contenders]
+            is_proved = log_evidence_of_less(failures, 0, draws, within) >= evidence_threshold
+            proved_candidates += contenders[is_proved].tolist()
+            contenders = contenders[~is_proved & (failures <= HOPEFUL * within * draws) & (draws < most)]
+            if not contenders.size:
                 break
-            tally.extend(tried, 2 * int(tally.draws[tried[0]]))
-        if len(found) >= keep:
-            best = np.argsort(tally.failures[found] / tally.draws[found], kind="stable")
-            return np.array(found)[best[:keep]]
+            tally.extend(contenders, 2 * int(tally.draws[contenders[0]]))
+        if len(proved_candidates) >= keep:
+            best = np.argsort(tally.failures[proved_candidates] / tally.draws[proved_candidates], kind="stable")
+            return np.array(proved_candidates)[best[:keep]]
     return None
 
 
 def only_first(failed: np.ndarray) -> np.ndarray:
     """For each pair (i, j) the number of draws on which i fails and j does not, shape (N, N)."""
-    counted = failed.astype(np.float32)  # exact up to 2^24 draws
-    return counted @ (1.0 - counted.T)
+    failures = failed.astype(np.float32)  # exact up to 2^24 draws
+    return failures @ (1.0 - failures.T)
 
 
-def proved_difference(against: tuple[np.ndarray, np.ndarray, int], needed: float) -> float:
-    """The smallest difference, as far as bisection tells, that the evidence excludes for every pair; at most 1."""
+def proved_difference(counts_against: tuple[np.ndarray, np.ndarray, int], evidence_threshold: float) -> float:
+    """The smallest difference that the evidence excludes for every pair, by bisection; at most 1."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if np.all(log_evidence_of_less(*against, middle) >= needed):
+        if np.all(log_evidence_of_less(*counts_against, middle) >= evidence_threshold):
             high = middle
         else:
             low = middle

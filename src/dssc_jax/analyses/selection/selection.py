@@ -169,15 +169,15 @@ def select(
     trial = study.override({"seed": seed, **plain_values(study, extents)})
     points = candidate_points(trial, extents, candidates, seed)
     evaluator = Evaluator(trial, extents, BLOCK)
-    finished = 0
+    simulation_count = 0
 
     def failing(running: np.ndarray, draws: slice) -> np.ndarray:
-        nonlocal finished
+        nonlocal simulation_count
         fresh = evaluator.values_of_draws(draws)
         count = draws.stop - draws.start
-        goal = finished + len(running) * count
+        goal = simulation_count + len(running) * count
         if progress:
-            progress(finished, goal)
+            progress(simulation_count, goal)
         per_batch = max(1, BLOCK // count)
         rows = []
         for begin in range(0, len(running), per_batch):
@@ -186,15 +186,15 @@ def select(
             values |= {name: np.repeat(column[part], count) for name, column in points.items()}
             failed = evaluator.fails(np.tile(np.arange(draws.start, draws.stop), len(part)), values)
             rows.append(failed.reshape(len(part), count))
-            finished += len(part) * count
+            simulation_count += len(part) * count
             if progress:
-                progress(finished, goal)
+                progress(simulation_count, goal)
         return np.concatenate(rows)
 
-    found = race(failing, candidates, keep, within, most)
-    dataset = selection_dataset(study, points, found)
+    outcome = race(failing, candidates, keep, within, most)
+    dataset = selection_dataset(study, points, outcome)
     seconds = time.perf_counter() - began
-    return Selection(study, dataset, extents, found.within, within, found.left, found.simulations, seconds)
+    return Selection(study, dataset, extents, outcome.within, within, outcome.remaining, outcome.simulations, seconds)
 
 
 def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
@@ -213,16 +213,16 @@ def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> 
     return dict(over)
 
 
-def selection_dataset(study: Study, points: Mapping[str, np.ndarray], found: Race) -> xr.Dataset:
+def selection_dataset(study: Study, points: Mapping[str, np.ndarray], outcome: Race) -> xr.Dataset:
     """The dataset of :class:`Selection`."""
-    place = np.full(len(found.draws), -1)
-    place[found.chosen] = np.arange(len(found.chosen))
+    place = np.full(len(outcome.draws), -1)
+    place[outcome.chosen] = np.arange(len(outcome.chosen))
     columns = {}
     for name, column in points.items():
         quantity = study.quantities[name]
         columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
-    columns["draws"] = ("candidate", found.draws, {"units": "1", "long_name": "number of draws"})
-    columns["failures"] = ("candidate", found.failures, {"units": "1", "long_name": "draws that failed"})
+    columns["draws"] = ("candidate", outcome.draws, {"units": "1", "long_name": "number of draws"})
+    columns["failures"] = ("candidate", outcome.failures, {"units": "1", "long_name": "draws that failed"})
     columns["place"] = (
         "candidate",
         place,

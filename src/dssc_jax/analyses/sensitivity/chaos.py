@@ -89,11 +89,11 @@ class Chaos:
 
     def basis(self, points: np.ndarray) -> np.ndarray:
         """The constant and the terms at points of shape (n, d); shape (n, 1 + terms)."""
-        scaled = 2.0 * points - 1.0
+        symmetric_points = 2.0 * points - 1.0
         table = np.ones((MOST_DEGREE + 1, *points.shape))
-        table[1] = scaled
+        table[1] = symmetric_points
         for k in range(1, MOST_DEGREE):
-            table[k + 1] = ((2 * k + 1) * scaled * table[k] - k * table[k - 1]) / (k + 1)
+            table[k + 1] = ((2 * k + 1) * symmetric_points * table[k] - k * table[k - 1]) / (k + 1)
         table *= np.sqrt(2.0 * np.arange(MOST_DEGREE + 1) + 1.0)[:, None, None]
         first, p, second, q = self.terms.T
         return np.concatenate([np.ones((1, len(points))), table[p, :, first] * table[q, :, second]]).T
@@ -110,25 +110,25 @@ class Chaos:
         return np.array([linalg.cho_solve(factor, target) for factor, target in pairs])
 
     def predict(self, values: np.ndarray) -> Predicted | None:
-        """Predict an output by the set of polynomials that does best; None where none explains much of it.
+        """Predict an output by the set of polynomials with the smallest error; None if no set explains much of it.
 
         Args:
             values: The output at A, B and each AB_i, shape (2 + factors, rows).
         """
-        known = values[:, : self.fitted.shape[1]]
+        training_values = values[:, : self.fitted.shape[1]]
         products = np.zeros((len(self.replicates), len(self.terms) + 1))
-        for basis, column in zip(self.bases, known, strict=True):
+        for basis, column in zip(self.bases, training_values, strict=True):
             products += np.stack([column[rows] @ basis[rows] for rows in self.replicates])
         best = None
-        smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((known - known.mean()) ** 2))
+        smallest = (1.0 - FEWEST_EXPLAINED) * float(np.sum((training_values - training_values.mean()) ** 2))
         for count in self.counts:
-            found = self.coefficients(products, count)
+            coefficient_sets = self.coefficients(products, count)
             error = 0.0
-            for basis, column in zip(self.bases, known, strict=True):
-                for rows, coefficients in zip(self.replicates, found, strict=True):
+            for basis, column in zip(self.bases, training_values, strict=True):
+                for rows, coefficients in zip(self.replicates, coefficient_sets, strict=True):
                     error += float(np.sum((column[rows] - basis[rows, : count + 1] @ coefficients) ** 2))
             if error < smallest:
-                best, smallest = found, error
+                best, smallest = coefficient_sets, error
         return None if best is None else self.predicted(best[:, 1:])
 
     def predicted(self, coefficients: np.ndarray) -> Predicted:

@@ -40,9 +40,9 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
     rng = generator(*seeds)
     order = rng.permuted(np.tile(np.arange(factors), (count, 1)), axis=1)
     start = rng.integers(GRID_LEVELS, size=(count, factors))
-    moved = (start + GRID_LEVELS // 2) % GRID_LEVELS
+    moved_level = (start + GRID_LEVELS // 2) % GRID_LEVELS
     place = np.argsort(order, axis=1)
-    level = np.where(place < np.arange(factors + 1)[:, None, None], moved, start)
+    level = np.where(place < np.arange(factors + 1)[:, None, None], moved_level, start)
     return (level + 0.5) / GRID_LEVELS, order
 
 
@@ -77,8 +77,8 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     sizes = np.abs(effects)
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
-    reduced = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    parts = (count - 1) * np.sqrt(np.maximum(reduced, 0.0))  # sigma without one trajectory, (n - 1) times
+    unbiased_squares = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
+    parts = (count - 1) * np.sqrt(np.maximum(unbiased_squares, 0.0))  # sigma without one trajectory, (n - 1) times
     size_table = with_interval(sizes.mean(1), reach * sizes.std(1, ddof=1))
     spread_table = with_interval(spread, reach * parts.std(1, ddof=1))
     if np.all(np.isin(sizes, (0.0, 1.0))):

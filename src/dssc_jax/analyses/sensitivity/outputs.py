@@ -1,4 +1,4 @@
-"""A design of simulations for a sensitivity analysis, and whether an output's samples say enough.
+"""A design of simulations for a sensitivity analysis, and a check that an output's samples suffice.
 
 In-loop noise is one more factor: rows with different draw indices differ in it. So the noise has a part of the variance
 to itself, and its effect is not charged to the uncertain numbers.
@@ -75,10 +75,11 @@ def refusal(f_a: np.ndarray, f_b: np.ndarray) -> str | None:
     if np.ptp([f_a, f_b]) == 0.0:
         return "does not vary"
     rows = len(f_a)
-    carried = carrying(f_a, f_b)
-    if carried < FEWEST_ROWS:
-        needed = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / carried))
-        return f"needs {needed:,} rows: about {carried:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
+    effective_rows = carrying(f_a, f_b)
+    if effective_rows < FEWEST_ROWS:
+        sufficient_rows = 2 ** math.ceil(math.log2(rows * PLANNED_ROWS / effective_rows))
+        carriers = f"about {effective_rows:.2g} of {rows:,} rows carry its variance, {FEWEST_ROWS} have to"
+        return f"needs {sufficient_rows:,} rows: {carriers}"
     return None
 
 

@@ -50,8 +50,8 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
     cholesky = np.linalg.cholesky(correlation[order[:, :, None], order[:, None, :]])
     first_in_order = np.take_along_axis(first, order, axis=1)
     second_in_order = np.take_along_axis(second, order, axis=1)
-    known = np.arange(factors) < np.arange(factors + 1)[:, None]
-    mixed = np.einsum("rij,krj->kri", cholesky, np.where(known[:, None, :], first_in_order, second_in_order))
+    is_from_first = np.arange(factors) < np.arange(factors + 1)[:, None]
+    mixed = np.einsum("rij,krj->kri", cholesky, np.where(is_from_first[:, None, :], first_in_order, second_in_order))
     scores = np.empty_like(mixed)
     np.put_along_axis(scores, np.broadcast_to(order, mixed.shape), mixed, axis=2)
     return scores

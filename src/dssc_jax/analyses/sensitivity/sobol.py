@@ -73,7 +73,7 @@ def sobol_indices(
         Communications 181 (2010) 259-270; A. B. Owen, Monte Carlo theory, methods and examples, section 17.2, on
         replicates.
     """
-    carried = carrying(f_a, f_b)
+    effective_rows = carrying(f_a, f_b)
     middle = 0.5 * (f_a.mean() + f_b.mean())
     f_a = f_a - middle
     f_b = f_b - middle
@@ -83,18 +83,18 @@ def sobol_indices(
     predicted = None if chaos is None else chaos.predict(np.stack([f_a, f_b, *f_ab]))
     if predicted is not None:
         shares, variance = corrected(shares, variance, predicted)
-    if carried**2 / len(f_a) >= JOINT:
+    if effective_rows**2 / len(f_a) >= JOINT:
         pairs = zip(shares, [*f_ab, *f_ab], strict=True)
         shares = np.stack([controlled(share, variance, f_a, f_b, mixed) for share, mixed in pairs])
     indices = shares.mean(1, keepdims=True) / variance.mean()
     low, high = replicate_interval((shares - indices * variance) / variance.mean(), REPLICATES, confidence).T
-    half = np.hypot(0.5 * (high - low), unseen(carried, confidence))[:, None]
+    half = np.hypot(0.5 * (high - low), unseen(effective_rows, confidence))[:, None]
     table = np.concatenate([indices, indices - half, indices + half], axis=1)
     return Indices(table[: len(f_ab)], table[len(f_ab) :])
 
 
 def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) -> tuple[np.ndarray, np.ndarray]:
-    """Numerators and variance with those of a prediction replaced by their means, which are known.
+    """Numerators and variance, in which the prediction's parts are replaced by their exact means.
 
     Args:
         shares: A row's share of each numerator, shape (2 factors, rows).
@@ -106,8 +106,8 @@ def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) ->
     replicate = np.arange(len(variance)) % REPLICATES
     missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, of which the prediction knows nothing
     means = [np.pad(part, ((0, 0), (0, missing)))[replicate].T for part in (predicted.alone, predicted.total)]
-    known = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
-    return shares - known, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
+    prediction_errors = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
+    return shares - prediction_errors, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
 
 
 def controlled(

@@ -62,8 +62,9 @@ def chattering(study: Study, values: Sequence[float], *, push: float, after: flo
         "sweep": {mu: [float(value) for value in values]},
     }
     largest = running.run(resting.override({**middle, **changes})).dataset["sigma_max"].values[:, 0]
-    known = study.loop.controller[0].describing is not None
-    cycles = limit_cycles(resting, [{mu: value} for value in values]) if known else [None] * len(values)
+    has_describing_function = study.loop.controller[0].describing is not None
+    points = [{mu: value} for value in values]
+    cycles = limit_cycles(resting, points) if has_describing_function else [None] * len(values)
     predicted = [(cycle.amplitude, cycle.frequency) if cycle else (np.nan, np.nan) for cycle in cycles]
     amplitude, frequency = np.array(predicted).T
     unit = study.units[0].of("y/s")

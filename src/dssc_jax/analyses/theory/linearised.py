@@ -75,10 +75,11 @@ def require_continuous_dynamics(study: Study, dynamics: Unmodelled) -> None:
         ConfigError: they have no continuous-time form.
     """
     if not dynamics.continuous:
-        known = ", ".join(kinds_with(UNMODELLED, "continuous"))
+        continuous_kinds = ", ".join(kinds_with(UNMODELLED, "continuous"))
         raise ConfigError(
             f"{study.source}: {section_of(study.config, 'unmodelled')}.kind",
-            f"the continuous-time analysis covers {known}, got '{kind_of(study, 'unmodelled')}'; use the sampled loop",
+            f"the continuous-time analysis covers {continuous_kinds}, got '{kind_of(study, 'unmodelled')}'; "
+            "use the sampled loop",
         )
 
 
@@ -131,8 +132,8 @@ def continuous_matrix(loop: Loop, params: LoopParams) -> jax.Array:
     law = loop.controller[0].synthesised
     assert law is not None  # held by require_continuous, before tracing
     proportional, integral = law(params.controller[0])
-    closed = a - proportional * jnp.outer(b, c)
-    return jnp.block([[closed, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
+    closed_loop = a - proportional * jnp.outer(b, c)
+    return jnp.block([[closed_loop, b[:, None]], [-integral * c[None, :], jnp.zeros((1, 1))]])
 
 
 class AtRest(NamedTuple):
@@ -140,11 +141,11 @@ class AtRest(NamedTuple):
 
     Args:
         matrix: Its derivative, shape (states, states).
-        moved: The state's largest change in one sample: 0 at an equilibrium.
+        displacement: The state's largest change in one sample: 0 at an equilibrium.
     """
 
     matrix: jax.Array
-    moved: jax.Array
+    displacement: jax.Array
 
 
 def start_at_rest(loop: Loop, params: LoopParams) -> jax.Array:

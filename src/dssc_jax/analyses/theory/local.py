@@ -122,9 +122,9 @@ def spectrum_with_notes(study: Study, kind: Time) -> Spectrum:
             rest_states = np.asarray(starts(values))
             findings = examine(values, np.arange(len(rest_states)), rest_states, SECOND_SAMPLE)
             linear = jax.tree.map(np.asarray, linearisations(values, findings))
-        if np.any(linear.moved > 0.0):
+        if np.any(linear.displacement > 0.0):
             raise ConfigError(
-                study.source, f"is not at rest at the origin: one sample moves it by {linear.moved.max():.3g}"
+                study.source, f"is not at rest at the origin: one sample moves it by {linear.displacement.max():.3g}"
             )
         notes.extend(text for text in require_smooth_at(study, parts, findings) if text not in notes)
         return np.linalg.eigvals(linear.matrix)

@@ -33,7 +33,7 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     lanes = len(problem.train) + len(problem.extra)
     evaluator = Evaluator(problem.plain.study, problem.plain.extents, min(BLOCK, POPULATION * size * lanes))
     search = Search(first[1])
-    done = 0
+    generation = 0
     search.record(problem, 0, *first)
 
     def cost(columns: np.ndarray) -> np.ndarray:
@@ -45,30 +45,30 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
             lanes_of_member = slice(i * lanes, (i + 1) * lanes)
             part = {name: array[lanes_of_member] for name, array in results.items()}
             merit = goal.merit(part, (), len(problem.extra))
-            if not merit.ended and problem.allowed(z[i]):
+            if not merit.ended and problem.is_admissible(z[i]):
                 costs[i] = merit.objective / scale + PENALTY * merit.violation
         return costs
 
     def record(z: np.ndarray) -> None:
-        search.record(problem, done, problem.evaluate(z, problem.train), problem.evaluate(z))
+        search.record(problem, generation, problem.evaluate(z, problem.train), problem.evaluate(z))
 
     def after_generation(z: np.ndarray, convergence: float) -> bool:
-        nonlocal done
-        done += 1
-        if done % UPDATE == 0:
+        nonlocal generation
+        generation += 1
+        if generation % UPDATE == 0:
             record(z)
         if progress:
-            progress(min(done, table.steps), table.steps)
+            progress(min(generation, table.steps), table.steps)
         return False
 
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * size
     start = np.clip(first[0].z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
-    ended = differential_evolution(
+    optimum = differential_evolution(
         cost, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=after_generation,
     )  # fmt: skip
-    if done % UPDATE:
-        record(ended.x)
+    if generation % UPDATE:
+        record(optimum.x)
     return search
 
 
@@ -114,27 +114,29 @@ def optimise_proof(problem: Problem, first: tuple[Point, Point], progress: Progr
     origin = first[0].z
     steps = problem.plan.table.steps
     search = Search(first[1])
-    done = 0
+    evaluation_count = 0
     lowest = math.inf
 
     def cost(z: np.ndarray) -> float:
-        nonlocal done, lowest
+        nonlocal evaluation_count, lowest
         train = first[0] if np.array_equal(z, origin) else problem.evaluate(z, problem.train)
-        score = score_at(problem, z) if not train.merit.ended and problem.allowed(z) else math.inf
+        score = score_at(problem, z) if not train.merit.ended and problem.is_admissible(z) else math.inf
         total = score + PENALTY * train.merit.violation if math.isfinite(score) else UNFIT
         if total < lowest:
             lowest = total
-            search.record(problem, done, train, first[1] if done == 0 else problem.evaluate(z), score)
-        done += 1
+            search.record(
+                problem, evaluation_count, train, first[1] if evaluation_count == 0 else problem.evaluate(z), score
+            )
+        evaluation_count += 1
         if progress:
-            progress(min(done, steps), steps)
+            progress(min(evaluation_count, steps), steps)
         return total
 
     simplex = origin + EDGE * np.vstack([np.zeros(len(origin)), np.eye(len(origin))])
     options = {"initial_simplex": simplex, "maxfev": steps, "xatol": FINE_EDGE, "fatol": FINE_SCORE}
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * len(origin)
-    ended = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
-    if ended.success:
+    optimum = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
+    if optimum.success:
         search.stopped = "the simplex has shrunk to a point"
     return search
 

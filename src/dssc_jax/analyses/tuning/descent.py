@@ -47,8 +47,8 @@ class Multipliers:
         """max(0, lambda + c g) of each limit: its weight in the gradient, and its next multiplier."""
         pushes = {}
         for name, excess in point.merit.excess.items():
-            shifted = excess + headroom(name) + self.gaps.get(name, 0.0)
-            pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * shifted)
+            tightened_excess = excess + headroom(name) + self.gaps.get(name, 0.0)
+            pushes[name] = max(0.0, self.values.get(name, 0.0) + PENALTY * tightened_excess)
         return pushes
 
     def gradient(self, point: Point) -> np.ndarray:
@@ -66,8 +66,8 @@ class Multipliers:
         """Update the multipliers in the usual way, and compute the gaps anew."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
-            trained = train.merit.excess
-            self.gaps = {name: max(0.0, excess - trained[name]) for name, excess in validation.merit.excess.items()}
+            training = train.merit.excess
+            self.gaps = {name: max(0.0, excess - training[name]) for name, excess in validation.merit.excess.items()}
 
 
 def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:
@@ -116,13 +116,13 @@ def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCall
     return search
 
 
-def smoothing_width(first: float, done: float) -> float:
-    """Width of the smoothed sign after the share ``done`` of the steps.
+def smoothing_width(first: float, finished_share: float) -> float:
+    """Width of the smoothed sign after a share of the steps, ``finished_share``.
 
     It decreases geometrically from ``first``, and is 0 in the final steps.
     """
-    smoothed = 1.0 - EXACT_SHARE
-    return first * FINAL_WIDTH ** (done / smoothed) if done < smoothed else 0.0
+    smoothed_share = 1.0 - EXACT_SHARE
+    return first * FINAL_WIDTH ** (finished_share / smoothed_share) if finished_share < smoothed_share else 0.0
 
 
 def shortened_step(
@@ -136,7 +136,7 @@ def shortened_step(
     highest_violation = max(iterate.merit.violation, VIOLATION_STEP)
     for halvings in range(HALVINGS):
         z = iterate.z + change * 0.5**halvings
-        if problem.allowed(z):
+        if problem.is_admissible(z):
             point = problem.at(z, batch)
             if point.merit.objective <= highest_objective and point.merit.violation <= highest_violation:
                 return point, halvings
@@ -166,8 +166,8 @@ def quadratic_programming(problem: Problem, first: tuple[Point, Point], progress
         if width is not None:
             problem.width = width * FINAL_WIDTH ** ((stage - 1) / (STAGES - 2)) if stage < STAGES else 0.0
         iteration.run_stage(steps if width is None else stage * steps // STAGES)
-        short = iteration.update_gaps()
-        if iteration.done >= steps or (width is None and not short):
+        exceeds_limit = iteration.update_gaps()
+        if iteration.step_count >= steps or (width is None and not exceeds_limit):
             break
     return iteration.search
 
@@ -185,7 +185,7 @@ class Iteration:
         search: The results so far.
         iterate: The present iterate.
         progress: Called after each step.
-        done: Number of steps done.
+        step_count: Number of steps taken so far.
         gaps: Increase of each limit's headroom.
     """
 
@@ -193,7 +193,7 @@ class Iteration:
     search: Search
     iterate: Point
     progress: ProgressCallback | None
-    done: int = 0
+    step_count: int = 0
     gaps: dict[str, float] = field(default_factory=dict)
     _points: dict[bytes, tuple[Point, bool]] = field(default_factory=dict)
     _stale: int = 0
@@ -208,7 +208,7 @@ class Iteration:
         key = z.tobytes()
         if key not in self._points:
             point = self.problem.at(z, self.problem.train)
-            self._points[key] = point, not point.merit.ended and self.problem.allowed(z)
+            self._points[key] = point, not point.merit.ended and self.problem.is_admissible(z)
         return self._points[key]
 
     def cost(self, x: np.ndarray) -> float:
@@ -224,12 +224,12 @@ class Iteration:
         """
         point = self.at(x)[0]
         if not np.array_equal(point.z, self.iterate.z):
-            self.done += 1
+            self.step_count += 1
             self.iterate = point
-            better = self.search.record(self.problem, self.done, point, self.problem.evaluate(point.z))
+            better = self.search.record(self.problem, self.step_count, point, self.problem.evaluate(point.z))
             self._stale = 0 if better else self._stale + 1
             if self.progress:
-                self.progress(self.done, self.problem.plan.table.steps)
+                self.progress(self.step_count, self.problem.plan.table.steps)
             if self._stale >= self.problem.plan.table.patience:
                 raise OutOfPatience
         return np.append(point.gradient / self.scale, PENALTY)
@@ -237,8 +237,8 @@ class Iteration:
     def room(self, x: np.ndarray) -> np.ndarray:
         """The distance to every limit, less its headroom, plus the largest excess."""
         excess = self.at(x)[0].merit.excess
-        shifted = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
-        return x[-1] - np.array(shifted)
+        tightened_excesses = [excess.get(name, 1.0) + headroom(name) + self.gaps.get(name, 0.0) for name in self.names]
+        return x[-1] - np.array(tightened_excesses)
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the room, shape (limits, n + 1)."""
@@ -257,15 +257,15 @@ class Iteration:
             minimize(
                 self.cost, begin, jac=self.gradient, method="SLSQP", constraints=[limits] if self.names else [],
                 bounds=[(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * (len(begin) - 1) + [(0.0, None)],
-                options={"maxiter": max(1, steps - self.done), "ftol": CONVERGED},
+                options={"maxiter": max(1, steps - self.step_count), "ftol": CONVERGED},
             )  # fmt: skip
         except OutOfPatience:
             self.search.stopped = f"no better on the validation draws for {self._stale} looks"
         else:
-            self.search.stopped = "all steps done" if self.done >= self.problem.plan.table.steps else "converged"
+            self.search.stopped = "all steps done" if self.step_count >= self.problem.plan.table.steps else "converged"
 
     def update_gaps(self) -> bool:
-        """Set each limit's gap to how much larger its excess is on the validation draws than on the training draws.
+        """Set each limit's gap: its excess on the validation draws minus that on the training draws, if positive.
 
         Nothing changes if a validation draw ended early.
 

@@ -101,8 +101,8 @@ class DerivativePair(NamedTuple):
         places = np.argwhere(~self.agree & ~self.kink)
         scale = np.maximum(np.abs(self.exact), np.abs(self.central))
         distance = np.abs(self.exact - self.central) / np.where(scale > 0.0, scale, 1.0)
-        ranked = sorted(places.tolist(), key=lambda place: -np.nan_to_num(distance[tuple(place)], nan=np.inf))
-        return [tuple(place) for place in ranked[:SHOWN]]
+        by_distance = sorted(places.tolist(), key=lambda place: -np.nan_to_num(distance[tuple(place)], nan=np.inf))
+        return [tuple(place) for place in by_distance[:SHOWN]]
 
 
 def compare_derivatives(
@@ -149,18 +149,18 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
     derivatives = problem.with_derivatives(draws, {name: column[:points] for name, column in lanes.items()})
     chain = mirror.slopes(centre)
-    completed = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
+    is_complete = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     metrics = list(problem.plan.measures)
-    count = int(np.count_nonzero(completed))
+    count = int(np.count_nonzero(is_complete))
     exact = []
     value = []
     forward = []
     backward = []
     strides = []
     for name in metrics:
-        table = results[name].reshape(len(shifts), points)[:, completed]
+        table = results[name].reshape(len(shifts), points)[:, is_complete]
         rows = [derivatives[Derivative(name, number)][:, None] * chain[number] for number in problem.names]
-        exact.append(np.sum(rows, axis=0)[completed])
+        exact.append(np.sum(rows, axis=0)[is_complete])
         value.append(np.repeat(table[0][:, None], size, axis=1))
         higher, lower, stride_higher, stride_lower = table[1:].reshape(4, size, count)
         forward.append((higher - table[0]).T / DIFFERENCE_STEP)
@@ -169,16 +169,16 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     comparison = compare_derivatives(np.stack(exact), np.stack(value), np.stack(forward), np.stack(backward))
     predictive = predicts(comparison.exact, np.stack(value), np.stack(strides))
     share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), size))
-    kinked = {}
+    kink_shares = {}
     for metric, row in zip(metrics, share.tolist(), strict=True):
-        kinked[metric] = dict(zip(mirror.names, row, strict=True))
-    tuned = {name: column[completed] for name, column in mirror.tuned(centre).items()}
+        kink_shares[metric] = dict(zip(mirror.names, row, strict=True))
+    tuned = {name: column[is_complete] for name, column in mirror.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
         predictive=float(np.mean(predictive)) if predictive.size else 0.0,
         ended=points - count,
-        kinked=kinked,
+        kinked=kink_shares,
         disagreeing=[disagreement(comparison, place, metrics, tuned) for place in comparison.worst()],
         **comparison.shares,
     )
@@ -186,8 +186,8 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
 
 def predicts(exact: np.ndarray, value: np.ndarray, stride: np.ndarray) -> np.ndarray:
     """Whether derivatives predict the difference over a typical step, by element; any shape, the same for all."""
-    allowed = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
-    return np.abs(exact - stride) <= allowed
+    tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
+    return np.abs(exact - stride) <= tolerance
 
 
 def disagreement(

@@ -109,8 +109,8 @@ class Goal:
 
     def _relative(self, results: Arrays) -> np.ndarray:
         """How far each draw misses each requirement, relative to the bound, finite; shape (requirements, draws)."""
-        missed = np.array([-results[r.name] / r.scale for r in self.requirements])
-        return np.where(np.isnan(missed) | (missed == np.inf), ENDLESS, missed)
+        relative_excess = np.array([-results[r.name] / r.scale for r in self.requirements])
+        return np.where(np.isnan(relative_excess) | (relative_excess == np.inf), ENDLESS, relative_excess)
 
     def undefined(self, results: Arrays) -> np.ndarray:
         """Which draws have no cost, or no value of a limited metric: those that ended early, or have no margin."""
@@ -119,33 +119,35 @@ class Goal:
             undefined = undefined | np.isnan(results[name])
         return undefined
 
-    def merit(self, results: Arrays, numbers: Sequence[str], added: int = 0) -> Merit:
+    def merit(self, results: Arrays, numbers: Sequence[str], counterexample_count: int = 0) -> Merit:
         """Evaluate a batch, with derivatives if the results contain them.
 
         Args:
-            results: Results of the draws, then of ``added`` counterexamples.
+            results: Results of the draws, then of the counterexamples.
             numbers: The loop's numbers with respect to which there are derivatives.
-            added: Number of counterexamples at the end: they have no cost, and must meet the requirements.
+            counterexample_count: Counterexamples at the end: they have no cost, and must meet the requirements.
         """
-        count = len(results["outcome"]) - added
+        count = len(results["outcome"]) - counterexample_count
         ended = int(np.count_nonzero(self.undefined(results)))
         if ended:
             return Merit(float("inf"), {}, {}, {}, ended)
-        drawn = {name: array[:count] for name, array in results.items()}
-        costs = self.cost(drawn)
+        draw_results = {name: array[:count] for name, array in results.items()}
+        costs = self.cost(draw_results)
         share = weights(costs, self.aggregate, self.level)
         excess = {}
         slopes = {}
         for name, bound in self.limits.items():
             scale = bound or 1.0
-            excess[name] = float((np.mean(drawn[name]) - bound) / scale)
-            slopes[name] = {number: float(np.mean(drawn[Derivative(name, number)]) / scale) for number in numbers}
+            excess[name] = float((np.mean(draw_results[name]) - bound) / scale)
+            slopes[name] = {
+                number: float(np.mean(draw_results[Derivative(name, number)]) / scale) for number in numbers
+            }
         if self.requirements:
-            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._missed(drawn, numbers)
-            if added:
+            excess[REQUIREMENTS], slopes[REQUIREMENTS] = self._mean_excess(draw_results, numbers)
+            if counterexample_count:
                 counterexamples = {name: array[count:] for name, array in results.items()}
-                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._missed(counterexamples, numbers)
-        gradient = {number: float(share @ self._slope(drawn, number)) for number in numbers}
+                excess[COUNTEREXAMPLES], slopes[COUNTEREXAMPLES] = self._mean_excess(counterexamples, numbers)
+        gradient = {number: float(share @ self._slope(draw_results, number)) for number in numbers}
         return Merit(float(share @ costs), gradient, excess, slopes, 0)
 
     def _slope(self, results: Arrays, number: str) -> np.ndarray:
@@ -154,16 +156,16 @@ class Goal:
             total = total + weight * results[Derivative(name, number)]
         return total
 
-    def _missed(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
+    def _mean_excess(self, results: Arrays, numbers: Sequence[str]) -> tuple[float, dict[str, float]]:
         """Mean over the draws of how far the worst requirement is missed, and its derivatives."""
-        missed = self._relative(results)
-        worst = np.argmax(missed, axis=0)
-        counts = np.max(missed, axis=0) > 0.0
+        relative_excess = self._relative(results)
+        worst = np.argmax(relative_excess, axis=0)
+        is_violated = np.max(relative_excess, axis=0) > 0.0
         slopes = {}
         for number in numbers:
             rows = np.array([-results[Derivative(r.name, number)] / r.scale for r in self.requirements])
             slope = np.take_along_axis(rows, worst[None], 0)[0]
-            slopes[number] = float(np.mean(np.where(counts & np.isfinite(slope), slope, 0.0)))
+            slopes[number] = float(np.mean(np.where(is_violated & np.isfinite(slope), slope, 0.0)))
         return float(np.mean(self.excess(results))), slopes
 
 
@@ -192,24 +194,24 @@ def missed_bounds(goal: Goal, results: Arrays, units: Mapping[str, str]) -> tupl
         results: Results of the draws.
         units: Unit of each limited metric.
     """
-    early = ended_early(results["outcome"])
-    missed = []
-    if early.any():
-        missed.append(MissedBound("runs to its end", int(np.count_nonzero(early)), math.inf, ""))
+    ended = ended_early(results["outcome"])
+    rows = []
+    if ended.any():
+        rows.append(MissedBound("runs to its end", int(np.count_nonzero(ended)), math.inf, ""))
     for requirement in goal.requirements:
         slacks = results[requirement.name]
-        broken = violated(slacks) & ~early
-        if broken.any():
-            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[broken]))
+        is_missed = violated(slacks) & ~ended
+        if is_missed.any():
+            excess = -float(np.min(np.where(np.isnan(slacks), -np.inf, slacks)[is_missed]))
             value = requirement.bound + (excess if requirement.maximum is not None else -excess)
             excess = abs(requirement.shown(value)[0] - requirement.shown(requirement.bound)[0])
             unit = requirement.shown(value)[1]
-            missed.append(MissedBound(requirement.short, int(np.count_nonzero(broken)), excess, unit))
+            rows.append(MissedBound(requirement.short, int(np.count_nonzero(is_missed)), excess, unit))
     for name, bound in goal.limits.items():
-        excess = float(np.mean(results[name][~early])) - bound if not early.all() else math.nan
+        excess = float(np.mean(results[name][~ended])) - bound if not ended.all() else math.nan
         if excess > 0.0:
-            missed.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
-    return tuple(missed)
+            rows.append(MissedBound(f"mean {name} <= {bound:.5g}", None, excess, units[name]))
+    return tuple(rows)
 
 
 RESAMPLES = 2000
@@ -286,13 +288,13 @@ def judge_tuning(
 
 
 def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
-    """Create the verdict from the results at the start and at the end."""
+    """The verdict, from the results at the start and at the end."""
     start_costs = goal.cost(start_results)
     costs = goal.cost(results)
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
     level = goal.level if goal.aggregate == "cvar" else 0.5
-    paired = compare_metrics(costs, start_costs)
+    difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)
     failures = compare_failures(failed, start_failed)
@@ -313,7 +315,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
         reduction=1.0 - objective / start_objective,
         reduction_interval=reduction_interval(goal, start_costs, costs),
         quantile=(quantile_interval(start_costs, level), quantile_interval(costs, level)),
-        difference=(paired.difference, *paired.interval),
+        difference=(difference.difference, *difference.interval),
         limits=limits,
         failures=(start_count, count),
         requirements=by_requirement,

@@ -198,7 +198,7 @@ class Plan:
         in_study = {measure.name for measure in self.study.measures}
         of_requirements = {requirement.measure.name for requirement in self.study.requirements}
         to_name = in_study - of_requirements
-        names = {self._written(measure) for name, measure in self.measures.items() if name in to_name}
+        names = {self._written_name(measure) for name, measure in self.measures.items() if name in to_name}
         window = self.study.config.metrics.window.entries()
         return self.study.override(
             {
@@ -214,7 +214,7 @@ class Plan:
         width = self.table.smoothing
         return self.trial() if width is None else self.trial().override({WIDTH: width})
 
-    def _written(self, measure: Measure) -> str:
+    def _written_name(self, measure: Measure) -> str:
         """A metric's name as written in the study; a user's metric has its dotted name."""
         for name in self.study.config.metrics.names or ():
             if name.rpartition(":")[2] == measure.kind:
@@ -352,7 +352,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
 
 
 def reason_unfit(study: Study, name: str) -> str:
-    """Why a name cannot be tuned: the predicate of a sentence about it."""
+    """The reason why a name cannot be tuned, as the predicate of a sentence."""
     value: object = study.table
     for part in name.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None

@@ -56,12 +56,12 @@ class Problem:
 
     Args:
         plan: The plan.
-        added: Counterexamples: values of the laws' numbers, each of shape (n,).
+        counterexamples: Values of the laws' numbers, each of shape (n,).
         width: Width of the smoothed sign in the program with derivatives [m/s], if ``smoothing`` is set.
     """
 
     plan: Plan
-    added: Arrays = field(default_factory=dict)
+    counterexamples: Arrays = field(default_factory=dict)
     width: float | None = field(default=None, init=False)
     certified: int = field(default=0, init=False)
     proved: int = field(default=0, init=False)
@@ -87,7 +87,7 @@ class Problem:
     @property
     def extra(self) -> np.ndarray:
         """Draw indices of the counterexamples: all use the noise of draw 0, with which they were found."""
-        return np.zeros(len(next(iter(self.added.values()), [])), dtype=int)
+        return np.zeros(len(next(iter(self.counterexamples.values()), [])), dtype=int)
 
     @property
     def differentiable(self) -> bool:
@@ -121,13 +121,13 @@ class Problem:
             evaluator: A program to use instead of the one with derivatives.
 
         Returns:
-            Arrays of shape (m (d + added),), point by point.
+            Arrays of shape (m (d + counterexamples),), point by point.
         """
         indices = np.concatenate([draws, self.extra])
         lanes = {}
         for name, column in self.laws.items():
-            drawn = np.concatenate([column[draws], self.added.get(name, [])])
-            lanes[name] = np.tile(drawn, len(z))
+            values = np.concatenate([column[draws], self.counterexamples.get(name, [])])
+            lanes[name] = np.tile(values, len(z))
         for name, column in self.plan.mirror.numbers(z).items():
             lanes[name] = np.repeat(column, len(indices))
         return (evaluator or self.with_derivatives)(np.tile(indices, len(z)), lanes)
@@ -147,7 +147,7 @@ class Problem:
         return {} if self.width is None else {WIDTH: np.full(len(indices), self.width)}
 
     def evaluate(self, z: np.ndarray, draws: np.ndarray | None = None) -> Point:
-        """Evaluate a point with the exact sign and without derivatives, on the validation draws if none are named."""
+        """Evaluate a point with the exact sign and without derivatives, by default on the validation draws."""
         draws = self.validation if draws is None else draws
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:
@@ -171,7 +171,7 @@ class Problem:
             slopes |= excess_slopes
         return Point(z, merit, along(merit.gradient), slopes)
 
-    def allowed(self, z: np.ndarray) -> bool:
+    def is_admissible(self, z: np.ndarray) -> bool:
         """Whether the point passes the strict check of Theorem 1, and is proved, if either is required."""
         numbers = self.plan.numbers_at(z)
         if self.plan.theorem is not None:

@@ -150,8 +150,8 @@ class Theorem:
 
     def free(self, tuned: Numbers) -> Free:
         """The free parameters, varied and fixed."""
-        varied = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
-        return Free(**{**self.fixed, **varied})
+        values = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
+        return Free(**{**self.fixed, **values})
 
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the certified design, and the other tuned numbers."""
@@ -163,8 +163,8 @@ class Theorem:
 
     def at(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
         """Parameters and bounds at the loop's numbers as simulated; numbers not given are the study's."""
-        changed = {name: numbers[dotted] for dotted, name in NUMBERS.items() if dotted in numbers}
-        parameters = self.parameters._replace(**changed)
+        parameter_changes = {name: numbers[dotted] for dotted, name in NUMBERS.items() if dotted in numbers}
+        parameters = self.parameters._replace(**parameter_changes)
         return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
@@ -186,10 +186,10 @@ class Theorem:
         rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
         excess = {}
         for name, value, bound in rows:
-            known = jnp.isfinite(bound)
-            limit = jnp.where(known, bound, 0.0)
-            missed = ((1.0 + slack) * limit - value) / (jnp.abs(limit) + jnp.abs(value))
-            excess[SLACK + name] = jnp.where(known, missed, 1.0)
+            is_finite = jnp.isfinite(bound)
+            limit = jnp.where(is_finite, bound, 0.0)
+            shortfall = ((1.0 + slack) * limit - value) / (jnp.abs(limit) + jnp.abs(value))
+            excess[SLACK + name] = jnp.where(is_finite, shortfall, 1.0)
         return excess
 
 
@@ -207,7 +207,7 @@ def split_parameters(
     for name in REQUIRED_PARAMETERS:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
-    varied = {PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
-    if not varied:
+    intervals = {PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
+    if not intervals:
         raise ConfigError("tune.free", "varies nothing; give [low, high] for one at least")
-    return varied, {name: value for name, value in free.items() if not isinstance(value, tuple)}
+    return intervals, {name: value for name, value in free.items() if not isinstance(value, tuple)}

@@ -67,7 +67,7 @@ def tune(
     outcome, gradients = solve(problem, progress)
     certified = problem.certified
     proved = problem.proved
-    added: Arrays = {}
+    counterexamples: Arrays = {}
     hunts: list[Counterexample] = []
     while robust:
         tuned = plan.study.override(plan.numbers_at(outcome.best.z))
@@ -75,8 +75,8 @@ def tune(
         hunts.append(Counterexample(worst.point_answer(worst.worst), worst.simulations))
         if worst.slack >= 0.0 or len(hunts) == rounds:
             break
-        added = with_witness(added, worst.witness)
-        problem = Problem(plan, added)
+        counterexamples = with_witness(counterexamples, worst.witness)
+        problem = Problem(plan, counterexamples)
         outcome, gradients = solve(problem, progress)
         certified += problem.certified
         proved += problem.proved
@@ -98,8 +98,8 @@ def tune(
         counterexamples=tuple(hunts),
         seconds=time.perf_counter() - began,
     )
-    searched = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
-    values = {name: float(numbers.get(name, value)) for name, value in searched.items()}
+    result_values = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
+    values = {name: float(numbers.get(name, value)) for name, value in result_values.items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
     start_values = dict(plan.mirror.start)
@@ -131,9 +131,9 @@ def still_missed(problem: Problem, point: Point) -> tuple[MissedBound, ...]:
     """What a point misses on the validation draws."""
     goal = problem.goal_on(problem.validation)
     results = problem.results(point.z[None], problem.validation, problem.plain)
-    drawn = {name: column[: len(problem.validation)] for name, column in results.items()}
+    draw_results = {name: column[: len(problem.validation)] for name, column in results.items()}
     units = {measure.name: measure.unit for measure in problem.plan.study.measures}
-    return missed_bounds(goal, drawn, units)
+    return missed_bounds(goal, draw_results, units)
 
 
 def search(
@@ -175,9 +175,9 @@ def verified(certificate: JsonObject) -> JsonObject:
     return content
 
 
-def with_witness(added: Arrays, witness: dict[str, float]) -> Arrays:
+def with_witness(counterexamples: Arrays, witness: dict[str, float]) -> Arrays:
     """Add one counterexample to the others."""
-    return {name: np.append(added.get(name, []), value) for name, value in witness.items()}
+    return {name: np.append(counterexamples.get(name, []), value) for name, value in witness.items()}
 
 
 def require_certified(plan: Plan) -> None:
@@ -189,10 +189,10 @@ def require_certified(plan: Plan) -> None:
     assert plan.theorem is not None
     numbers = plan.numbers_at(plan.mirror.origin)
     if plan.table.slack is not None:
-        missed = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
-        worst = max(missed, key=missed.__getitem__)
-        if missed[worst] > 0.0:
-            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {missed[worst]:.3g} (relative)"
+        excesses = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
+        worst = max(excesses, key=excesses.__getitem__)
+        if excesses[worst] > 0.0:
+            rule = f"the start is infeasible: {worst} is below {plan.table.slack:g} by {excesses[worst]:.3g} (relative)"
             raise ConfigError(plan.study.source, f"tune.slack: {rule}")
     if not plan.theorem.certificate(numbers).certified:
         place = "tune.free" if plan.table.certified else "tune.slack"

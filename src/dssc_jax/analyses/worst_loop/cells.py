@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dssc_jax.analyses.worst_loop.family import Evaluate, PointsLeft, unlimited
+from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, unlimited
 from dssc_jax.analyses.worst_loop.linear_models import WIDENED, LinearModel, LinearModels, pattern
 from dssc_jax.analyses.worst_loop.readouts import SINGLE, Enclosure, Readout
 
@@ -109,7 +109,7 @@ def cover(
     ends: tuple[np.ndarray, np.ndarray],
     goals: np.ndarray,
     most: int,
-    left: PointsLeft = unlimited,
+    remaining_points: RemainingPoints = unlimited,
     readout: Readout = SINGLE,
 ) -> Covered:
     """Bound the gains over a box and all frequencies, by halving the worst cells until the goals are met.
@@ -119,36 +119,37 @@ def cover(
         ends: Lower and upper corner of the box, shape (sides,).
         goals: Bounds that are good enough, shape (gains,).
         most: Number of cells to compute at most.
-        left: Number of points that may still be evaluated.
+        remaining_points: Number of points that may still be evaluated.
         readout: The gains.
     """
     models = LinearModels(evaluate, readout.channels)
     channels = readout.channels
-    needed = len(pattern(len(ends[0])))
-    if left() < needed:
+    points_per_cell = len(pattern(len(ends[0])))
+    if remaining_points() < points_per_cell:
         return Covered(np.full(readout.size, np.inf), 0)
     centre = evaluate(0.5 * (ends[0] + ends[1])[None])[0]
     angles = first_angles(np.linalg.eigvals(centre[:-channels, :-channels]))
     count = len(angles) - 1
     cells = Cells(np.tile(ends[0], (count, 1)), np.tile(ends[1], (count, 1)), angles[:-1], angles[1:])
     bounds = enclose(cells, models.on(cells.low, cells.high), goals, readout)
-    computed = count
+    cell_count = count
     while True:
         excess = np.max(bounds.gains / goals, axis=1)
         order = np.argsort(-excess)
-        worst = order[excess[order] > 1.0][: min(BATCH_CELLS, (most - computed) // 2)]
-        points = np.cumsum(np.where(bounds.axis[worst] == len(ends[0]), 0, 2 * needed))
-        worst = worst[points <= left()]
+        worst = order[excess[order] > 1.0][: min(BATCH_CELLS, (most - cell_count) // 2)]
+        points = np.cumsum(np.where(bounds.axis[worst] == len(ends[0]), 0, 2 * points_per_cell))
+        worst = worst[points <= remaining_points()]
         if not worst.size:
-            return Covered(bounds.gains.max(axis=0), computed)
-        kept = np.setdiff1d(order, worst)
-        fresh = halved(cells.at(worst), bounds.axis[worst])
-        halves = enclose(fresh, models.on(fresh.low, fresh.high), goals, readout)
-        cells = Cells(*(np.concatenate(parts) for parts in zip(cells.at(kept), fresh, strict=True)))
+            return Covered(bounds.gains.max(axis=0), cell_count)
+        kept_cells = np.setdiff1d(order, worst)
+        half_cells = halved(cells.at(worst), bounds.axis[worst])
+        halves = enclose(half_cells, models.on(half_cells.low, half_cells.high), goals, readout)
+        cells = Cells(*(np.concatenate(parts) for parts in zip(cells.at(kept_cells), half_cells, strict=True)))
         bounds = CellBounds(
-            np.concatenate([bounds.gains[kept], halves.gains]), np.concatenate([bounds.axis[kept], halves.axis])
+            np.concatenate([bounds.gains[kept_cells], halves.gains]),
+            np.concatenate([bounds.axis[kept_cells], halves.axis]),
         )
-        computed += len(fresh.start)
+        cell_count += len(half_cells.start)
 
 
 def halved(cells: Cells, axis: np.ndarray) -> Cells:
@@ -199,24 +200,26 @@ def enclose(cells: Cells, models: Sequence[LinearModel], goals: np.ndarray, read
         response = y[:, :, states : states + channels]
         enclosure = Enclosure(response, y[:, None] @ right, first + left_size @ inverse @ right_size, cells.end)
         gains = readout.gains(enclosure, goals)
-        bounded = finite & np.all(inverse >= 0.0, axis=(1, 2))
+        is_bounded = finite & np.all(inverse >= 0.0, axis=(1, 2))
         scales = readout.scales(response)
         left_weights, right_weights = dominant(k)
-        reaching = np.einsum("nc,nci->ni", scales, left_size @ inverse)
-        reached = np.einsum("nic,nc->ni", inverse @ right_size, 1.0 / scales)
-        left_weights = np.where(bounded[:, None], reaching, left_weights)
-        right_weights = np.where(bounded[:, None], reached, right_weights)
-        bent = np.einsum("ni,nij,nkjl,nl->nk", left_weights, sizes, WIDENED * bordered(bends, channels), right_weights)
+        left_bounds = np.einsum("nc,nci->ni", scales, left_size @ inverse)
+        right_bounds = np.einsum("nic,nc->ni", inverse @ right_size, 1.0 / scales)
+        left_weights = np.where(is_bounded[:, None], left_bounds, left_weights)
+        right_weights = np.where(is_bounded[:, None], right_bounds, right_weights)
+        bend_weights = np.einsum(
+            "ni,nij,nkjl,nl->nk", left_weights, sizes, WIDENED * bordered(bends, channels), right_weights
+        )
         weights = np.einsum("ni,nkij,nj->nk", left_weights, spread, right_weights)
         direct = np.einsum("nc,nkci,ni->nk", scales, lefts, right_weights)
         direct += np.einsum("ni,nkic,nc->nk", left_weights, rights, 1.0 / scales)
-        weights += np.where(bounded[:, None], direct, 0.0)
-        weights[:, :sides] += bent
+        weights += np.where(is_bounded[:, None], direct, 0.0)
+        weights[:, :sides] += bend_weights
     weights[:, sides] *= CHEAPER
-    unknown = ~np.all(np.isfinite(weights), axis=1)
-    weights[unknown, :sides] = (cells.high - cells.low)[unknown]
-    weights[unknown, sides] = (cells.end - cells.start)[unknown]
-    return CellBounds(np.where(bounded[:, None], gains, np.inf), np.argmax(weights, axis=1))
+    has_no_weights = ~np.all(np.isfinite(weights), axis=1)
+    weights[has_no_weights, :sides] = (cells.high - cells.low)[has_no_weights]
+    weights[has_no_weights, sides] = (cells.end - cells.start)[has_no_weights]
+    return CellBounds(np.where(is_bounded[:, None], gains, np.inf), np.argmax(weights, axis=1))
 
 
 def expansion(cells: Cells, centre: np.ndarray, slopes: np.ndarray, deviation: np.ndarray, channels: int) -> Expansion:

@@ -19,7 +19,7 @@ UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]
 """Points of shape (n, sides) -> [[A, B], [C, 0]] there, shape (n, states + channels, states + channels)."""
-PointsLeft = Callable[[], int]
+RemainingPoints = Callable[[], int]
 """The number of points that may still be evaluated."""
 
 
@@ -51,12 +51,12 @@ class Family:
         """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
-        waiting = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
-        fresh = list(waiting.values())
-        for first in range(0, len(fresh), BATCH_POINTS):
-            batch = np.array(fresh[first : first + BATCH_POINTS])
-            padded = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
-            matrices = self.linearised(padded, np.zeros(BATCH_POINTS, int))
+        new_points = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
+        missing_points = list(new_points.values())
+        for first in range(0, len(missing_points), BATCH_POINTS):
+            batch = np.array(missing_points[first : first + BATCH_POINTS])
+            padded_batch = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
+            matrices = self.linearised(padded_batch, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
                 self.row_of_point[point.tobytes()] = len(self.cache)
                 self.cache.append(StateMatrices(*(part[row] for part in matrices)))
@@ -68,10 +68,10 @@ class Family:
         """Number of points that may still be linearised, of ``most`` in all."""
         return max(0, most - len(self.cache))
 
-    def allowance(self, points: int) -> PointsLeft:
-        """The function that tells how many of a number of new points may still be linearised, from now on."""
-        last = len(self.cache) + points
-        return lambda: max(0, last - len(self.cache))
+    def allowance(self, points: int) -> RemainingPoints:
+        """A function that returns how many of ``points`` further points may still be linearised."""
+        last_row = len(self.cache) + points
+        return lambda: max(0, last_row - len(self.cache))
 
     def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Matrices at points, with the random keys of the draws ``indices``."""
@@ -105,13 +105,13 @@ class BrokenFamily:
 
     Args:
         family: The whole loop.
-        kept: Its states that matter here.
+        state_indices: Its states that matter here.
         places: Indices of the break points.
     """
 
-    def __init__(self, family: Family, kept: np.ndarray, places: Sequence[int]) -> None:
+    def __init__(self, family: Family, state_indices: np.ndarray, places: Sequence[int]) -> None:
         self.family = family
-        self.kept = kept
+        self.state_indices = state_indices
         self.places = list(places)
         self.sides = self._influential()
 
@@ -146,10 +146,12 @@ class BrokenFamily:
     def broken(self, matrices: StateMatrices) -> np.ndarray:
         """[[A, B], [C, 0]] of whole loops, broken here, shape (n, states + places, states + places)."""
         _, a, b, c = matrices
-        kept = self.kept
+        state_indices = self.state_indices
         places = self.places
-        top = np.concatenate([a[:, kept][:, :, kept], b[:, kept][:, :, places]], axis=2)
-        bottom = np.concatenate([c[:, places][:, :, kept], np.zeros((len(a), len(places), len(places)))], axis=2)
+        top = np.concatenate([a[:, state_indices][:, :, state_indices], b[:, state_indices][:, :, places]], axis=2)
+        bottom = np.concatenate(
+            [c[:, places][:, :, state_indices], np.zeros((len(a), len(places), len(places)))], axis=2
+        )
         return np.concatenate([top, bottom], axis=1)
 
     def _influential(self) -> list[int]:
@@ -161,5 +163,5 @@ class BrokenFamily:
         reference = self._matrices(bases)
         variants = self._matrices(neighbours.reshape(-1, sides)).reshape(PROBES, sides, *reference.shape[1:])
         limit = SAME * (1e-3 + np.abs(reference).max(axis=0))
-        unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
-        return np.flatnonzero(np.any(~unchanged, axis=(0, 2, 3))).tolist()
+        is_unchanged = np.abs(variants - reference[:, None]) <= limit  # not where there is no equilibrium
+        return np.flatnonzero(np.any(~is_unchanged, axis=(0, 2, 3))).tolist()

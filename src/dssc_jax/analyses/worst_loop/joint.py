@@ -6,7 +6,7 @@ import numpy as np
 
 from dssc_jax.analyses.loop_margins.multiloop import JointLoops, JointMargins, balanced_bounds, joint_margins
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, PointsLeft
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Evaluate, RemainingPoints
 from dssc_jax.analyses.worst_loop.readouts import joint
 from dssc_jax.analyses.worst_loop.search import Worst, radii_of, worst_values
 
@@ -59,17 +59,19 @@ def margins_of(matrices: np.ndarray, channels: int, sample_time: float) -> Joint
     return result
 
 
-def worst_joint_margin(evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: PointsLeft) -> Worst:
+def worst_joint_margin(
+    evaluate: Evaluate, sides: int, channels: int, sample_time: float, budget: RemainingPoints
+) -> Worst:
     """The worst margin that a search finds in the box, and its point."""
 
     def values_at(points: np.ndarray) -> np.ndarray:
-        return margins_of(evaluate(points), channels, sample_time).found[:, None]
+        return margins_of(evaluate(points), channels, sample_time).attained[:, None]
 
     return worst_values(values_at, np.negative, sides, budget)[0]
 
 
 def joint_mu_bound(
-    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: PointsLeft
+    evaluate: Evaluate, sides: int, channels: int, goal: float, cells: int, budget: RemainingPoints
 ) -> Covered:
     """An upper bound of mu over the whole box: 1/mu is the disk margin of all commands at once.
 
@@ -88,9 +90,9 @@ def joint_mu_bound(
 
 
 def joint_case(
-    broken: BrokenFamily,
+    broken_family: BrokenFamily,
     channels: tuple[str, ...],
-    drawn: np.ndarray,
+    drawn_loops: np.ndarray,
     sample_time: float,
     gap: float,
     cells: int,
@@ -99,29 +101,29 @@ def joint_case(
     """The worst disk margin of all commands at once.
 
     Args:
-        broken: The loops, broken at these commands.
+        broken_family: The loops, broken at these commands.
         channels: Names of the channels.
-        drawn: Loops of the draws, shape (n, states + channels, states + channels).
+        drawn_loops: Loops of the draws, shape (n, states + channels, states + channels).
         sample_time: T_s [s].
         gap: Ratio of bound and value found at which the search for a better bound ends.
         cells: Largest number of cells.
         points: Largest number of points to linearise.
     """
-    sides = len(broken.sides)
+    sides = len(broken_family.sides)
     count = len(channels)
-    budget = broken.family.allowance(points)
-    worst = worst_joint_margin(broken.at, sides, count, sample_time, broken.family.allowance(points // 3))
-    at_worst = margins_of(broken.at(worst.point[None]), count, sample_time)
+    budget = broken_family.family.allowance(points)
+    worst = worst_joint_margin(broken_family.at, sides, count, sample_time, broken_family.family.allowance(points // 3))
+    at_worst = margins_of(broken_family.at(worst.point[None]), count, sample_time)
     covered = Covered(np.array([np.inf]), 0)
     if worst.value > 0.0:
-        covered = joint_mu_bound(broken.at, sides, count, gap / worst.value, cells, budget)
+        covered = joint_mu_bound(broken_family.at, sides, count, gap / worst.value, cells, budget)
     bounded = 1.0 / covered.gains[0] if covered.stable else np.nan
     return JointCase(
         channels=channels,
-        names=broken.names,
-        drawn=float(margins_of(drawn, count, sample_time).found.min()),
+        names=broken_family.names,
+        drawn=float(margins_of(drawn_loops, count, sample_time).attained.min()),
         found=worst.value,
-        numbers=broken.numbers(worst.point),
+        numbers=broken_family.numbers(worst.point),
         frequency=float(at_worst.frequency[0]),
         factors=at_worst.factors[0],
         bounded=float(bounded),

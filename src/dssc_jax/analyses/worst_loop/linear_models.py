@@ -72,15 +72,15 @@ class LinearModels:
             highs: Upper corners.
         """
         keys = [low.tobytes() + high.tobytes() for low, high in zip(lows, highs, strict=True)]
-        fresh = {key: index for index, key in enumerate(keys) if key not in self.models}
-        if fresh:
-            indices = list(fresh.values())
+        new_parts = {key: index for index, key in enumerate(keys) if key not in self.models}
+        if new_parts:
+            indices = list(new_parts.values())
             points = pattern(lows.shape[1])
             middle = 0.5 * (lows + highs)[indices, None]
             half = 0.5 * (highs - lows)[indices, None]
-            located = middle + half * points
-            matrices = self.evaluate(located.reshape(-1, located.shape[-1]))
-            for key, matrices_there in zip(fresh, np.split(matrices, len(indices)), strict=True):
+            pattern_points = middle + half * points
+            matrices = self.evaluate(pattern_points.reshape(-1, pattern_points.shape[-1]))
+            for key, matrices_there in zip(new_parts, np.split(matrices, len(indices)), strict=True):
                 self.models[key] = linear_model(points, matrices_there, self.channels)
         return [self.models[key] for key in keys]
 

@@ -96,23 +96,23 @@ def joint_gains(enclosure: Enclosure, goals: np.ndarray) -> np.ndarray:
         return gains[:, None]
     logs = balanced(sizes[rows])
     gains[rows] = scaled_bounds(middle[rows], enclosure.linear[rows], enclosure.remainder[rows], logs)
-    missed = rows[scaled_norms(middle[rows], logs)[0] > goals[0]]
-    if missed.size:
-        best = best_scales(middle[missed])
-        sharper = scaled_bounds(middle[missed], enclosure.linear[missed], enclosure.remainder[missed], best)
-        gains[missed] = np.minimum(gains[missed], sharper)
+    above_goal = rows[scaled_norms(middle[rows], logs)[0] > goals[0]]
+    if above_goal.size:
+        best = best_scales(middle[above_goal])
+        sharper = scaled_bounds(middle[above_goal], enclosure.linear[above_goal], enclosure.remainder[above_goal], best)
+        gains[above_goal] = np.minimum(gains[above_goal], sharper)
     return (1.0 + ROUNDING) * gains[:, None]
 
 
 def scaled_bounds(middle: np.ndarray, linear: np.ndarray, remainder: np.ndarray, logs: np.ndarray) -> np.ndarray:
     """Bounds of the largest singular value of D M D^-1 on each cell, shape (n,), from log D of shape (n, channels)."""
     ratios = np.exp(logs[:, :, None] - logs[:, None, :])
-    scaled = [middle * ratios, linear * ratios[:, None], remainder * ratios]
-    finite = np.all(np.isfinite(scaled[1]), axis=(1, 2, 3))
-    for part in (scaled[0], scaled[2]):
+    scaled_parts = [middle * ratios, linear * ratios[:, None], remainder * ratios]
+    finite = np.all(np.isfinite(scaled_parts[1]), axis=(1, 2, 3))
+    for part in (scaled_parts[0], scaled_parts[2]):
         finite &= np.all(np.isfinite(part), axis=(1, 2))
     bounds = np.full(len(middle), np.inf)
-    centre, generators, remainders = (part[finite] for part in scaled)
+    centre, generators, remainders = (part[finite] for part in scaled_parts)
     bounds[finite] = norm_over_box(centre, generators) + norms(remainders)
     return bounds
 
@@ -129,13 +129,13 @@ def norm_over_box(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
     """
     sizes = norms(generators)
     order = np.argsort(-sizes, axis=1)
-    ranked = np.take_along_axis(generators, order[:, :, None, None], 1)
-    added = np.take_along_axis(sizes, order, 1)[:, VERTICES:].sum(axis=1)
-    leading = ranked[:, :VERTICES]
+    sorted_generators = np.take_along_axis(generators, order[:, :, None, None], 1)
+    remaining_norms = np.take_along_axis(sizes, order, 1)[:, VERTICES:].sum(axis=1)
+    leading_generators = sorted_generators[:, :VERTICES]
     largest = np.zeros(len(centre))
-    for signs in itertools.product((-1.0, 1.0), repeat=leading.shape[1]):
-        largest = np.maximum(largest, norms(centre + np.einsum("k,nkij->nij", np.array(signs), leading)))
-    return largest + added
+    for signs in itertools.product((-1.0, 1.0), repeat=leading_generators.shape[1]):
+        largest = np.maximum(largest, norms(centre + np.einsum("k,nkij->nij", np.array(signs), leading_generators)))
+    return largest + remaining_norms
 
 
 def norms(matrices: np.ndarray) -> np.ndarray:

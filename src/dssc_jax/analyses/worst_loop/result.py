@@ -217,20 +217,20 @@ class WorstLoop(Analysis):
         worst = self.answer.loops[loop]
         disk = worst.margins["disk"]
         if worst.stable is False:
-            found = "are unstable" if worst.has_operating_point else "have no operating point within their limits"
-            return f"broken at {loop}: some loops of the box {found}, from {worst.growth_found:.3g} of its size on"
+            verdict = "are unstable" if worst.has_operating_point else "have no operating point within their limits"
+            return f"broken at {loop}: some loops of the box {verdict}, from {worst.growth_found:.3g} of its size on"
         if worst.stable is None:
             return f"broken at {loop}: no unstable loop was found in the box, and none is excluded"
-        known = np.isfinite(disk.bounded)
-        least = f"a disk margin of at least {disk.bounded:.3g}" if known else "no bound of its margins"
+        is_bounded = np.isfinite(disk.bounded)
+        least = f"a disk margin of at least {disk.bounded:.3g}" if is_bounded else "no bound of its margins"
         text = (
             f"broken at {loop}: stable on all of the box, with {least} "
             f"(worst found {disk.found:.3g}, worst drawn {disk.drawn:.3g}), and up to {worst.growth_bounded:.3g} "
             "times its size"
         )
         for name, joint in self.multiloop.items():
-            known = np.isfinite(joint.bounded)
-            text += f"; {name}: " + (f"at least {joint.bounded:.3g}" if known else "no bound")
+            is_bounded = np.isfinite(joint.bounded)
+            text += f"; {name}: " + (f"at least {joint.bounded:.3g}" if is_bounded else "no bound")
             text += f" (worst found {joint.found:.3g})"
         return text
 
@@ -251,16 +251,24 @@ class WorstLoop(Analysis):
                 float(values["bounded"]),
                 self.numbers(loop, name),
             )
-        found = float(data["growth_found"])
-        bounded = float(data["growth_bounded"])
-        stable = True if bounded >= 1.0 else (False if found <= 1.0 else None)
+        growth_found = float(data["growth_found"])
+        growth_bounded = float(data["growth_bounded"])
+        stable = True if growth_bounded >= 1.0 else (False if growth_found <= 1.0 else None)
         depends = data["depends"].values
         names = tuple(map(str, self.dataset["number"].values[depends]))
         growable = float(data["growable"])
         unstable = self.unstable(loop)
         has_operating_point = bool(data["has_operating_point"])
         return LoopWorst(
-            stable, bounded, found, growable, unstable, has_operating_point, names, int(data["cells"]), margins
+            stable,
+            growth_bounded,
+            growth_found,
+            growable,
+            unstable,
+            has_operating_point,
+            names,
+            int(data["cells"]),
+            margins,
         )
 
     @property
@@ -307,8 +315,11 @@ class WorstLoop(Analysis):
 
 def present(values: xr.DataArray) -> dict[str, float]:
     """The numbers along ``number`` that are not missing, by name."""
-    known = values.dropna("number")
-    return {str(name): float(value) for name, value in zip(known["number"].values, known.values, strict=True)}
+    present_values = values.dropna("number")
+    return {
+        str(name): float(value)
+        for name, value in zip(present_values["number"].values, present_values.values, strict=True)
+    }
 
 
 def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
@@ -320,17 +331,17 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
     def rows(numbers: Mapping[str, float]) -> list[float]:
         return [numbers.get(name, np.nan) for name in names]
 
-    found = list(cases.values())
+    loop_cases = list(cases.values())
     table = ("loop", "margin")
-    perturbations = np.array([[rows(numbers) for numbers in case.numbers] for case in found])
-    unstable = np.array([rows(case.unstable) for case in found])
-    depends = np.array([[name in case.names for name in names] for case in found])
+    perturbations = np.array([[rows(numbers) for numbers in case.numbers] for case in loop_cases])
+    unstable = np.array([rows(case.unstable) for case in loop_cases])
+    depends = np.array([[name in case.names for name in names] for case in loop_cases])
     columns = {
         "perturbation": ((*table, "number"), perturbations, of_number | {"long_name": "numbers of the worst found"}),
         "unstable": (("loop", "number"), unstable, of_number | {"long_name": "numbers of the nearest unstable loop"}),
         "has_operating_point": (
             "loop",
-            np.array([case.has_operating_point for case in found]),
+            np.array([case.has_operating_point for case in loop_cases]),
             {"long_name": OPERATING_POINT},
         ),
         "depends": (("loop", "number"), depends, {"long_name": "whether the number changes the loop"}),
@@ -340,7 +351,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
         "found": "worst margin found in the box",
         "bounded": "margin that holds on all of the box",
     }.items():
-        values = np.stack([getattr(case, name) for case in found])
+        values = np.stack([getattr(case, name) for case in loop_cases])
         columns[name] = (table, values, of_margin | {"long_name": meaning})
     for name, meaning in {
         "growth_found": "growth of the box that reaches an unstable loop",
@@ -348,7 +359,7 @@ def worst_dataset(box: Box, cases: Mapping[str, LoopCase]) -> xr.Dataset:
         "growable": "largest growth that was searched",
         "cells": "cells computed",
     }.items():
-        values = np.array([getattr(case, name) for case in found])
+        values = np.array([getattr(case, name) for case in loop_cases])
         columns[name] = ("loop", values, {"units": "1", "long_name": meaning})
     for name, meaning in {
         "low": "lower end",

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.analyses.loop_margins.result import MARGIN_KINDS
-from dssc_jax.analyses.worst_loop.family import Evaluate, PointsLeft, unlimited
+from dssc_jax.analyses.worst_loop.family import Evaluate, RemainingPoints, unlimited
 from dssc_jax.engine.linearisation.response import ClassicalMargins, classical_margins, grid_with_poles, response_of
 
 MARGINS = ("gain_upper", "gain_lower", "phase", "delay", "disk", "sensitivity_peak", "complementary_peak")
@@ -54,12 +54,12 @@ def radii_of(matrices: np.ndarray, channels: int = 1) -> np.ndarray:
     return radii
 
 
-def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> np.ndarray:
+def margins_at(matrices: np.ndarray, common_angles: np.ndarray, sample_time: float) -> np.ndarray:
     """The margins of loops, shape (n, margins); unstable ones have the worst value.
 
     Args:
         matrices: [[A, b], [c, 0]], shape (n, states + 1, states + 1).
-        common: Angles at which every loop is evaluated.
+        common_angles: Angles at which every loop is evaluated.
         sample_time: T_s [s].
     """
     result = np.tile([UNSTABLE[MARGIN_KINDS[name].side] for name in MARGINS], (len(matrices), 1))
@@ -68,10 +68,10 @@ def margins_at(matrices: np.ndarray, common: np.ndarray, sample_time: float) -> 
         a = matrices[stable, :-1, :-1]
         b = matrices[stable, :-1, -1]
         c = matrices[stable, -1, :-1]
-        opened = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
-        angles = grid_with_poles(common, np.concatenate([np.linalg.eigvals(a), opened], axis=1))
-        found: ClassicalMargins = classical_margins(response_of(a, b, c), angles, sample_time)
-        result[stable] = np.stack([getattr(found, name) for name in MARGINS], axis=1)
+        open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])
+        angles = grid_with_poles(common_angles, np.concatenate([np.linalg.eigvals(a), open_loop_poles], axis=1))
+        margins: ClassicalMargins = classical_margins(response_of(a, b, c), angles, sample_time)
+        result[stable] = np.stack([getattr(margins, name) for name in MARGINS], axis=1)
     return result
 
 
@@ -81,21 +81,25 @@ def badness(margins: np.ndarray) -> np.ndarray:
 
 
 def worst_margins(
-    evaluate: Evaluate, sides: int, common: np.ndarray, sample_time: float, left: PointsLeft = unlimited
+    evaluate: Evaluate,
+    sides: int,
+    common_angles: np.ndarray,
+    sample_time: float,
+    remaining_points: RemainingPoints = unlimited,
 ) -> list[Worst]:
     """The worst value found of each margin of a loop that is broken in one channel."""
 
     def margins(points: np.ndarray) -> np.ndarray:
-        return margins_at(evaluate(points), common, sample_time)
+        return margins_at(evaluate(points), common_angles, sample_time)
 
-    return worst_values(margins, badness, sides, left)
+    return worst_values(margins, badness, sides, remaining_points)
 
 
 def worst_values(
     values_at: Callable[[np.ndarray], np.ndarray],
     badness: Callable[[np.ndarray], np.ndarray],
     sides: int,
-    left: PointsLeft = unlimited,
+    remaining_points: RemainingPoints = unlimited,
 ) -> list[Worst]:
     """The worst value found of each quantity: the worst of many points, improved by steps along each number.
 
@@ -103,43 +107,45 @@ def worst_values(
         values_at: (points, shape (n, sides)) -> values, shape (n, quantities).
         badness: Values, shape (..., quantities) -> numbers of the same shape that are larger where they are worse.
         sides: Number of coordinates.
-        left: Number of points that may still be evaluated.
+        remaining_points: Number of points that may still be evaluated.
     """
-    points = start_points(sides)[: max(1, left())]
+    points = start_points(sides)[: max(1, remaining_points())]
     values = values_at(points)
     best = np.argmax(badness(values), axis=0)
-    at = points[best]
+    worst_points = points[best]
     quantities = values.shape[1]
     worst = values[best, range(quantities)]
     step = FIRST_STEP
     moves = np.concatenate([np.eye(sides), -np.eye(sides)])
     while step >= SMALLEST_STEP and sides and not np.any(badness(worst) == np.inf):
-        trials = np.clip(at[:, None] + step * moves, -1.0, 1.0)
-        if left() < len(moves) * quantities:
+        trials = np.clip(worst_points[:, None] + step * moves, -1.0, 1.0)
+        if remaining_points() < len(moves) * quantities:
             break
-        found = values_at(trials.reshape(-1, sides)).reshape(*trials.shape[:2], quantities)
-        scores = badness(found)
-        moved = False
+        trial_values = values_at(trials.reshape(-1, sides)).reshape(*trials.shape[:2], quantities)
+        scores = badness(trial_values)
+        has_improved = False
         for index in range(quantities):
             k = int(np.argmax(scores[index, :, index]))
             if scores[index, k, index] > badness(worst)[index] + 1e-12:
-                worst[index] = found[index, k, index]
-                at[index] = trials[index, k]
-                moved = True
-        step = step if moved else 0.5 * step
-    return [Worst(float(value), point) for value, point in zip(worst, at, strict=True)]
+                worst[index] = trial_values[index, k, index]
+                worst_points[index] = trials[index, k]
+                has_improved = True
+        step = step if has_improved else 0.5 * step
+    return [Worst(float(value), point) for value, point in zip(worst, worst_points, strict=True)]
 
 
-def nearest_instability(evaluate: Evaluate, sides: int, most: float, left: PointsLeft = unlimited) -> Instability:
+def nearest_instability(
+    evaluate: Evaluate, sides: int, most: float, remaining_points: RemainingPoints = unlimited
+) -> Instability:
     """The least growth of the box found that reaches an unstable loop.
 
     Args:
         evaluate: The loop at points.
         sides: Number of coordinates.
         most: Largest growth to try.
-        left: Number of points that may still be evaluated.
+        remaining_points: Number of points that may still be evaluated.
     """
-    along = RADII + 1 + BISECTIONS  # points on one direction
+    points_per_direction = RADII + 1 + BISECTIONS
 
     def growths(directions: np.ndarray) -> np.ndarray:
         grid = np.linspace(0.0, most, RADII + 1)
@@ -148,19 +154,19 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float, left: Point
         first = np.argmax(unstable, axis=0)
         low = grid[np.maximum(first - 1, 0)]
         high = np.where(unstable.any(axis=0), grid[first], np.inf)
-        reached = np.flatnonzero(np.isfinite(high) & (high > 0.0))
-        for _ in range(BISECTIONS if reached.size else 0):
-            middle = 0.5 * (low[reached] + high[reached])
-            beyond = radii_of(evaluate(middle[:, None] * directions[reached])) >= 1.0
-            high[reached] = np.where(beyond, middle, high[reached])
-            low[reached] = np.where(beyond, low[reached], middle)
+        finite_columns = np.flatnonzero(np.isfinite(high) & (high > 0.0))
+        for _ in range(BISECTIONS if finite_columns.size else 0):
+            middle = 0.5 * (low[finite_columns] + high[finite_columns])
+            beyond = radii_of(evaluate(middle[:, None] * directions[finite_columns])) >= 1.0
+            high[finite_columns] = np.where(beyond, middle, high[finite_columns])
+            low[finite_columns] = np.where(beyond, low[finite_columns], middle)
         return high
 
-    directions = start_points(sides)[1:][: max(1, left() // along)]
+    directions = start_points(sides)[1:][: max(1, remaining_points() // points_per_direction)]
     directions /= np.abs(directions).max(axis=1, keepdims=True)
-    found = growths(directions)
-    best = int(np.argmin(found))
-    growth = found[best]
+    trial_growths = growths(directions)
+    best = int(np.argmin(trial_growths))
+    growth = trial_growths[best]
     direction = directions[best]
     step = FIRST_STEP
     moves = np.concatenate([np.eye(sides), -np.eye(sides)])
@@ -168,12 +174,12 @@ def nearest_instability(evaluate: Evaluate, sides: int, most: float, left: Point
         trials = np.clip(direction + step * moves, -1.0, 1.0)
         trials = trials[np.abs(trials).max(axis=1) > 0.0]
         trials /= np.abs(trials).max(axis=1, keepdims=True)
-        if left() < len(trials) * along:
+        if remaining_points() < len(trials) * points_per_direction:
             break
-        found = growths(trials)
-        best = int(np.argmin(found))
-        if found[best] < growth * (1.0 - 1e-4):
-            growth = found[best]
+        trial_growths = growths(trials)
+        best = int(np.argmin(trial_growths))
+        if trial_growths[best] < growth * (1.0 - 1e-4):
+            growth = trial_growths[best]
             direction = trials[best]
         else:
             step *= 0.5

@@ -11,7 +11,7 @@ from dssc_jax.analyses.loop_margins.multiloop import joint_places
 from dssc_jax.analyses.loop_margins.operation import resting_operation
 from dssc_jax.analyses.worst_loop.box import admissible_growths, box_of
 from dssc_jax.analyses.worst_loop.cells import Covered, cover
-from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, PointsLeft
+from dssc_jax.analyses.worst_loop.family import BrokenFamily, Family, RemainingPoints
 from dssc_jax.analyses.worst_loop.joint import joint_case
 from dssc_jax.analyses.worst_loop.readouts import GAINS
 from dssc_jax.analyses.worst_loop.result import LoopCase, WorstLoop, multiloop_dataset, worst_dataset
@@ -90,8 +90,8 @@ def worst_loop(
         raise ConfigError("points", f"must be within [1, {MOST_LINEARISED}], got {points}")
     study = study.without_sweep()
     names = break_points(study.loop)
-    selected = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
-    for name in selected:
+    selected_names = tuple(broken_at) or tuple(name for name in names if name.endswith(BreakPoint.INPUT))
+    for name in selected_names:
         if name not in names:
             raise ConfigError(
                 "broken_at", f"has no break point '{name}'; {nearest(name, names)}{signal_text(study, name)}"
@@ -102,56 +102,56 @@ def worst_loop(
         progress(0, points)
     resting = RestingLoop(study, places)
     operating, findings = resting_operation(resting, study.config.draws)
-    settled = findings[operating.reached]
-    differing = np.flatnonzero(np.any(settled != settled[0], axis=0))
-    if differing.size:
-        place = places[differing[0]]
+    settled_findings = findings[operating.reached]
+    differing_parts = np.flatnonzero(np.any(settled_findings != settled_findings[0], axis=0))
+    if differing_parts.size:
+        place = places[differing_parts[0]]
         boundary = place.remaining.meaning.partition(";")[0]
-        count = int(np.count_nonzero(settled[:, differing[0]] != Finding.SMOOTH))
+        count = int(np.count_nonzero(settled_findings[:, differing_parts[0]] != Finding.SMOOTH))
         raise ConfigError(
             study.source,
-            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled)} draws, so that no one linear "
-            "loop covers all; give it room, or narrow the laws that bring it there",
+            f"{place.label} rests at or beyond {boundary} in {count} of {len(settled_findings)} draws, so that "
+            "no one linear loop covers all; give it room, or narrow the laws that bring it there",
         )
     most = points or max(1, DERIVATIVES // sum(operating.matrices.b.shape[1:]))
 
-    def advance(linearised: int) -> None:
+    def advance(linearised_points: int) -> None:
         if progress:
-            progress(min(linearised, most), most)
+            progress(min(linearised_points, most), most)
 
-    family = Family(resting, box, settled[0], advance)
+    family = Family(resting, box, settled_findings[0], advance)
     family.require_no_other_uncertainty()
     broken_loops = {}
-    for name in selected:
-        kept = operating.matrices.loop_states(names.index(name), operating.reached)
-        if kept.size:
-            broken_loops[name] = BrokenFamily(family, kept, [names.index(name)])
+    for name in selected_names:
+        state_indices = operating.matrices.loop_states(names.index(name), operating.reached)
+        if state_indices.size:
+            broken_loops[name] = BrokenFamily(family, state_indices, [names.index(name)])
     if not broken_loops:
         raise ConfigError(study.source, "no break point has an effect: the loop is open at its equilibrium")
     joint = None if broken_at else joint_places(study.loop.channels, operating.matrices, operating.reached)
-    waiting = len(broken_loops) + (joint is not None)
+    remaining_loops = len(broken_loops) + (joint is not None)
     cases = {}
     for name, broken in broken_loops.items():
         if not broken.sides:
             raise ConfigError(study.source, f"has no uncertain number that changes the loop broken at {name}")
-        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // waiting)
-        waiting -= 1
+        cases[name] = loop_case(study, broken, operating, cells, family.remainder(most) // remaining_loops)
+        remaining_loops -= 1
     multiloop = None
     if joint is not None:
         broken = BrokenFamily(family, joint.states, joint.points.tolist())
         channels = tuple(study.loop.channels[i] for i in joint.channels)
-        drawn = broken.broken(reached_matrices(operating))
+        drawn_loops = broken.broken(reached_matrices(operating))
         sample_time = study.config.loop.sample_time
-        multiloop = joint_case(broken, channels, drawn, sample_time, GAP, cells, family.remainder(most))
-    taken = (*substitute_notes(places), *operating.taken)
+        multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remainder(most))
+    notes = (*substitute_notes(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
-    return WorstLoop(study, dataset, sigma, taken, len(family.cache), most, time.perf_counter() - began)
+    return WorstLoop(study, dataset, sigma, notes, len(family.cache), most, time.perf_counter() - began)
 
 
 def signal_text(study: Study, name: str) -> str:
-    """What to take instead of a break point that is named like a measured signal; else empty."""
-    measured = [signal.name for signal in study.loop.measures]
-    if name not in measured and not name.startswith("measured_"):
+    """A hint for a break point that is named like a measured signal; else empty."""
+    measured_names = [signal.name for signal in study.loop.measures]
+    if name not in measured_names and not name.startswith("measured_"):
         return ""
     return (
         "; a measured signal is no break point: 'input' has the margins for one factor of all measured signals, "
@@ -174,22 +174,22 @@ class Bounds(NamedTuple):
 def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: int, points: int) -> LoopCase:
     """The worst case of one broken loop, from a number of cells and of points to linearise."""
     family = broken.family
-    left = family.allowance(points)
-    searched = round(SEARCHED * points)
+    remaining_points = family.allowance(points)
+    search_points = round(SEARCHED * points)
     sides = len(broken.sides)
     sample_time = study.config.loop.sample_time
-    drawn = broken.broken(reached_matrices(operating))
-    common = common_grid(np.linalg.eigvals(drawn[:, :-1, :-1]))
-    drawn_margins = margins_at(drawn, common, sample_time)
+    drawn_loops = broken.broken(reached_matrices(operating))
+    common_angles = common_grid(np.linalg.eigvals(drawn_loops[:, :-1, :-1]))
+    drawn_margins = margins_at(drawn_loops, common_angles, sample_time)
     worst_drawn = drawn_margins[np.argmax(badness(drawn_margins), axis=0), range(len(MARGINS))]
-    found = worst_margins(broken.at, sides, common, sample_time, family.allowance(searched))
-    growable, instability = defined_instability(study, broken, lambda: family.allowance(searched))
-    bounds = bounds_of(broken, found, instability, growable, sample_time, cells, left)
+    worst_cases = worst_margins(broken.at, sides, common_angles, sample_time, family.allowance(search_points))
+    growable, instability = defined_instability(study, broken, lambda: family.allowance(search_points))
+    bounds = bounds_of(broken, worst_cases, instability, growable, sample_time, cells, remaining_points)
     return LoopCase(
         names=broken.names,
         drawn=worst_drawn,
-        found=np.array([worst.value for worst in found]),
-        numbers=[broken.numbers(worst.point) for worst in found],
+        found=np.array([worst.value for worst in worst_cases]),
+        numbers=[broken.numbers(worst.point) for worst in worst_cases],
         bounded=bounded_margins(bounds.covered.gains, sample_time),
         growth_found=instability.growth,
         unstable=broken.numbers(instability.point),
@@ -201,7 +201,7 @@ def loop_case(study: Study, broken: BrokenFamily, operating: Operating, cells: i
 
 
 def defined_instability(
-    study: Study, broken: BrokenFamily, allowance: Callable[[], PointsLeft]
+    study: Study, broken: BrokenFamily, allowance: Callable[[], RemainingPoints]
 ) -> tuple[float, Instability]:
     """The nearest unstable loop within the largest growth of the box without one of undefined numbers, and that growth.
 
@@ -232,12 +232,12 @@ def defined_instability(
 
 def bounds_of(
     broken: BrokenFamily,
-    found: list[Worst],
+    worst_cases: list[Worst],
     instability: Instability,
     growable: float,
     sample_time: float,
     cells: int,
-    left: PointsLeft,
+    remaining_points: RemainingPoints,
 ) -> Bounds:
     """Bounds of the gains on the box, and the growth up to which the loop is shown to be stable."""
     sides = len(broken.sides)
@@ -248,30 +248,34 @@ def bounds_of(
     covered = unbounded
     growth = 0.0
     if instability.growth > 1.0:
-        worst = dict(zip(MARGINS, (case.value for case in found), strict=True))
-        reached = (
+        worst = dict(zip(MARGINS, (case.value for case in worst_cases), strict=True))
+        gains_found = (
             worst["sensitivity_peak"],
             worst["complementary_peak"],
             1.0 / worst["disk"],
             sample_time / worst["delay"] if np.isfinite(worst["delay"]) else 1e-3,
         )
         covered = cover(
-            broken.at, (-ones, ones), GAP * np.array(reached), cells, broken.family.allowance(2 * left() // TRIALS)
+            broken.at,
+            (-ones, ones),
+            GAP * np.array(gains_found),
+            cells,
+            broken.family.allowance(2 * remaining_points() // TRIALS),
         )
         growth = 1.0 if covered.stable else 0.0
-    spent = covered.cells
+    cell_count = covered.cells
     farthest = min(instability.growth, growable)
     for share in (1.0, *SHARES) if instability.growth > growable else SHARES:
-        tried = share * farthest
-        if tried <= growth:
+        trial_growth = share * farthest
+        if trial_growth <= growth:
             break
-        ends = (-tried * ones, tried * ones)
-        trial = cover(broken.at, ends, LOOSEST, cells // 4, broken.family.allowance(left() // TRIALS))
-        spent += trial.cells
+        ends = (-trial_growth * ones, trial_growth * ones)
+        trial = cover(broken.at, ends, LOOSEST, cells // 4, broken.family.allowance(remaining_points() // TRIALS))
+        cell_count += trial.cells
         if trial.stable:
-            growth = tried
+            growth = trial_growth
             break
-    return Bounds(covered._replace(cells=spent), growth)
+    return Bounds(covered._replace(cells=cell_count), growth)
 
 
 def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:

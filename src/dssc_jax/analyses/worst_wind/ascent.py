@@ -42,16 +42,16 @@ class Points(NamedTuple):
     winds: np.ndarray
     numbers: Arrays
 
-    def chosen(self, places: np.ndarray) -> "Points":
+    def selected(self, places: np.ndarray) -> "Points":
         """Some of the points."""
         return Points(self.winds[places], {name: column[places] for name, column in self.numbers.items()})
 
-    def replaced(self, places: np.ndarray, others: "Points") -> "Points":
+    def replaced(self, places: np.ndarray, replacements: "Points") -> "Points":
         """The points with others at some places."""
         winds = np.array(self.winds)
-        winds[places] = others.winds
+        winds[places] = replacements.winds
         numbers = {name: np.array(column) for name, column in self.numbers.items()}
-        for name, column in others.numbers.items():
+        for name, column in replacements.numbers.items():
             numbers[name][places] = column
         return Points(winds, numbers)
 
@@ -128,20 +128,20 @@ class Ascent:
             for name in self.signals:
                 worst = np.argsort(-heights[name], kind="stable")[:STARTS]
                 names += [name] * len(worst)
-                starts.append(kind.chosen(worst))
+                starts.append(kind.selected(worst))
                 columns.append(heights[name][worst])
         points = joined(starts)
         best = np.concatenate(columns)
         first = np.array(best)
         points, best = self.climb(names, points, best)
-        found = {}
+        worst_points = {}
         for name in self.signals:
             places = np.array([place for place, signal in enumerate(names) if signal == name])
             top = places[np.argmax(best[places])]
             sign = self.flights.signals[name].sign
             candidate = float(first[places].max())
-            found[name] = Worst(sign * float(best[top]), sign * candidate, points.chosen(np.array([top])))
-        return found
+            worst_points[name] = Worst(sign * float(best[top]), sign * candidate, points.selected(np.array([top])))
+        return worst_points
 
     def report(self, rounds: int) -> None:
         """Tell how many rounds are done; the candidates count as one."""
@@ -157,14 +157,14 @@ class Ascent:
         count = len(winds)
         laws = self.flights.flying.laws
         middle = medians(self.flights.flying)
-        usual = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
+        median_points = Points(winds, {name: np.full(count, middle[name]) for name in self.flights.numbers})
         if not self.flights.numbers:
-            return usual
+            return median_points
         corners = {}
         for name in self.flights.numbers:
-            drawn = laws[name].quantile(self.rng.uniform(SEARCH_EDGE, 1.0 - SEARCH_EDGE, count))
-            corners[name] = self.rng.choice(self.box[name], count) if name in self.box else drawn
-        return joined([usual, Points(winds, corners)])
+            random_values = laws[name].quantile(self.rng.uniform(SEARCH_EDGE, 1.0 - SEARCH_EDGE, count))
+            corners[name] = self.rng.choice(self.box[name], count) if name in self.box else random_values
+        return joined([median_points, Points(winds, corners)])
 
     def heights(self, points: Points) -> Arrays:
         """Each signal at some points, signed so that more is worse, shape (n,) each."""
@@ -184,24 +184,24 @@ class Ascent:
             The points reached, and their heights.
         """
         active = np.flatnonzero(np.isfinite(best))
-        for done in range(self.rounds):
-            self.report(done + 1)
+        for finished_rounds in range(self.rounds):
+            self.report(finished_rounds + 1)
             if not active.size:
                 break
             signals = [names[place] for place in active]
-            trials = self.trials(signals, points.chosen(active))
+            trials = self.trials(signals, points.selected(active))
             heights = self.heights(joined(trials))
             rows = np.array([heights[signal].reshape(len(trials), -1)[:, i] for i, signal in enumerate(signals)])
-            chosen = np.argmax(rows, axis=1)
-            reached = rows[np.arange(len(active)), chosen]
-            better = reached > best[active]
-            moved = active[better]
+            best_trials = np.argmax(rows, axis=1)
+            trial_heights = rows[np.arange(len(active)), best_trials]
+            better = trial_heights > best[active]
+            improved_points = active[better]
             places = np.flatnonzero(better)
-            for step, place in zip(chosen[better], places, strict=True):
-                points = points.replaced(active[[place]], trials[step].chosen(np.array([place])))
-            gains = (reached - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
+            for step, place in zip(best_trials[better], places, strict=True):
+                points = points.replaced(active[[place]], trials[step].selected(np.array([place])))
+            gains = (trial_heights - best[active]) / np.maximum(np.abs(best[active]), np.finfo(float).tiny)
             best = np.array(best)
-            best[moved] = reached[better]
+            best[improved_points] = trial_heights[better]
             active = active[(gains > LEAST_GAIN) & np.isfinite(best[active])]
         self.report(self.rounds + 1 if active.size else self.rounds)
         return points, best
@@ -215,18 +215,20 @@ class Ascent:
         slopes = self.flights.with_slopes(points.winds, points.numbers, signals)
         self.differentiated += len(signals) * (3 * self.winds.grid.size + len(self.flights.numbers))
         signs = np.array([self.flights.signals[name].sign for name in signals])
-        rising = Slopes(signs[:, None, None] * slopes.wind, {n: signs * column for n, column in slopes.numbers.items()})
-        extreme = Points(self.winds.extreme(rising.wind, points.winds), self.corners(rising, points))
+        signed_slopes = Slopes(
+            signs[:, None, None] * slopes.wind, {n: signs * column for n, column in slopes.numbers.items()}
+        )
+        extreme = Points(self.winds.extreme(signed_slopes.wind, points.winds), self.corners(signed_slopes, points))
         trials = [between(points, extreme, share) for share in SHARES]
         trials.append(Points(extreme.winds, points.numbers))
-        trials.append(Points(self.winds.within(postponed(extreme.winds, rising.wind)), extreme.numbers))
+        trials.append(Points(self.winds.within(postponed(extreme.winds, signed_slopes.wind)), extreme.numbers))
         return trials
 
-    def corners(self, rising: Slopes, points: Points) -> Arrays:
-        """Each number at the end of its range to which the signal rises; where it does not, the present value."""
+    def corners(self, signed_slopes: Slopes, points: Points) -> Arrays:
+        """Each number at the end of its range towards which the signal rises; the present value if the slope is 0."""
         numbers = dict(points.numbers)
         for name, (low, high) in self.box.items():
-            slope = rising.numbers[name]
+            slope = signed_slopes.numbers[name]
             numbers[name] = np.where(slope > 0.0, high, np.where(slope < 0.0, low, points.numbers[name]))
         return numbers
 
@@ -241,13 +243,13 @@ def between(points: Points, extreme: Points, share: float) -> Points:
 
 
 def postponed(winds: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Winds moved so far that the last vector with a slope becomes the last of all, shape (n, size, 3) all.
+    """Winds postponed until the last vector with a slope is the last of the wind, shape (n, size, 3) all.
 
     The first vectors are then those that came last, which had no effect.
     """
-    moved = np.array(winds)
+    moved_winds = np.array(winds)
     for row, (wind, slope) in enumerate(zip(winds, slopes, strict=True)):
         effective = np.flatnonzero(np.any(slope != 0.0, axis=1))
         if effective.size:
-            moved[row] = np.roll(wind, len(wind) - 1 - effective[-1], axis=0)
-    return moved
+            moved_winds[row] = np.roll(wind, len(wind) - 1 - effective[-1], axis=0)
+    return moved_winds

@@ -104,7 +104,7 @@ class WindSet:
         winds = np.stack([horizontal * np.cos(angles), horizontal * np.sin(angles), self.limits.vertical * sides], 2)
         return self.within(winds)
 
-    def extreme(self, slopes: np.ndarray, present: np.ndarray) -> np.ndarray:
+    def extreme(self, slopes: np.ndarray, current_winds: np.ndarray) -> np.ndarray:
         """The winds that maximise the sum of the products with given slopes, shape (n, size, 3) all.
 
         Where a slope is 0 and nothing couples the vectors, the present wind is kept.
@@ -112,17 +112,17 @@ class WindSet:
         if self.limits.rate is not None:
             return np.stack([self._extreme_spline(slope) for slope in slopes])
         norms = np.linalg.norm(slopes[..., :2], axis=-1, keepdims=True)
-        found = np.array(present)
+        extreme_winds = np.array(current_winds)
         horizontal = self.limits.speed * slopes[..., :2] / np.where(norms > 0.0, norms, 1.0)
-        found[..., :2] = np.where(norms > 0.0, horizontal, present[..., :2])
+        extreme_winds[..., :2] = np.where(norms > 0.0, horizontal, current_winds[..., :2])
         vertical = self.limits.vertical * np.sign(slopes[..., 2])
-        found[..., 2] = np.where(slopes[..., 2] != 0.0, vertical, present[..., 2])
-        return found
+        extreme_winds[..., 2] = np.where(slopes[..., 2] != 0.0, vertical, current_winds[..., 2])
+        return extreme_winds
 
     def _extreme_spline(self, slope: np.ndarray) -> np.ndarray:
         """See :meth:`extreme`: two linear programs, with a polygon in place of the circle; shape (size, 3)."""
-        horizontal = self._solved(slope[:, :2], self.limits.speed, self._polygon)
-        vertical = self._solved(slope[:, 2:], self.limits.vertical, np.array([[1.0], [-1.0]]))
+        horizontal = self._extreme_knots(slope[:, :2], self.limits.speed, self._polygon)
+        vertical = self._extreme_knots(slope[:, 2:], self.limits.vertical, np.array([[1.0], [-1.0]]))
         return self.within(np.concatenate([horizontal, vertical], axis=1)[None])[0]  # the solver's tolerance
 
     @cached_property
@@ -131,7 +131,7 @@ class WindSet:
         angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
         return np.column_stack([np.cos(angles), np.sin(angles)]) / np.cos(np.pi / SIDES)
 
-    def _solved(self, slope: np.ndarray, bound: float, normals: np.ndarray) -> np.ndarray:
+    def _extreme_knots(self, slope: np.ndarray, bound: float, normals: np.ndarray) -> np.ndarray:
         """Knots that maximise the sum of the products with slopes, shape (count, components) both.
 
         Each knot lies in the polygon of the given normals scaled by the bound, each difference in that scaled by the

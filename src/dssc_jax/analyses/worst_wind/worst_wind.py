@@ -121,7 +121,7 @@ class WorstWind(Analysis):
         return study_of_draw(Study.from_table(table | {"wind": wind}, self.study.source), self.numbers(signal))
 
     def _row(self, signal: str) -> xr.Dataset:
-        """Everything of one signal; raises ConfigError if it was not searched for."""
+        """The dataset of one signal; raises ConfigError if it was not searched for."""
         if signal not in self.signals:
             raise ConfigError("signal", f"'{signal}' was not searched for; {nearest(signal, self.signals)}")
         return self.dataset.sel(signal=signal)
@@ -130,9 +130,9 @@ class WorstWind(Analysis):
     def headline(self) -> str:
         """The answer in one line."""
         first = self.answer.signals[0]
-        reached = "ends the flight early" if first.worst is None else f"drives {first.signal} to {first.worst:.4g}"
+        effect = "ends the flight early" if first.worst is None else f"drives {first.signal} to {first.worst:.4g}"
         unit = "" if first.worst is None else f" {first.unit}"
-        return f"the worst wind found of at most {self.limits.speed:g} m/s {reached}{unit}".removesuffix(" 1")
+        return f"the worst wind found of at most {self.limits.speed:g} m/s {effect}{unit}".removesuffix(" 1")
 
     def figure(self) -> Figure:
         """Plot the answer."""
@@ -221,14 +221,14 @@ def worst_wind(
     for name in signals or ():
         if name not in flights.signals:
             raise ConfigError("signals", f"unknown signal '{name}'; {nearest(name, flights.signals)}")
-    asked = [name for name, signal in flights.signals.items() if signal.measure.kind not in UNASKED]
-    chosen = list(dict.fromkeys(signals or asked))
-    ascent = Ascent(flights, WindSet(limits, grid), chosen, rounds, np.random.default_rng(seed), progress)
-    found = ascent.run()
-    measures = [flights.signals[name].measure for name in chosen]
+    default_names = [name for name, signal in flights.signals.items() if signal.measure.kind not in UNASKED]
+    selected_names = list(dict.fromkeys(signals or default_names))
+    ascent = Ascent(flights, WindSet(limits, grid), selected_names, rounds, np.random.default_rng(seed), progress)
+    worst_winds = ascent.run()
+    measures = [flights.signals[name].measure for name in selected_names]
     return WorstWind(
         study,
-        dataset_of(flights, found),
+        dataset_of(flights, worst_winds),
         units=tuple(measure.unit for measure in measures),
         meanings=tuple(measure.meaning for measure in measures),
         limits=limits,
@@ -286,25 +286,29 @@ def limits_of(study: Study) -> Limits:
     return Limits(float(speed), float(vertical), None if rate is None else float(rate))
 
 
-def dataset_of(flights: WindFlights, found: dict[str, Worst]) -> xr.Dataset:
+def dataset_of(flights: WindFlights, worst_winds: dict[str, Worst]) -> xr.Dataset:
     """The dataset of :class:`WorstWind`."""
     columns = {
-        "worst": ([worst.value for worst in found.values()], UNIT_OF_SIGNAL, "worst value found"),
-        "candidate": ([worst.candidate for worst in found.values()], UNIT_OF_SIGNAL, "worst value of the candidates"),
+        "worst": ([worst.value for worst in worst_winds.values()], UNIT_OF_SIGNAL, "worst value found"),
+        "candidate": (
+            [worst.candidate for worst in worst_winds.values()],
+            UNIT_OF_SIGNAL,
+            "worst value of the candidates",
+        ),
     }
     for name in flights.numbers:
         quantity = flights.study.quantities[name]
-        values = [float(worst.point.numbers[name][0]) for worst in found.values()]
+        values = [float(worst.point.numbers[name][0]) for worst in worst_winds.values()]
         columns[name] = (values, quantity.unit, quantity.meaning)
     variables = {}
     for name, (values, unit, meaning) in columns.items():
         variables[name] = ("signal", np.asarray(values), {"units": unit, "long_name": meaning})
     for index, axis in enumerate(AXES):
-        winds = np.stack([worst.point.winds[0, :, index] for worst in found.values()])
+        winds = np.stack([worst.point.winds[0, :, index] for worst in worst_winds.values()])
         attributes = {"units": "m/s", "long_name": f"worst wind along {axis}"}
         variables[f"wind_{axis}"] = (("signal", "time"), winds, attributes)
     coords = {
-        "signal": ("signal", list(found), {"units": "", "long_name": "signal, by the name of its metric"}),
+        "signal": ("signal", list(worst_winds), {"units": "", "long_name": "signal, by the name of its metric"}),
         "time": ("time", flights.grid.times, {"units": "s", "long_name": "time of the wind's vector"}),
     }
     return xr.Dataset(variables, coords=coords, attrs={"title": flights.study.name})

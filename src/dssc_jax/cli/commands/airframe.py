@@ -16,8 +16,8 @@ from dssc_jax.study.tables import to_toml
 def run(options: Airframe) -> int:
     """Read the airframe and print its table."""
     with errors_under(str(options.file)):
-        logged = is_ulog(options.file)
-        content = logged_parameters(options.file) if logged else files.read_text(options.file, errors="replace")
+        is_log = is_ulog(options.file)
+        content = logged_parameters(options.file) if is_log else files.read_text(options.file, errors="replace")
         vehicle, notes, entries, warnings = read_airframe(content, options.mass, options.arm, options.cascade)
     for warning in warnings:
         say(f"warning: {warning}")

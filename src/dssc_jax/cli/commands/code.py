@@ -38,8 +38,8 @@ def run(options: Code) -> int:
     if folder.monitor is not None:
         recordings[monitor_text.RECORDING] = folder.monitor_recording
     unit = folder.fmu() if options.fmu else None
-    written = [*texts, *recordings, *([] if unit is None else [f"{unit.name}.fmu"])]
-    require_replaceable(out, written)
+    file_names = [*texts, *recordings, *([] if unit is None else [f"{unit.name}.fmu"])]
+    require_replaceable(out, file_names)
     attempt(out, lambda: files.make_folder(out))
     for name, text in texts.items():
         path = out / name
@@ -51,11 +51,11 @@ def run(options: Code) -> int:
     summary = folder.summary() | {"folder": str(out)}
     if unit is not None:
         library, reason = built_library(unit)
-        packed = out / f"{unit.name}.fmu"
-        attempt(packed, lambda: files.write_bytes(packed, unit.archive(library)))
-        summary["fmu"] = {"file": packed.name, "library": library is not None, "reason": reason}
-    attempt(out, lambda: write_sums(out, written))
-    summary["files"] = [*written, SUMS]
+        fmu_file = out / f"{unit.name}.fmu"
+        attempt(fmu_file, lambda: files.write_bytes(fmu_file, unit.archive(library)))
+        summary["fmu"] = {"file": fmu_file.name, "library": library is not None, "reason": reason}
+    attempt(out, lambda: write_sums(out, file_names))
+    summary["files"] = [*file_names, SUMS]
     if options.as_json:
         print(json.dumps(summary, allow_nan=False))
     else:

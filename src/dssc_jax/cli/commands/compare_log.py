@@ -42,24 +42,25 @@ def run(options: CompareLog) -> int:
     (log,) = logs
     if options.fit:
         return fit(study, log, options)
-    folder = free_folder(study, "compare-log", options.out, *asked(options), name=f"compare-log-{options.log[0].stem}")
+    name = f"compare-log-{options.log[0].stem}"
+    folder = free_folder(study, "compare-log", options.out, *question_of(options), name=name)
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
         comparison = compare_log(study, log, progress=advance)
     finish(comparison, folder, options, show_log_comparison)
     return DONE
 
 
-def asked(options: CompareLog) -> tuple[object, ...]:
+def question_of(options: CompareLog) -> tuple[object, ...]:
     """The options that change the question."""
-    reading = (options.columns, options.column, options.start, options.segment, options.allow_damaged)
-    return options.settings, options.draws, options.seed, *reading
+    reading_options = (options.columns, options.column, options.start, options.segment, options.allow_damaged)
+    return options.settings, options.draws, options.seed, *reading_options
 
 
 def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) -> int:
     """Tell what several flights say of the next one."""
     probability = PROBABILITY if options.probability is None else options.probability
     names = [str(path) for path in options.log]
-    question = (*asked(options), names, options.probability)
+    question = (*question_of(options), names, options.probability)
     folder = free_folder(study, "next-flight", options.out, *question)
     for log in logs:
         for name, text in replay_log(study, log, commands=False).hints.all().items():
@@ -69,8 +70,8 @@ def run_next_flight(study: Study, logs: list[FlightLog], options: CompareLog) ->
         length = short.end - short.start
         say(f"warning: {short.name} ends after {length:.4g} s, and all flights are compared up to there only")
     with progress_bar(study, quiet=options.as_json, of="draws") as advance:
-        found = next_flight(study, logs, probability=probability, progress=advance)
-    finish(found, folder, options, show_next_flight)
+        outlook = next_flight(study, logs, probability=probability, progress=advance)
+    finish(outlook, folder, options, show_next_flight)
     return DONE
 
 
@@ -81,10 +82,10 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     simulations = MOST_SIMULATIONS if options.simulations is None else options.simulations
     seconds = None if options.minutes is None else 60.0 * options.minutes
     replay = replay_log(study, log)
-    replayed = replay.summary(study)
+    replay_summary = replay.summary(study)
     try:
         with progress_bar(study, quiet=as_json, of="simulations", early="the search is complete") as advance:
-            fitted = fit_log(
+            log_fit = fit_log(
                 study,
                 log,
                 options.number or [],
@@ -96,19 +97,23 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     except FitRefused as refusal:
         if as_json:
             verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
-            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replayed}))
+            print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replay_summary}))
         else:
-            show_replay(replayed)
+            show_replay(replay_summary)
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
     replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
-    replayed = replay.summary(study)
-    summary = fitted.summary() | {"identifiable": True, "explained": True, "file": str(out) if out else None} | replayed
+    replay_summary = replay.summary(study)
+    summary = (
+        log_fit.summary()
+        | {"identifiable": True, "explained": True, "file": str(out) if out else None}
+        | replay_summary
+    )
     if out is not None:
-        attempt(out, lambda: files.write_text(out, fitted.toml()))
+        attempt(out, lambda: files.write_text(out, log_fit.toml()))
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
-        show_replay(replayed)
+        show_replay(replay_summary)
         show_fit(summary)
     return DONE

@@ -58,44 +58,44 @@ def print_first_gains(options: Design) -> int:
     kind = options.controller or FirstController.PID
     if not options.as_json:
         notify(f"{study.name}: linearising the plant and designing {kind}, which takes some seconds")
-    found = first_gains(study, kind, options.bandwidth, options.limit, options.at)
-    margins = designed_margins(found.loop, study.loop.sample_time)
+    gains = first_gains(study, kind, options.bandwidth, options.limit, options.at)
+    margins = designed_margins(gains.loop, study.loop.sample_time)
     if options.out is not None:
-        write_study(options.out, {**study.table, "controller": found.table})
+        write_study(options.out, {**study.table, "controller": gains.table})
     if options.as_json:
-        content = {"study": study.name, "bandwidth": found.bandwidth, "largest_pole": found.radius}
+        content = {"study": study.name, "bandwidth": gains.bandwidth, "largest_pole": gains.radius}
         content |= {
-            "settling": found.settling,
-            "sensitivity_peak": found.sensitivity_peak,
-            "actuators": found.taken,
-            "left_out": found.left_out,
+            "settling": gains.settling,
+            "sensitivity_peak": gains.sensitivity_peak,
+            "actuators": gains.taken,
+            "left_out": gains.left_out,
         }
-        content |= {"margins": margins, "controller": found.table}
+        content |= {"margins": margins, "controller": gains.table}
         print(json.dumps(jsonable(content), allow_nan=False))
         return DONE
-    print(toml_entries(found.table, "controller").strip())
+    print(toml_entries(gains.table, "controller").strip())
     sampled = f"T_s = {study.loop.sample_time:g} s"
-    print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
-    for line in point_lines(found):
+    print(f"\nfor {study.name} at {gains.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
+    for line in point_lines(gains):
         print(line)
-    actuators = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
-    sliding = " while it slides" if found.table["kind"] == FirstController.SSC else ""
-    decay = study.loop.sample_time / -math.log(found.radius) if found.radius > 0.0 else 0.0
-    print(f"largest pole of the sampled loop{actuators}{sliding} {found.radius:.6g}, below 1: stable")
-    print(f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / found.bandwidth:.3g} s")
-    print(f"after a step of a disturbance at the command, y settles within 2 % of its peak in {found.settling:.3g} s")
-    print(f"peak of its sensitivity abs(S) {found.sensitivity_peak:.3g}")
+    actuators = f" behind its linear actuators ({' + '.join(gains.taken)})" if gains.taken else ""
+    sliding = " while it slides" if gains.table["kind"] == FirstController.SSC else ""
+    decay = study.loop.sample_time / -math.log(gains.radius) if gains.radius > 0.0 else 0.0
+    print(f"largest pole of the sampled loop{actuators}{sliding} {gains.radius:.6g}, below 1: stable")
+    print(f"it decays with a time constant of {decay:.3g} s; 1/bandwidth is {1.0 / gains.bandwidth:.3g} s")
+    print(f"after a step of a disturbance at the command, y settles within 2 % of its peak in {gains.settling:.3g} s")
+    print(f"peak of its sensitivity abs(S) {gains.sensitivity_peak:.3g}")
     print("\n".join(margin_lines(margins)))
-    if found.left_out:
-        print(f"left out, so that the whole loop has less margin: {', '.join(found.left_out)}")
+    if gains.left_out:
+        print(f"left out, so that the whole loop has less margin: {', '.join(gains.left_out)}")
     print("dssc-jax loop gives the margins of the whole loop; look at them before you rely on these gains")
     return DONE
 
 
-def point_lines(found: FirstGains) -> list[str]:
-    """Where the plant was linearised, if that says anything."""
-    resting = found.plant.resting
-    if not found.plant.held:
+def point_lines(gains: FirstGains) -> list[str]:
+    """Lines on the point at which the plant was linearised; none if it is the origin."""
+    resting = gains.plant.resting
+    if not gains.plant.held:
         rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
         return [f"{rule}; state an output at which it rests, --at Y, or start it at an equilibrium"]
     if resting is None or not (resting.output or resting.command or any(resting.signals)):

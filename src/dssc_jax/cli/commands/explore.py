@@ -23,18 +23,18 @@ def run(options: Explore) -> int:
     """Serve the page until Ctrl-C."""
     require_panel()
     folder = Path(options.subject)
-    reading = {"--columns": options.columns, "--column": options.column}
-    reading |= {"--start": options.start, "--segment": options.segment}
+    reading_options = {"--columns": options.columns, "--column": options.column}
+    reading_options |= {"--start": options.start, "--segment": options.segment}
     if folder.is_dir():
         of_studies = {"--set": options.settings, "--slider": options.sliders, "--draws": options.draws}
-        require_none("with a result", of_studies | {"--log": options.logs} | reading)
+        require_none("with a result", of_studies | {"--log": options.logs} | reading_options)
         result = stored_result(folder, options.trust_code, options.allow_local, options.allow_native)
         title = f"{result.study.name}: explore"
         server = page_server(lambda: ResultPage(result, background=True), title, options.port)
     else:
         study = load_study(options.subject, parse_changes(options.settings), options.allow_local, options.allow_native)
         if not options.logs:
-            require_none("without --log", reading)
+            require_none("without --log", reading_options)
         logs = [logged_flight(options, path, study) for path in options.logs or []]
         live = LiveStudy(study, options.sliders, options.draws)
         say(f"{study.name}: compiling")

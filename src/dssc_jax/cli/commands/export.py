@@ -11,9 +11,9 @@ from dssc_jax.results.export import export
 
 def run(options: Export) -> int:
     """Write the files and name them."""
-    written = export(stored_analysis(options.result), options.to, options.out)
+    exported_files = export(stored_analysis(options.result), options.to, options.out)
     if options.as_json:
-        print(json.dumps({"result": str(options.result), "files": list(map(str, written))}))
+        print(json.dumps({"result": str(options.result), "files": list(map(str, exported_files))}))
     else:
-        show_files(written)
+        show_files(exported_files)
     return DONE

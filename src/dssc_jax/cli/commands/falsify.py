@@ -41,6 +41,6 @@ def run(options: Falsify) -> int:
     attempt(file, lambda: files.write_text(file, to_toml(falsified.witness_study.table)))
     attempt(witness, lambda: files.delete_tree(witness, folder))
     runs.run(falsified.witness_study, witness)
-    written = {"result": folder, "witness_study": file, "replay": witness}
-    print_analysis(falsified, figures, options, show_falsification, written)
+    paths = {"result": folder, "witness_study": file, "replay": witness}
+    print_analysis(falsified, figures, options, show_falsification, paths)
     return FAILS if falsified.slack < 0.0 else DONE

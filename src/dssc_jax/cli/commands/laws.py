@@ -24,12 +24,12 @@ def run(options: Laws) -> int:
     subject = subject_of(options)
     if isinstance(subject, Study) and subject.ranged_laws:
         return run_ranges(subject, options)
-    stored = isinstance(subject, Result)
+    is_stored = isinstance(subject, Result)
     study = subject.study if isinstance(subject, Result) else subject
-    asked = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
-    excluded = (options.study if stored else None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "laws", options.out, *asked, *excluded)
-    with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not stored) as advance:
+    question = (options.limit, options.within, options.shift, options.widening, options.fresh or None)
+    subject_options = (options.study if is_stored else None, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "laws", options.out, *question, *subject_options)
+    with progress_bar(study, quiet=options.as_json, of="simulations", compiles=not is_stored) as advance:
         errors = laws(
             subject,
             limit=options.limit,
@@ -51,8 +51,8 @@ def run_ranges(study: Study, options: Laws) -> int:
     require_unset(
         "laws whose arguments are ranges", within=options.within, shift=options.shift, widening=options.widening
     )
-    asked = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
-    folder = free_folder(study, "law-ranges", options.out, *asked, name="laws")
+    question = (options.limit, options.fresh or None, options.settings, options.draws, options.seed)
+    folder = free_folder(study, "law-ranges", options.out, *question, name="laws")
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
         ranges = law_ranges(study, limit=options.limit, fresh=options.fresh or None, progress=advance)
     options = replace(options, no_check=True)  # there is no single law whose draws could be integrated again

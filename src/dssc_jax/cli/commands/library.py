@@ -24,7 +24,7 @@ def run(options: Library) -> int:
         return write_template(options.template, options.sources or [])
     if not options.sources:
         raise ConfigError("FILE.c", "is missing; `template` writes an example")
-    file = built(options)
+    file = library_file(options)
     say(f"this command runs native code {file}, SHA-256 {native_digest(file)}")
     library = allow_native(file)
     if not isinstance(library, NativeLibrary):
@@ -45,7 +45,7 @@ def write_template(path: Path, sources: list[Path]) -> int:
     return DONE
 
 
-def built(options: Library) -> Path:
+def library_file(options: Library) -> Path:
     """The library: built from its sources, or given.
 
     Raises:

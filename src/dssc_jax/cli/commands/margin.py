@@ -21,22 +21,22 @@ def run(options: Margin) -> int:
         require_proofs()
         if options.controllers is not None:
             raise ConfigError("--prove", "is not for --controllers: prove each with `dssc-jax prove --over`")
-    walked = parse_walk(options.over)
+    walk = parse_walk(options.over)
     study = study_of(options).without_sweep()
     names = [] if options.controllers is None else controller_names(options.controllers)
     study = with_own_controllers(study, names)
     kind = "margin" if options.controllers is None else "margins"
     folder = free_folder(
-        study, kind, options.out, options.settings, options.draws, options.seed, name=f"{kind}-{walked.name}"
+        study, kind, options.out, options.settings, options.draws, options.seed, name=f"{kind}-{walk.name}"
     )
-    walk = {"bounds": walked.bounds, "log": options.log, "points": options.points, "bisections": options.bisections}
+    settings = {"bounds": walk.bounds, "log": options.log, "points": options.points, "bisections": options.bisections}
     progress = progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY)
     if options.controllers is None:
         with progress as advance:
-            margins = margin(study, over=walked.name, **walk, prove=options.prove, progress=advance)
+            margins = margin(study, over=walk.name, **settings, prove=options.prove, progress=advance)
         finish(margins, folder, options, show_margins)
     else:
         with progress as advance:
-            contest = compare_margins(study, names, over=walked.name, **walk, progress=advance)
+            contest = compare_margins(study, names, over=walk.name, **settings, progress=advance)
         finish(contest, folder, options, show_margin_contest)
     return DONE

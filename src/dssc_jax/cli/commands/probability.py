@@ -12,9 +12,9 @@ from dssc_jax.console.terminal import progress_bar
 def run(options: Probability) -> int:
     """Estimate the probability, save and print it."""
     study = study_of(options).without_sweep()
-    asked = (options.width, options.most)
-    folder = free_folder(study, "probability", options.out, options.settings, options.seed, *asked)
+    question = (options.width, options.most)
+    folder = free_folder(study, "probability", options.out, options.settings, options.seed, *question)
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
-        found = probability(study, options.width, options.most, progress=advance)
-    finish(found, folder, options, show_probability)
+        estimate = probability(study, options.width, options.most, progress=advance)
+    finish(estimate, folder, options, show_probability)
     return DONE

@@ -114,11 +114,11 @@ def write_certificate(proved: AnyProved, out: Path | None) -> None:
 
 def prove_over(study: Study, over: str, options: Prove) -> int:
     """Find the last value of a number that is proved, write its certificate and print it."""
-    walked = parse_walk(over)
+    walk = parse_walk(over)
     boxes = options.boxes or SWEEP_BOXES
     try:
         with progress_bar(study, quiet=options.as_json, of="values", compiles=False) as advance:
-            reach = proved_up_to(study, walked.name, walked.bounds, log=options.log, boxes=boxes, progress=advance)
+            reach = proved_up_to(study, walk.name, walk.bounds, log=options.log, boxes=boxes, progress=advance)
     except NotCovered as error:
         raise ConfigError(study.source, f"is outside of what a proof covers: {error}") from None
     if reach.last is not None:

@@ -25,17 +25,17 @@ def run(options: Report) -> int:
         assert options.index is not None
         return print_index(options.index, options.as_json)
     began = time.perf_counter()
-    loaded = stored_analysis(options.result, options.trust_code, options.allow_local, options.allow_native)
+    analysis = stored_analysis(options.result, options.trust_code, options.allow_local, options.allow_native)
     if options.interactive:
         require_panel()
         from dssc_jax.exploration.interactive_report import INTERACTIVE, interactive_html  # needs an optional package
 
         page = options.out or options.result / INTERACTIVE
-        text = interactive_html(loaded)
-        attempt(page, lambda: write_page(text, page, loaded))
+        text = interactive_html(analysis)
+        attempt(page, lambda: write_page(text, page, analysis))
     else:
         page = options.out or options.result / "report.html"
-        attempt(page, lambda: write(loaded, page, options.worst))
+        attempt(page, lambda: write(analysis, page, options.worst))
     size = page.stat().st_size
     seconds = time.perf_counter() - began
     if options.as_json:
@@ -47,11 +47,11 @@ def run(options: Report) -> int:
 
 def print_index(root: Path, as_json: bool) -> int:
     """Write the index of a folder of results and analyses, and show its content."""
-    page, rows = write_index(root, lambda made: None if as_json else show_page(made, "it was missing or out of date"))
-    troubled = sum(bool(row.trouble) for row in rows)
+    page, rows = write_index(root, lambda file: None if as_json else show_page(file, "it was missing or out of date"))
+    trouble_count = sum(bool(row.trouble) for row in rows)
     if as_json:
         results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]
         print(json.dumps({"index": str(page), "results": results}))
     else:
-        show_page(page, f"{len(rows) - troubled} results, {troubled} that cannot be shown")
+        show_page(page, f"{len(rows) - trouble_count} results, {trouble_count} that cannot be shown")
     return DONE

@@ -18,10 +18,10 @@ def run(options: Select) -> int:
     if len(over) < len(walks):
         raise ConfigError("--over", "gives a number twice")
     study = study_of(options).without_sweep()
-    asked = (options.over, options.candidates, options.keep, options.within, options.most)
-    folder = free_folder(study, "select", options.out, options.settings, options.seed, *asked)
+    question = (options.over, options.candidates, options.keep, options.within, options.most)
+    folder = free_folder(study, "select", options.out, options.settings, options.seed, *question)
     with progress_bar(study, quiet=options.as_json, of="simulations") as advance:
-        found = select(
+        selection = select(
             study,
             over=over or None,
             candidates=options.candidates,
@@ -30,5 +30,5 @@ def run(options: Select) -> int:
             most=options.most,
             progress=advance,
         )
-    finish(found, folder, options, show_selection)
+    finish(selection, folder, options, show_selection)
     return DONE

@@ -30,12 +30,12 @@ def run(options: Simulate) -> int:
     trajectory = trajectories.simulate(study, options.draw, every=options.every)
     if not options.no_check:
         warn_of_integration(checked_integration(fixed))
-    written = []
+    flight_files = []
     if options.flight is not None:
         text = flight_html(study, options)
         attempt(options.flight, partial(files.write_text, options.flight, text))
-        written.append(options.flight)
-    print_trajectory(trajectory, options, units_of(fixed), written)
+        flight_files.append(options.flight)
+    print_trajectory(trajectory, options, units_of(fixed), flight_files)
     return DONE
 
 

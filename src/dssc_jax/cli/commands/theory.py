@@ -20,17 +20,17 @@ def run(options: Theory) -> int:
     """Assess the number, save and print the assessment."""
     if options.prove:
         require_proofs()
-    walked = parse_walk(options.over)
+    walk = parse_walk(options.over)
     study = study_of(options).without_sweep()
     folder = free_folder(
-        study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walked.name}"
+        study, "theory", options.out, options.settings, options.draws, options.seed, name=f"theory-{walk.name}"
     )
     rivals = switching_rivals(study)
     with progress_bar(study, quiet=options.as_json, of="simulations", early=EARLY) as advance:
         assessment = assess(
             study,
-            over=walked.name,
-            bounds=walked.bounds,
+            over=walk.name,
+            bounds=walk.bounds,
             log=options.log,
             points=options.points,
             bisections=options.bisections,

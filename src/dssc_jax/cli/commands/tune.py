@@ -21,8 +21,8 @@ def run(options: Tune) -> int:
     figures = save_analysis(tuned, folder, options)
     file = options.out or folder / "tuned.toml"
     attempt(file, lambda: files.write_text(file, to_toml(tuned.tuned_study.table)))
-    written = {"tuned_study": file, "result": folder}
+    paths = {"tuned_study": file, "result": folder}
     if tuned.certificate is not None:
-        written["certificate"] = folder / PROOF_FILE
-    print_analysis(tuned, figures, options, show_tuning, written)
+        paths["certificate"] = folder / PROOF_FILE
+    print_analysis(tuned, figures, options, show_tuning, paths)
     return DONE if tuned.met else FAILS

@@ -18,7 +18,7 @@ def run(options: WorstWindOptions) -> int:
     study = study_of(options).without_sweep()
     folder = free_folder(study, "worst-wind", options.out, options.settings, options.seed, options.signal)
     with progress_bar(study, quiet=options.as_json, of="steps", early="nothing worse came") as advance:
-        found = worst_wind(
+        worst = worst_wind(
             study,
             signals=options.signal,
             segments=options.segments,
@@ -26,21 +26,21 @@ def run(options: WorstWindOptions) -> int:
             seed=options.search_seed,
             progress=advance,
         )
-    figures = save_analysis(found, folder, options)
+    figures = save_analysis(worst, folder, options)
     flights = folder / "flights"
     files.make_folder(flights, folder)
-    for signal in found.signals:
-        write_flight(found, signal, flights)
-    print_analysis(found, figures, options, show_worst_wind, {"result": folder, "worst_flights": flights})
+    for signal in worst.signals:
+        write_flight(worst, signal, flights)
+    print_analysis(worst, figures, options, show_worst_wind, {"result": folder, "worst_flights": flights})
     return DONE
 
 
-def write_flight(found: WorstWind, signal: str, folder: Path) -> None:
+def write_flight(worst: WorstWind, signal: str, folder: Path) -> None:
     """Write the study of the worst flight of a signal, and its wind as CSV."""
     file = folder / f"{signal}.toml"
-    attempt(file, lambda: files.write_text(file, to_toml(found.flight(signal).table)))
+    attempt(file, lambda: files.write_text(file, to_toml(worst.flight(signal).table)))
     rows = ["t,x,y,z"]
-    for time, vector in zip(found.grid.times.tolist(), found.wind(signal).tolist(), strict=True):
+    for time, vector in zip(worst.grid.times.tolist(), worst.wind(signal).tolist(), strict=True):
         rows.append(",".join(repr(number) for number in (time, *vector)))
     table = folder / f"{signal}.csv"
     attempt(table, lambda: files.write_text(table, "\n".join(rows) + "\n"))

@@ -1,4 +1,4 @@
-"""Options of the commands on flight computers and logs: airframe, code, log, compare-log."""
+"""Options of the commands on flight computers and logs: airframe, code, library, log, compare-log."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Options of the commands on a loop's robustness: margin, theory, compare, loop, region."""
+"""Options of the commands on a loop's robustness: margin, theory, compare, loop, worst-loop, region."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

@@ -1,4 +1,4 @@
-"""Options of the commands that search: tune, falsify, worst-wind."""
+"""Options of the commands that search: tune, select, falsify, worst-wind."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Options of the commands for statistics: plan, sensitivity, laws, rare."""
+"""Options of the commands for statistics: plan, sensitivity, laws, probability, rare."""
 
 from dataclasses import dataclass
 from typing import Annotated
