@@ -8,7 +8,7 @@ import numpy as np
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.design.certification import widened
+from dssc_jax.design.certification import widened_laws
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.proofs.prove import AnyProved, Proved, prove_problem
@@ -143,4 +143,4 @@ def problem_at(study: Study, name: str, value: float) -> AnyProblem:
     """
     if name == SAMPLE_TIME:  # the duration need not be a multiple of it
         return replace(problem_of(study), sample_time=value)
-    return problem_of(study.override(widened(study, value) if name == SPREAD else {name: value}))
+    return problem_of(study.override(widened_laws(study, value) if name == SPREAD else {name: value}))

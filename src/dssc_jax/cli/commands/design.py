@@ -67,7 +67,7 @@ def print_first_gains(options: Design) -> int:
         content |= {
             "settling": found.settling,
             "sensitivity_peak": found.sensitivity_peak,
-            "actuators": found.taken,
+            "actuators": found.linear_kinds,
             "left_out": found.left_out,
         }
         content |= {"margins": margins, "controller": found.table}
@@ -78,7 +78,7 @@ def print_first_gains(options: Design) -> int:
     print(f"\nfor {study.name} at {found.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
     for line in point_lines(found):
         print(line)
-    actuators = f" behind its linear actuators ({' + '.join(found.taken)})" if found.taken else ""
+    actuators = f" behind its linear actuators ({' + '.join(found.linear_kinds)})" if found.linear_kinds else ""
     sliding = " while it slides" if found.table["kind"] == FirstController.SSC else ""
     decay = study.loop.sample_time / -math.log(found.radius) if found.radius > 0.0 else 0.0
     print(f"largest pole of the sampled loop{actuators}{sliding} {found.radius:.6g}, below 1: stable")
@@ -95,7 +95,7 @@ def print_first_gains(options: Design) -> int:
 def point_lines(found: FirstGains) -> list[str]:
     """Where the plant was linearised, if that says anything."""
     resting = found.plant.resting
-    if not found.plant.held:
+    if not found.plant.is_held:
         rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
         return [f"{rule}; state an output at which it rests, --at Y, or start it at an equilibrium"]
     if resting is None or not (resting.output or resting.command or any(resting.signals)):
