@@ -14,7 +14,7 @@ from dssc_jax.proofs.problem import ProofProblem
 from dssc_jax.proofs.prove import prove_problem
 from dssc_jax.proofs.search.box_search import Proof
 from dssc_jax.proofs.search.gains import gain_hull, region_of
-from dssc_jax.proofs.search.programs import Bounded
+from dssc_jax.proofs.search.programs import BoundedRow
 from dssc_jax.proofs.search.sampled_loop import Step, box_middle, step_of
 from dssc_jax.proofs.search.set_stages import RATES, SIGMA, E, set_stage, setting_of
 from dssc_jax.proofs.verifier.verdict import verify_proof
@@ -85,9 +85,9 @@ def holds_in(problem: ProofProblem, sigma: float, e: float) -> bool:
         return False
     region = region_of(problem, sigma, e)
     steps = setting.steps(region)
-    rows = [Bounded(setting.origin.rows[SIGMA], sigma, 1.0), Bounded(setting.origin.rows[E], e, 1.0)]
+    rows = [BoundedRow(setting.origin.rows[SIGMA], sigma, 1.0), BoundedRow(setting.origin.rows[E], e, 1.0)]
     for share in (min(RATES), 0.01):
-        if (found := setting.solve(steps, rows, share, started=False)) is not None:
+        if (found := setting.solve(steps, rows, share, holds_start=False)) is not None:
             proof = Proof(problem.box, [set_stage(found, region, setting)])
             if verify_proof(problem.to_dict(), proof.to_dict()).proved:
                 return True

@@ -187,7 +187,7 @@ def test_the_pid_loop_has_its_phase_margin_behind_lag_and_delay():
     study = buck(actuator=BEHIND)
     bandwidth = 4e4
     found = first_gains(study, "pid", bandwidth)
-    assert found.taken == ("lag", "delay")
+    assert found.linear_kinds == ("lag", "delay")
     law = found.table
     a, b, c = linearised_plant(study)[:3]
     whole, entry = augmented(a, b)

@@ -205,7 +205,7 @@ def test_the_first_command_follows_from_the_start(form, kind, start):
         by_e = 2.0 * kappa * row["kappa_b"] * ratio * (sigma - 0.5 * e) * sigma if kind == "vgsta" else 0.0
         first, second = sigma / product, second + by_e
     with ball_precision():
-        ratio = enclosed_start_ratio(problem.to_dict(), integrated=form == "conservative")
+        ratio = enclosed_start_ratio(problem.to_dict(), is_integrated=form == "conservative")
         v_before_start = -float(ratio.mid()) * (0.0 if start == "zero" else sigma)
         radius = float(ratio.rad()) * float(sigma)
     predictor = 0.0 if start == "zero" or form == "conservative" else first

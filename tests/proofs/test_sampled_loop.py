@@ -7,7 +7,7 @@ from flint import arb
 import dssc_jax as dj
 from dssc_jax.proofs.coverage import problem_of
 from dssc_jax.proofs.search.sampled_loop import LoopGains, LoopPoint, sensor_weights, state_layout, step_of
-from dssc_jax.proofs.verifier.enclosed_loop import sampled
+from dssc_jax.proofs.verifier.enclosed_loop import sample_matrix
 from dssc_jax.proofs.verifier.held_plant import held_sample
 from tests.proofs.cases import CONSTANT, DIRECT, HIGHER, LOOP, NOMINAL, SINE, TRANSFER
 
@@ -15,7 +15,7 @@ from tests.proofs.cases import CONSTANT, DIRECT, HIGHER, LOOP, NOMINAL, SINE, TR
 def exact(point, problem):
     """A at a point by the verifier's own construction."""
     held = held_sample(problem, arb(point.a_p), arb(point.rate))
-    matrix = sampled(problem, held, arb(point.k_p), tuple(map(arb, point.gains)))
+    matrix = sample_matrix(problem, held, arb(point.k_p), tuple(map(arb, point.gains)))
     return np.array([[float(matrix[i, j].mid()) for j in range(matrix.ncols())] for i in range(matrix.nrows())])
 
 

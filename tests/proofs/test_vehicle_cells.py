@@ -23,7 +23,7 @@ from dssc_jax.proofs.verifier.vehicle.deviations import deviations_in_regions, d
 from dssc_jax.proofs.verifier.vehicle.implied import vehicle_of
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
-from dssc_jax.proofs.verifier.vehicle.responses import PHASES, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import PHASES, observe_channel
 from dssc_jax.proofs.verifier.vehicle.verdict import verify_vehicle
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.test_vehicle_verifier import CHANNELS, linear_proof, middles, problem, sampled_numbers
@@ -77,7 +77,7 @@ def test_sums_and_starts_bound_brute_force(lag, delay, name):
     content = problem(lag, delay)
     proof = linear_proof(content, name, 0.0 if name == "psi" else 0.03)
     with ball_precision():
-        responses = cell_responses(content, name, seen_channel(content, name, proof), SAMPLES, CELLS)
+        responses = cell_responses(content, name, observe_channel(content, name, proof), SAMPLES, CELLS)
     count = len(responses.signals) - 1
     signals = responses.signals[:count]
     per_phase = count // len(PHASES)
@@ -104,7 +104,7 @@ def test_responses_to_the_constant_bound_those_of_each_cell():
     content = problem(0.05, 1.5)
     proof = linear_proof(content, "z", 0.03)
     with ball_precision():
-        responses = cell_responses(content, "z", seen_channel(content, "z", proof), SAMPLES, CELLS)
+        responses = cell_responses(content, "z", observe_channel(content, "z", proof), SAMPLES, CELLS)
     a, _, _, channel, sampled = sampled_numbers(content, "z", proof)
     t = content["sample_time"]
     n = channel.order
@@ -134,7 +134,7 @@ def test_effects_of_random_inputs_bound_the_sum_over_samples():
     content = problem(0.05, 1.5)
     proof = linear_proof(content, "x", 0.03)
     with ball_precision():
-        responses = cell_responses(content, "x", seen_channel(content, "x", proof), SAMPLES, CELLS)
+        responses = cell_responses(content, "x", observe_channel(content, "x", proof), SAMPLES, CELLS)
     i = responses.signals.index("turn")
     g, _ = brute_force(content, "x", proof, PHASES[0], "turn")
     rng = np.random.default_rng(1)

@@ -26,7 +26,7 @@ from dssc_jax.proofs.verifier.vehicle.deviations import deviations_of
 from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import remainders_of
-from dssc_jax.proofs.verifier.vehicle.responses import PHASES, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import PHASES, observe_channel
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.test_vehicle_remainders import random_case
 from tests.proofs.test_vehicle_verifier import linear_proof, middles, sampled_numbers
@@ -130,7 +130,7 @@ def test_bounds_of_the_nominal_flight_hold_a_simulated_one(name, delay):
     content = problem(0.0, delay) | {"reference": REFERENCE}
     proof = linear_proof(content, name, 0.0 if name == "psi" else DAMPING)
     with ball_precision():
-        seen = seen_channel(content, name, proof)
+        seen = observe_channel(content, name, proof)
         bounds = {signal: float(bound) for signal, bound in seen.flight.items()}
     samples = round(4 * PERIOD / content["sample_time"])
     axes = {"x": "xy"}.get(name, [name])

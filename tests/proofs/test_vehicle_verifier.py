@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, sampled_channel, signal_names
 from dssc_jax.proofs.verifier.vehicle.implied import deviations_under, implied_bounds, inputs_under, vehicle_of
-from dssc_jax.proofs.verifier.vehicle.responses import PHASES, channel_responses, seen_channel
+from dssc_jax.proofs.verifier.vehicle.responses import PHASES, channel_responses, observe_channel
 from dssc_jax.proofs.verifier.vehicle.verdict import verify_vehicle
 from dssc_jax.proofs.verifier.verdict import ball_precision
 from tests.proofs.vehicle_cases import HOVER, problem
@@ -59,7 +59,9 @@ def certificate(request):
         vehicle = vehicle_of(content, proof["channels"])
         y = {name: dict.fromkeys(signal_names(name, lagging=lagging), arb("1e-3")) for name in CHANNELS}
         for _ in range(30):
-            implied = implied_bounds(vehicle, y, inputs_under(vehicle, y, deviations_under(vehicle, y)), started=True)
+            implied = implied_bounds(
+                vehicle, y, inputs_under(vehicle, y, deviations_under(vehicle, y)), from_start=True
+            )
             y = {name: {signal: (1.002 * y_i).upper() for signal, y_i in implied[name].items()} for name in CHANNELS}
     for name in CHANNELS:
         proof["channels"][name]["bounds"] = {signal: float(y_i) for signal, y_i in y[name].items()}
@@ -75,7 +77,7 @@ def test_sums_and_integrals_bound_those_of_a_fine_grid(lag, delay, name, share):
     content = problem(lag, delay)
     proof = linear_proof(content, name, 0.0 if name == "psi" else 0.03, share)
     with ball_precision():
-        responses = channel_responses(content, name, seen_channel(content, name, proof))
+        responses = channel_responses(content, name, observe_channel(content, name, proof))
     a, b_u, b_q, channel, sampled = sampled_numbers(content, name, proof)
     t = content["sample_time"]
     n = channel.order
@@ -113,7 +115,7 @@ def test_responses_to_starts_and_to_the_constant_bound_simulated_ones():
     content = problem(0.05, 1.5)
     proof = linear_proof(content, "z", 0.03)
     with ball_precision():
-        responses = channel_responses(content, "z", seen_channel(content, "z", proof))
+        responses = channel_responses(content, "z", observe_channel(content, "z", proof))
     a, _, _, channel, sampled = sampled_numbers(content, "z", proof)
     t = content["sample_time"]
     n = channel.order

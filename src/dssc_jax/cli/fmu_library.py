@@ -17,7 +17,7 @@ def built_library(fmu: ControllerFmu) -> tuple[bytes | None, str | None]:
         place = Path(folder)
         for name, text in fmu.sources.items():
             files.write_text(place / name, text, durable=False)
-        command = [program, *LIBRARY_FLAGS, *fmu.compiled, "-o", "library.so", "-lm"]
+        command = [program, *LIBRARY_FLAGS, *fmu.c_files, "-o", "library.so", "-lm"]
         compilation = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
         if compilation.returncode != 0:
             output = compilation.stderr

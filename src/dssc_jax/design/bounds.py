@@ -17,7 +17,7 @@ Numbers = TypeVar("Numbers", bound=NamedTuple)
 """A NamedTuple of numbers."""
 
 
-def known(unit: str, meaning: str) -> Quantity:
+def non_negative(unit: str, meaning: str) -> Quantity:
     """A non-negative bound; a plain number."""
     return Quantity(unit, meaning, at_least=0.0, law=False)
 
@@ -63,9 +63,9 @@ def require_plain(numbers: tuple[Numeric, ...]) -> None:
                 raise ConfigError(name, f"must be a plain number below {LARGEST:.0e}, got {item}")
             if item != 0.0 and abs(item) < 1.0 / LARGEST:
                 raise ConfigError(name, f"must be 0 or at least {1.0 / LARGEST:.0e} in magnitude, got {item}")
-            broken = quantity.violated_by(item, item)
-            if broken:
-                raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {broken}, got {item:g}")
+            violation = quantity.violated_by(item, item)
+            if violation:
+                raise ConfigError(name, f"{quantity.meaning} [{quantity.unit}] {violation}, got {item:g}")
 
 
 class Bounds(NamedTuple):
@@ -73,26 +73,26 @@ class Bounds(NamedTuple):
 
     k_min: Annotated[Numeric, positive("1/s", "lower bound of k_p (A0.a)")]
     k_max: Annotated[Numeric, positive("1/s", "upper bound of k_p (A0.a)")]
-    a_max: Annotated[Numeric, known("1/s", "bound of |a_p| (A0.a)")]
-    k_d1: Annotated[Numeric, known("1/m", "k_d1 of (A1)")] = 0.0
-    k_d2: Annotated[Numeric, known("s/m", "k_d2 of (A1)")] = 0.0
-    k_d3: Annotated[Numeric, known("1", "k_d3 of (A1)")] = 0.0
-    k_d4: Annotated[Numeric, known("1/s", "k_d4 of (A2)")] = 0.0
-    k_d5: Annotated[Numeric, known("1/s^2", "k_d5 of (A2)")] = 0.0
-    alpha_d2: Annotated[Numeric, known("m/s^2", "alpha_d2 of (A2)")] = 0.0
-    alpha_d3: Annotated[Numeric, known("m/s^2", "alpha_d3 of (A3)")] = 0.0
-    c_sigma: Annotated[Numeric, known("1", "c_sigma of (A4)")] = 0.0
-    c_e1: Annotated[Numeric, known("1/s", "c_e1 of (A4)")] = 0.0
-    c_e2: Annotated[Numeric, known("1/s", "c_e2 of (A4)")] = 0.0
-    c_isigma: Annotated[Numeric, known("SI", "c_isigma of (A4)")] = 0.0
-    c_ie: Annotated[Numeric, known("SI", "c_ie of (A4)")] = 0.0
-    y_m: Annotated[Numeric, known("m", "sup |y_m|")] = 0.0
-    y_m_dot: Annotated[Numeric, known("m/s", "sup |y_m'|")] = 0.0
-    y_m_ddot: Annotated[Numeric, known("m/s^2", "sup |y_m''|")] = 0.0
-    y_m_dddot: Annotated[Numeric, known("m/s^3", "sup |y_m'''|")] = 0.0
-    c_m: Annotated[Numeric, known("m/s", "c_m of (A4), bound of |u_m|")] = 0.0
-    u_m_dot: Annotated[Numeric, known("m/s^2", "sup |u_m'|")] = 0.0
-    alpha_d: Annotated[Numeric, known("m/s", "bound of |d| (A0.b)")] = 0.0
+    a_max: Annotated[Numeric, non_negative("1/s", "bound of |a_p| (A0.a)")]
+    k_d1: Annotated[Numeric, non_negative("1/m", "k_d1 of (A1)")] = 0.0
+    k_d2: Annotated[Numeric, non_negative("s/m", "k_d2 of (A1)")] = 0.0
+    k_d3: Annotated[Numeric, non_negative("1", "k_d3 of (A1)")] = 0.0
+    k_d4: Annotated[Numeric, non_negative("1/s", "k_d4 of (A2)")] = 0.0
+    k_d5: Annotated[Numeric, non_negative("1/s^2", "k_d5 of (A2)")] = 0.0
+    alpha_d2: Annotated[Numeric, non_negative("m/s^2", "alpha_d2 of (A2)")] = 0.0
+    alpha_d3: Annotated[Numeric, non_negative("m/s^2", "alpha_d3 of (A3)")] = 0.0
+    c_sigma: Annotated[Numeric, non_negative("1", "c_sigma of (A4)")] = 0.0
+    c_e1: Annotated[Numeric, non_negative("1/s", "c_e1 of (A4)")] = 0.0
+    c_e2: Annotated[Numeric, non_negative("1/s", "c_e2 of (A4)")] = 0.0
+    c_isigma: Annotated[Numeric, non_negative("SI", "c_isigma of (A4)")] = 0.0
+    c_ie: Annotated[Numeric, non_negative("SI", "c_ie of (A4)")] = 0.0
+    y_m: Annotated[Numeric, non_negative("m", "sup |y_m|")] = 0.0
+    y_m_dot: Annotated[Numeric, non_negative("m/s", "sup |y_m'|")] = 0.0
+    y_m_ddot: Annotated[Numeric, non_negative("m/s^2", "sup |y_m''|")] = 0.0
+    y_m_dddot: Annotated[Numeric, non_negative("m/s^3", "sup |y_m'''|")] = 0.0
+    c_m: Annotated[Numeric, non_negative("m/s", "c_m of (A4), bound of |u_m|")] = 0.0
+    u_m_dot: Annotated[Numeric, non_negative("m/s^2", "sup |u_m'|")] = 0.0
+    alpha_d: Annotated[Numeric, non_negative("m/s", "bound of |d| (A0.b)")] = 0.0
     zero_dynamics: ZeroDynamics | None = None
 
     def prepare(self) -> "Bounds":

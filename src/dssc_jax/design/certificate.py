@@ -117,13 +117,13 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
     require_plain(parameters)
     bounds = bounds.prepare()
     p = parameters
-    proved = bool(q_is_positive(p, bounds))
-    holds = bool(small_gain_holds(p, bounds))
-    promised = guarantee(p, bounds) if proved and holds else NOTHING
+    is_q_proved = bool(q_is_positive(p, bounds))
+    is_small_gain_proved = bool(small_gain_holds(p, bounds))
+    proved_guarantee = guarantee(p, bounds) if is_q_proved and is_small_gain_proved else NOTHING
     lyapunov = Lyapunov(
         p_smallest=float(eigenvalues_of_p(bounds.k_min, p.eps, p.gamma).low),
         q_smallest=attack_q(p, bounds),
-        q_proved=proved,
+        q_proved=is_q_proved,
         functions_proved=bool(functions_are_positive(p)),
     )
     return Certificate(
@@ -132,9 +132,9 @@ def check(parameters: Parameters, bounds: Bounds) -> Certificate:
         lyapunov=lyapunov,
         small_gain=as_floats(small_gain(p, bounds)),
         phi_b=p.phi_b,
-        guarantee=as_floats(promised),
-        practice=as_floats(practice(p, bounds, promised)),
-        interconnected=holds,
+        guarantee=as_floats(proved_guarantee),
+        practice=as_floats(practice(p, bounds, proved_guarantee)),
+        interconnected=is_small_gain_proved,
     )
 
 

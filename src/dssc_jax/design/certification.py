@@ -126,8 +126,8 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
     if name in study.parameter_names:
         refusal = parameter_refusal(study, name)
         return Reach(None, refusal) if refusal else certified_up_to(study, name, np.asarray(values, float))
-    part = name.partition(".")[0]
-    if part in ACTUATION:
+    section = name.partition(".")[0]
+    if section in ACTUATION:
         verdict, reason = mark(study.override({"sweep": {}}))
         if verdict is None:
             return Reach(None, f"Theorem 1 does not apply: {reason}")
@@ -142,41 +142,41 @@ def reach(study: Study, name: str, values: np.ndarray) -> Reach:
         if 0.0 not in (quantity.above, quantity.at_least):
             return Reach(None, f"{text}, whatever {name} is")
         return Reach(0.0, f"{text}; it covers no {name} > 0")
-    if part in OUTSIDE or name in OUTSIDE:
-        return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[part]}")
+    if section in OUTSIDE or name in OUTSIDE:
+        return Reach(None, f"Theorem 1 does not cover {name}: {OUTSIDE.get(name) or OUTSIDE[section]}")
     return certified_up_to(study, name, np.asarray(values, float))
 
 
 def parameter_refusal(study: Study, name: str) -> str:
     """Why the theorem cannot follow a parameter; empty if it covers every number that follows from it."""
     for follower in study.followers(name):
-        part = follower.partition(".")[0]
-        if part in ACTUATION or part in OUTSIDE or follower in OUTSIDE:
+        section = follower.partition(".")[0]
+        if section in ACTUATION or section in OUTSIDE or follower in OUTSIDE:
             return f"Theorem 1 does not cover {name}: {follower} follows from it, and it knows nothing of that"
     return ""
 
 
 def certified_up_to(study: Study, name: str, values: np.ndarray) -> Reach:
     """:func:`reach` for a number that the theorem covers."""
-    along = marks_over_spread if name == SPREAD else marks_along
-    holds, reason = along(study, name, values)
-    if holds is None:
+    marks_of = marks_over_spread if name == SPREAD else marks_along
+    verdicts, reason = marks_of(study, name, values)
+    if verdicts is None:
         return Reach(None, f"Theorem 1 does not apply: {reason}")
-    if not holds[0]:
+    if not verdicts[0]:
         return Reach(None, f"Theorem 1 does not certify the loop at {name} = {values[0]:g}")
-    if holds.all():
+    if verdicts.all():
         text = f"Theorem 1 certifies the whole walk, without lag and sampling, to {name} = {values[-1]:g}"
         return Reach(float(values[-1]), text)
-    first = int(np.argmin(holds))
-    low = values[first - 1]
-    high = values[first]
+    first_failure = int(np.argmin(verdicts))
+    low = values[first_failure - 1]
+    high = values[first_failure]
     for _ in range(REFINEMENTS):
-        finer = np.linspace(low, high, REFINED)
-        holds, _ = along(study, name, finer)
-        assert holds is not None  # it spoke of both ends
-        first = max(1, int(np.argmin(holds)))
-        low = finer[first - 1]
-        high = finer[first]
+        refined_values = np.linspace(low, high, REFINED)
+        verdicts, _ = marks_of(study, name, refined_values)
+        assert verdicts is not None  # it spoke of both ends
+        first_failure = max(1, int(np.argmin(verdicts)))
+        low = refined_values[first_failure - 1]
+        high = refined_values[first_failure]
     return Reach(float(low), f"Theorem 1 certifies the loop, without lag and sampling, as far as {name} = {low:.6g}")
 
 
@@ -197,17 +197,17 @@ def marks_over_spread(study: Study, name: str, values: np.ndarray) -> Mark:
     verdicts = []
     for value in values:
         try:
-            certified, reason = mark(study.override({"sweep": {}, **widened(study, float(value))}))
+            verdict, reason = mark(study.override({"sweep": {}, **widened_laws(study, float(value))}))
         except ConfigError:
-            certified = np.False_
+            verdict = np.False_
             reason = ""
-        if certified is None:
+        if verdict is None:
             return Mark(None, reason)
-        verdicts.append(bool(certified))
+        verdicts.append(bool(verdict))
     return Mark(np.array(verdicts), "")
 
 
-def widened(study: Study, share: float) -> dict[str, Any]:
+def widened_laws(study: Study, share: float) -> dict[str, Any]:
     """Replacements of the laws with bounded support: uniform laws between the moved ends."""
     changes: dict[str, Any] = {}
     for name, law in study.laws.items():
@@ -299,12 +299,12 @@ def plant_bounds(model: Plant, ends: Ends) -> PlantBounds:
     lead_high = high.denominator[0]
     if not np.all(np.asarray(lead_low) > 0.0) or not np.all(np.asarray(low.numerator[0]) > 0.0):
         raise NotCovered("the leading coefficients of the transfer function are not positive for every draw")
-    largest = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
+    magnitudes = [np.maximum(np.abs(a), np.abs(b)) for a, b in zip(low.denominator, high.denominator, strict=True)]
     return PlantBounds(
         k_min=low.numerator[0] / lead_high,
         k_max=high.numerator[0] / lead_low,
-        a_max=largest[1] / lead_low,
-        stiffness=largest[2] / lead_low,
+        a_max=magnitudes[1] / lead_low,
+        stiffness=magnitudes[2] / lead_low,
     )
 
 

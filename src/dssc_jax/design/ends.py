@@ -48,16 +48,16 @@ def ends_of(study: Study) -> Ends:
 
 def expression_ends(study: Study, ends: Mapping[str, tuple[Numeric, Numeric]]) -> dict[str, tuple[Numeric, Numeric]]:
     """Lowest and highest value of every number that follows from parameters with the given ends."""
-    found = {}
+    ends_by_name = {}
     for name, number in study.numbers.items():
         if number.expression is None or not ends.keys() & set(number.sources):
             continue
         if not study.axes.keys() & set(number.sources):
-            found[name] = number.expression.support
+            ends_by_name[name] = number.expression.support
             continue
         inputs = {source: Interval.of(*ends[source]) for source in number.sources if source in ends}
         interval = number.expression.between(inputs)
         low = np.where(interval.defined, interval.low, -np.inf)
         high = np.where(interval.defined, interval.high, np.inf)
-        found[name] = (low, low) if np.array_equal(low, high) else (low, high)
-    return found
+        ends_by_name[name] = (low, low) if np.array_equal(low, high) else (low, high)
+    return ends_by_name

@@ -26,35 +26,35 @@ def exact_rates(study: Study) -> tuple[str, ...]:
     channels = len(loop.channels)
     zeros: Signals = (0.0,) * channels
     plant = loop.mimo_plant
-    acting = np.array([model != NO_DISTURBANCE for model in (*loop.disturbance, *loop.inputs)])
-    if not acting.any():
+    is_acting = np.array([model != NO_DISTURBANCE for model in (*loop.disturbance, *loop.inputs)])
+    if not is_acting.any():
         return ()
-    found = []
+    exact_channels = []
     with jax.enable_x64(True):
         state = plant.init(template.plant)
 
         def rates(disturbances: jax.Array) -> jax.Array:
-            matched, named = tuple(disturbances[:channels]), tuple(disturbances[channels:])
-            measurements = plant.measure(template.plant, state, PlantInput(zeros, matched, None, named))
+            at_commands, at_inputs = tuple(disturbances[:channels]), tuple(disturbances[channels:])
+            measurements = plant.measure(template.plant, state, PlantInput(zeros, at_commands, None, at_inputs))
             return jnp.stack([jnp.asarray(measurement.y_dot, jnp.float64) for measurement in measurements])
 
-        slopes = np.asarray(jax.jacfwd(rates)(jnp.zeros(len(acting))))
+        slopes = np.asarray(jax.jacfwd(rates)(jnp.zeros(len(is_acting))))
     for i, name in enumerate(loop.channels):
-        exact = not template.differentiator[i] and shows_rate(study, template, i)
-        if exact and np.any(slopes[i, acting] != 0.0) and takes_rate(study, template, i):
-            found.append(name)
-    return tuple(found)
+        is_exact = not template.differentiator[i] and shows_rate(study, template, i)
+        if is_exact and np.any(slopes[i, is_acting] != 0.0) and takes_rate(study, template, i):
+            exact_channels.append(name)
+    return tuple(exact_channels)
 
 
 def shows_rate(study: Study, template: LoopParams, channel: int) -> bool:
-    """Whether a channel's sensor shows y' as it is, by trial: a jump of y' arrives at once, and as large."""
+    """Whether a channel's sensor passes y' on unchanged, by trial: a jump of y' arrives at once, and as large."""
     sensor, params = study.loop.sensor[channel], template.sensor[channel]
     key = jax.random.key(0)
     with arithmetic(study.config.loop.precision):
-        before = sensor.init(params, Measurement(0.0, 0.0), key)
+        state = sensor.init(params, Measurement(0.0, 0.0), key)
         for rate in RATES:
-            _, shown = sensor.step(params, before, Measurement(0.0, rate), key, 0.0, study.loop.sample_time)
-            if float(shown.y_dot) != rate:
+            _, sensor_output = sensor.step(params, state, Measurement(0.0, rate), key, 0.0, study.loop.sample_time)
+            if float(sensor_output.y_dot) != rate:
                 return False
     return True
 
@@ -73,10 +73,10 @@ def takes_rate(study: Study, template: LoopParams, channel: int) -> bool:
     signals = (0.0,) * int(controller.takes(gains))
 
     def two_samples(rate: float) -> list[Scalar]:
-        measured = Measurement(0.0, rate, signals)
-        state, command, _ = controller.step(gains, controller.init(gains, measured, origin), measured, origin, dt)
-        _, following, _ = controller.step(gains, state, measured, origin, dt)
-        return [float(leaf) for leaf in jax.tree.leaves((state, command, following))]
+        measurement = Measurement(0.0, rate, signals)
+        state, command, _ = controller.step(gains, controller.init(gains, measurement, origin), measurement, origin, dt)
+        _, second_command, _ = controller.step(gains, state, measurement, origin, dt)
+        return [float(leaf) for leaf in jax.tree.leaves((state, command, second_command))]
 
     with arithmetic(study.config.loop.precision):  # native code has one
         at_rest = two_samples(0.0)

@@ -55,13 +55,13 @@ def limits(p: Parameters, bounds: Bounds) -> Limits:
     def factor_of(change: Callable[[float], tuple[Parameters, Bounds]], end: float) -> float:
         return last_true(lambda factor: bool(certified(*change(factor))), end)
 
-    def disturbed(factor: float) -> tuple[Parameters, Bounds]:
+    def with_scaled_disturbance(factor: float) -> tuple[Parameters, Bounds]:
         return p, scaled_bounds(bounds, factor)
 
     a_factor = factor_of(lambda x: (p, bounds._replace(a_max=bounds.a_max + x - 1.0)), LARGEST_FACTOR)
     return Limits(
         phi_b=p.phi_b * factor_of(lambda x: (p._replace(phi_b=p.phi_b * x), bounds), 1.0 / LARGEST_FACTOR),
-        disturbance=factor_of(disturbed, LARGEST_FACTOR),
+        disturbance=factor_of(with_scaled_disturbance, LARGEST_FACTOR),
         k_min=bounds.k_min * factor_of(lambda x: (p, bounds._replace(k_min=bounds.k_min * x)), 1.0 / LARGEST_FACTOR),
         k_max=bounds.k_max * factor_of(lambda x: (p, bounds._replace(k_max=bounds.k_max * x)), LARGEST_FACTOR),
         a_max=a_factor - 1.0 + bounds.a_max,
@@ -177,7 +177,7 @@ def optimise(
             value = np.log(np.clip(OBJECTIVES[goal.criterion](p, bounds), 1e-300, 1e300))
             return np.nan_to_num(np.where(excess > 0.0, 1e4 + excess, value), nan=INFEASIBLE_COST)
 
-    best = free
+    optimal_free = free
     if ranges:
         box = [(float(np.log(low)), float(np.log(high))) for low, high in ranges.values()]
         optimum = differential_evolution(
@@ -185,31 +185,33 @@ def optimise(
         )
         if optimum.fun >= INFEASIBLE_COST:
             raise ConfigError("bounds", "no design in the ranges can be computed; the bounds are too far apart")
-        best = Free(*map(float, candidate(optimum.x)))
-    if not float(shortfall(synthesise(bounds, best), bounds, goal)) <= 0.0:
-        raise ConfigError("goal", infeasible(bounds, best, goal))
-    return best
+        optimal_free = Free(*map(float, candidate(optimum.x)))
+    if not float(shortfall(synthesise(bounds, optimal_free), bounds, goal)) <= 0.0:
+        raise ConfigError("goal", infeasible(bounds, optimal_free, goal))
+    return optimal_free
 
 
 def edges(free: Free, ranges: Mapping[str, tuple[float, float]] = RANGES) -> tuple[str, ...]:
     """Describe the parameters at an end of their range: within :data:`AT_EDGE` of its logarithmic length."""
-    edges = []
+    descriptions = []
     for name, (low, high) in ranges.items():
         share = float(np.log(getattr(free, name) / low) / np.log(high / low))
         if min(share, 1.0 - share) < AT_EDGE:
             end = "lower" if share < 0.5 else "upper"
-            edges.append(f"{name} = {getattr(free, name):.4g} is the {end} end of what was sought, {low:g} to {high:g}")
-    return tuple(edges)
+            descriptions.append(
+                f"{name} = {getattr(free, name):.4g} is the {end} end of what was sought, {low:g} to {high:g}"
+            )
+    return tuple(descriptions)
 
 
 def shortfall(p: Parameters, bounds: Bounds, goal: DesignGoal) -> np.ndarray:
     """By how many powers of e a design misses the goal's limits; 0 if it meets them."""
-    missed = np.zeros(np.shape(p.phi_b))
+    excess = np.zeros(np.shape(p.phi_b))
     if np.isfinite(goal.residual):
-        missed = missed + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
+        excess = excess + np.maximum(np.log(np.clip(guarantee(p, bounds).e, 1e-300, 1e300) / goal.residual), 0.0)
     if goal.sample_time > 0.0:
-        missed = missed + np.maximum(np.log(goal.sample_time / practice(p, bounds).sample_time_origin), 0.0)
-    return missed
+        excess = excess + np.maximum(np.log(goal.sample_time / practice(p, bounds).sample_time_origin), 0.0)
+    return excess
 
 
 def infeasible(bounds: Bounds, nearest: Free, goal: DesignGoal) -> str:

@@ -110,8 +110,8 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
     recipe = table.get("recipe", Recipe.STRICT.value)
     if recipe not in list(Recipe):
         raise ConfigError("recipe", f"must be strict or printed, got {recipe!r}")
-    named = as_table(table.get("free", {}), "free").keys() >= REQUIRED_FREE
-    if "goal" not in table and (complete or named):
+    is_free_complete = as_table(table.get("free", {}), "free").keys() >= REQUIRED_FREE
+    if "goal" not in table and (complete or is_free_complete):
         free = parsed_numbers(table, Free, "free")
         goal = None
         at_edges = ()
@@ -134,24 +134,24 @@ def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignG
     criterion = goal_table.criterion or default_criterion(bounds)
     if criterion not in list(Criterion):
         raise ConfigError("goal.criterion", f"unknown criterion '{criterion}'; {nearest(criterion, list(Criterion))}")
-    fixed = as_table(table.get("free", {}), "free")
+    fixed_numbers = as_table(table.get("free", {}), "free")
     for key in goal_table.vary:
-        if key in fixed:
+        if key in fixed_numbers:
             raise ConfigError(f"goal.vary.{key}", "is fixed by [free] already")
-    start = parsed_numbers({"free": FREE_DEFAULTS._asdict() | fixed}, Free, "free")
-    ranges = {key: box for key, box in RANGES.items() if key not in fixed} | goal_table.vary
+    start = parsed_numbers({"free": FREE_DEFAULTS._asdict() | fixed_numbers}, Free, "free")
+    ranges = {key: box for key, box in RANGES.items() if key not in fixed_numbers} | goal_table.vary
     goal = DesignGoal(Criterion(criterion), goal_table.residual or float("inf"), goal_table.sample_time)
     try:
-        best = optimise(bounds, start, goal, ranges)
+        optimal_free = optimise(bounds, start, goal, ranges)
     except ConfigError as error:
         raise (error.within_path("goal") if error.where.startswith("vary") else error) from None
-    return best, goal, edges(best, ranges)
+    return optimal_free, goal, edges(optimal_free, ranges)
 
 
 def default_criterion(bounds: Bounds) -> str:
     """The smallest residual, or the fastest decay if nothing drives the loop away from zero."""
-    driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
-    return (Criterion.RESIDUAL if driven else Criterion.DECAY_RATE).value
+    is_driven = derive(bounds, 1.0).beta_m > 0.0 or (bounds.zero_dynamics is not None and bounds.y_m_dot > 0.0)
+    return (Criterion.RESIDUAL if is_driven else Criterion.DECAY_RATE).value
 
 
 def parsed_numbers(table: Mapping[str, object], kind: type[Numbers], path: str) -> Numbers:
@@ -168,8 +168,8 @@ def design_toml(design_file: DesignFile) -> str:
     """A design file with the parameters as numbers, and the table for a study that uses them."""
     numbers = design_file.bounds._asdict().items()
     bounds = {name: value for name, value in numbers if name != "zero_dynamics" and value != 0.0}
-    quoted = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")
-    lines = [f"name = {quoted}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
+    quoted_name = json.dumps(design_file.name, ensure_ascii=False).replace("\x7f", "\\u007f")
+    lines = [f"name = {quoted_name}", "", "[bounds]", *(f"{name} = {value!r}" for name, value in bounds.items())]
     if design_file.bounds.zero_dynamics is not None:
         a, c = (list(part) for part in design_file.bounds.zero_dynamics)
         lines.append(f"zero_dynamics = {{ a = {a}, c = {c} }}")

@@ -45,7 +45,7 @@ from dssc_jax.design.linear_plant import (
     ClosedLoop,
     Subject,
     actuators_before,
-    closed,
+    closed_loop,
     sampled_plant,
 )
 from dssc_jax.design.linearised_plant import LinearisedPlant, linearised_plant
@@ -93,7 +93,7 @@ class FirstGains(NamedTuple):
         sensitivity_peak: Largest abs(S) of that loop, broken at the command.
         settling: Time after which its output stays within 2 % of the largest deviation, after a step of a disturbance
             at the command [s].
-        taken: Kinds of the actuators in that loop.
+        linear_kinds: Kinds of the actuators in that loop.
         left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
         loop: That loop.
         plant: The plant at its start, with its operating point.
@@ -104,7 +104,7 @@ class FirstGains(NamedTuple):
     radius: float
     sensitivity_peak: float
     settling: float
-    taken: tuple[str, ...]
+    linear_kinds: tuple[str, ...]
     left_out: tuple[str, ...]
     loop: ClosedLoop
     plant: LinearisedPlant
@@ -143,42 +143,43 @@ def first_gains(
         raise ConfigError("`bandwidth`", f"{rule}; sample faster, or ask for less")
     plant = linearised_plant(study, at)
     actuators = actuators_before(study)
-    alone = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
-    subject = Subject(study, plant, alone, actuators, sampled_plant(plant, actuators, sample_time), limit)
+    bare_plant = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
+    subject = Subject(study, plant, bare_plant, actuators, sampled_plant(plant, actuators, sample_time), limit)
     if bandwidth is None:
-        return fastest_of(subject, kind, 0.05 * fastest)
-    found = designed(subject, kind, bandwidth)
-    if found.radius < 1.0:
-        return found
-    suffix = f", behind its linear actuators ({' + '.join(actuators.taken)})" if actuators.taken else ""
-    rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{suffix} (largest pole {found.radius:.4g})"
+        return fastest_design(subject, kind, 0.05 * fastest)
+    first_design = design_at_bandwidth(subject, kind, bandwidth)
+    if first_design.radius < 1.0:
+        return first_design
+    suffix = f", behind its linear actuators ({' + '.join(actuators.linear_kinds)})" if actuators.linear_kinds else ""
+    pole = f"largest pole {first_design.radius:.4g}"
+    rule = f"gives at {bandwidth:.4g} rad/s a sampled loop that is not stable{suffix} ({pole})"
     raise ConfigError("`bandwidth`", f"{rule}; ask for less, or for none to have the first that works")
 
 
-def designed(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
+def design_at_bandwidth(subject: Subject, kind: str, bandwidth: float) -> FirstGains:
     """The design of a kind at a bandwidth with the best integral action; raises ConfigError if there is none.
 
     Its loop need not be stable.
     """
-    best = tried(subject, kind, bandwidth, INTEGRAL_RATIOS[0])
+    best = design_with_ratio(subject, kind, bandwidth, INTEGRAL_RATIOS[0])
     for ratio in INTEGRAL_RATIOS[1:] if kind != FirstController.SSC else ():
         try:
-            found = tried(subject, kind, bandwidth, ratio)
+            candidate = design_with_ratio(subject, kind, bandwidth, ratio)
         except ConfigError:
             break
-        if better(found, best):
-            best = found
+        if is_better(candidate, best):
+            best = candidate
     return best
 
 
-def better(found: FirstGains, best: FirstGains) -> bool:
+def is_better(candidate: FirstGains, best: FirstGains) -> bool:
     """Whether a design is better: with a good peak of abs(S) the one that settles faster, else that with less peak."""
-    if found.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK:
-        return FASTER * found.settling < best.settling
-    return found.sensitivity_peak < best.sensitivity_peak
+    if candidate.sensitivity_peak <= MOST_PEAK and best.sensitivity_peak <= MOST_PEAK:
+        return FASTER * candidate.settling < best.settling
+    return candidate.sensitivity_peak < best.sensitivity_peak
 
 
-def tried(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstGains:
+def design_with_ratio(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstGains:
     """The design of a kind at a bandwidth, whose loop need not be stable; raises ConfigError if there is none."""
     rules = {
         FirstController.PID: pid,
@@ -187,25 +188,27 @@ def tried(subject: Subject, kind: str, bandwidth: float, ratio: float) -> FirstG
         FirstController.SSC: ssc,
     }
     study = subject.study
-    table = rounded(rules[FirstController(kind)](subject, bandwidth, ratio))
-    of_deviations = {name: value for name, value in table.items() if name not in NOT_OF_DEVIATIONS}
-    controller = parse_component(of_deviations, CONTROLLERS, "controller")
+    table = rounded_table(rules[FirstController(kind)](subject, bandwidth, ratio))
+    deviation_table = {name: value for name, value in table.items() if name not in NOT_OF_DEVIATIONS}
+    controller = parse_component(deviation_table, CONTROLLERS, "controller")
     if controller.model.fit is not None:
         setting = setting_for(study)
         with errors_under("controller"):
             controller = replace(controller, params=controller.model.fit(controller.params, setting))
-    loop = closed(subject.whole, controller)
+    loop = closed_loop(subject.actuated_plant, controller)
     radius = loop.radius
     peak = loop.sensitivity_peak if radius < 1.0 else math.inf
     row = np.zeros(len(loop.a))
-    row[: len(subject.whole.c)] = subject.whole.c
+    row[: len(subject.actuated_plant.c)] = subject.actuated_plant.c
     settling = loop.settling(row) * study.loop.sample_time
-    taken, left_out = subject.actuators.taken, subject.actuators.left_out
-    return FirstGains(table, bandwidth, radius, peak, settling, taken, left_out, loop, subject.plant)
+    linear_kinds, left_out = subject.actuators.linear_kinds, subject.actuators.left_out
+    return FirstGains(table, bandwidth, radius, peak, settling, linear_kinds, left_out, loop, subject.plant)
 
 
-def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
-    """The best design at a bandwidth, its half, and so on, until some are no better, and around the best of these.
+def fastest_design(subject: Subject, kind: str, start: float) -> FirstGains:
+    """The best design at a start bandwidth, its half, and so on, and then at bandwidths around the best of these.
+
+    The halving ends when several in a row are no better.
 
     Raises:
         ConfigError: none is stable.
@@ -213,20 +216,20 @@ def fastest_of(subject: Subject, kind: str, start: float) -> FirstGains:
     refusal: ConfigError | None = None
     best: FirstGains | None = None
     bandwidth = start
-    left = HALVINGS
-    for half in range(HALVINGS):
-        if left == 0:
+    remaining_halvings = HALVINGS
+    for halving in range(HALVINGS):
+        if remaining_halvings == 0:
             break
-        left -= 1
-        bandwidth = start * 0.5**half
+        remaining_halvings -= 1
+        bandwidth = start * 0.5**halving
         try:
-            found = designed(subject, kind, bandwidth)
+            candidate = design_at_bandwidth(subject, kind, bandwidth)
         except ConfigError as error:
             refusal = refusal or error
             continue
-        if best is None or better(found, best):
-            best = found
-            left = FURTHER if found.sensitivity_peak <= MOST_PEAK else left
+        if best is None or is_better(candidate, best):
+            best = candidate
+            remaining_halvings = FURTHER if candidate.sensitivity_peak <= MOST_PEAK else remaining_halvings
     if best is not None and best.radius < 1.0:  # such as of a plant that is unstable itself
         return best_nearby(subject, kind, best, start)
     if refusal is not None and refusal.where != "`bandwidth`":
@@ -246,16 +249,16 @@ def best_nearby(subject: Subject, kind: str, best: FirstGains, highest: float) -
         if factor * middle > highest:
             continue
         try:
-            found = designed(subject, kind, factor * middle)
+            candidate = design_at_bandwidth(subject, kind, factor * middle)
         except ConfigError:
             continue
-        if better(found, best):
-            best = found
+        if is_better(candidate, best):
+            best = candidate
     return best
 
 
 def setting_for(study: Study) -> LoopSetting:
-    """What a controller of the study is fitted to."""
+    """The setting to which a controller of the study is fitted."""
     loop = study.loop
     with arithmetic():
         return setting_of(loop.plant, nominal_params(study.template).plant, loop.sample_time, loop.measures)
@@ -276,15 +279,15 @@ def ssc(subject: Subject, omega: float, ratio: float) -> TomlTable:
     return {"kind": "ssc", "l0": omega / SLOW_ERROR, "rho": limit, "functions": functions}
 
 
-def rounded(table: TomlTable, digits: int = DIGITS) -> TomlTable:
+def rounded_table(table: TomlTable, digits: int = DIGITS) -> TomlTable:
     """A table whose numbers have four digits; those that are the plant's own have more."""
-    return {name: shortened(value, STATED_DIGITS if name in STATED else digits) for name, value in table.items()}
+    return {name: rounded_value(value, STATED_DIGITS if name in STATED else digits) for name, value in table.items()}
 
 
-def shortened(value: Any, digits: int) -> Any:
-    """A number with so many digits, or what a list or a table has of them."""
+def rounded_value(value: Any, digits: int) -> Any:
+    """A number rounded to so many digits; a list or a table of numbers entry by entry."""
     if isinstance(value, list):
-        return [shortened(item, digits) for item in value]
+        return [rounded_value(item, digits) for item in value]
     if isinstance(value, dict):
-        return rounded(value, digits)
+        return rounded_table(value, digits)
     return float(f"{value:.{digits}g}") if isinstance(value, float) else value

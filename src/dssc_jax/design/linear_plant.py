@@ -65,13 +65,13 @@ class ActuatorsBefore(NamedTuple):
     Args:
         model: The linear ones as one; None: there are none.
         params: Their parameters, in plain numbers.
-        taken: Their kinds.
+        linear_kinds: Their kinds.
         left_out: What the loop with these lacks: the kinds of all others, of sensors and of a differentiator.
     """
 
     model: Unmodelled | None
     params: Params
-    taken: tuple[str, ...]
+    linear_kinds: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
@@ -93,9 +93,10 @@ class ClosedLoop(NamedTuple):
         angles = np.append(
             np.geomspace(np.pi * 10.0**-DECADES, np.pi, GRID), np.abs(np.angle(np.linalg.eigvals(self.a)))
         )
-        eye = np.eye(len(self.a))
-        at = np.linalg.solve(np.exp(1j * angles)[:, None, None] * eye - self.a, self.b[:, None])[..., 0]
-        return float(np.max(np.abs(1.0 + at @ self.c)))
+        identity = np.eye(len(self.a))
+        z = np.exp(1j * angles)[:, None, None]
+        state_response = np.linalg.solve(z * identity - self.a, self.b[:, None])[..., 0]
+        return float(np.max(np.abs(1.0 + state_response @ self.c)))
 
     def settling(self, row: np.ndarray) -> float:
         """Samples after which an output stays near its end, after a step added to the command; infinite if unstable.
@@ -111,65 +112,65 @@ class ClosedLoop(NamedTuple):
         steady = np.linalg.solve(np.eye(order) - self.a, self.b)
         decay = -math.log(max(self.radius, np.finfo(float).tiny))
         stride = max(1, math.ceil(FADED / (decay * INSTANTS)))
-        over = np.linalg.matrix_power(self.a, stride)
+        stride_transition = np.linalg.matrix_power(self.a, stride)
         distance = np.empty(INSTANTS)
         state = -steady
         for k in range(INSTANTS):
             distance[k] = abs(row @ state)
-            state = over @ state
+            state = stride_transition @ state
         outside = np.flatnonzero(distance > SETTLED * np.max(distance))
         return float(stride * (outside[-1] + 1)) if outside.size else 0.0
 
 
 class Subject(NamedTuple):
-    """What first gains are made for.
+    """The plant and its actuators for which first gains are designed.
 
     Args:
         study: The study.
         plant: Its plant at the start, in continuous time.
-        alone: The same, sampled without actuators.
+        bare_plant: The same, sampled without actuators.
         actuators: Its actuators.
-        whole: The plant sampled behind the linear ones.
+        actuated_plant: The plant sampled behind the linear ones.
         limit: Largest size of the command, in its unit; None: none.
     """
 
     study: Study
     plant: LinearisedPlant
-    alone: LinearPlant
+    bare_plant: LinearPlant
     actuators: ActuatorsBefore
-    whole: LinearPlant
+    actuated_plant: LinearPlant
     limit: float | None
 
 
 def actuators_before(study: Study) -> ActuatorsBefore:
     """The actuators of a study of one channel, those that declare themselves linear as one."""
-    linear = []
+    linear_elements = []
     left_out = kinds_between(study)
     for element, params in acting_elements(study.table, study.config):
         if element.model.linear is not None or element.model.superposes:
-            linear.append((element, nominal_params(params)))
+            linear_elements.append((element, nominal_params(params)))
         else:
             left_out.append(element.kind)
-    if not linear:
+    if not linear_elements:
         return ActuatorsBefore(None, (), (), tuple(left_out))
-    model, params = linear[0][0].model, linear[0][1]
-    if len(linear) > 1:
-        model = chain(tuple(element for element, _ in linear))
-        params = tuple(params for _, params in linear)
-    return ActuatorsBefore(model, params, tuple(element.kind for element, _ in linear), tuple(left_out))
+    model, params = linear_elements[0][0].model, linear_elements[0][1]
+    if len(linear_elements) > 1:
+        model = chain(tuple(element for element, _ in linear_elements))
+        params = tuple(params for _, params in linear_elements)
+    return ActuatorsBefore(model, params, tuple(element.kind for element, _ in linear_elements), tuple(left_out))
 
 
 def kinds_between(study: Study) -> list[str]:
     """The parts between plant and controller that a linearised loop without them lacks."""
     config = study.config
-    found = []
+    left_out_kinds = []
     for slot, neutral in (("sensor", "ideal"), ("differentiator", "none")):
         kind = getattr(config, slot).get("kind", neutral)
-        found += [] if kind == neutral else [f"{slot} '{kind}'"]
+        left_out_kinds += [] if kind == neutral else [f"{slot} '{kind}'"]
     for signal in study.loop.measures:
         kind = config.sensor.get(signal.name, {}).get("kind", "ideal")
-        found += [] if kind == "ideal" else [f"sensor '{kind}' of {signal.name}"]
-    return found
+        left_out_kinds += [] if kind == "ideal" else [f"sensor '{kind}' of {signal.name}"]
+    return left_out_kinds
 
 
 def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_time: float) -> LinearPlant:
@@ -187,27 +188,27 @@ def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_tim
     a[:n, :n] = plant.a
     a[:n, n:] = np.outer(plant.b, system.c)
     a[n:, n:] = system.a
-    held = sampled_system(a, np.append(plant.b * system.d, system.b)[:, None], sample_time)
+    held_system = sampled_system(a, np.append(plant.b * system.d, system.b)[:, None], sample_time)
     after_sample = np.zeros((total, total + 1))  # the state with which the sample begins, of the state and of u
     after_sample[:n, :n] = np.eye(n)
     after_sample[n:, n:] = np.column_stack([at_sample.state, at_sample.state_input])
-    acting = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
-    acting_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
-    stepped = held.a @ after_sample + np.outer(held.b, np.append(acting, acting_input))
+    drive_row = np.concatenate([np.zeros(n), at_sample.output @ at_sample.state])
+    drive_input = float(at_sample.output @ at_sample.state_input) + at_sample.output_input
+    sampled = held_system.a @ after_sample + np.outer(held_system.b, np.append(drive_row, drive_input))
     transition = np.zeros((total + 1, total + 1))
-    transition[:total, :total] = stepped[:, :total]
-    transition[total, :total] = acting
-    reaching = np.concatenate([np.zeros(n), system.c, [system.d]])
+    transition[:total, :total] = sampled[:, :total]
+    transition[total, :total] = drive_row
+    plant_input_row = np.concatenate([np.zeros(n), system.c, [system.d]])
 
-    def wide(row: np.ndarray) -> np.ndarray:
+    def padded(row: np.ndarray) -> np.ndarray:
         return np.append(row, np.zeros(order + 1))
 
-    signals = [wide(row) + d * reaching for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
+    signals = [padded(row) + d * plant_input_row for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
     return LinearPlant(
         transition,
-        np.append(stepped[:, total], acting_input),
-        wide(plant.c),
-        wide(plant.rate) + plant.rate_through * reaching,
+        np.append(sampled[:, total], drive_input),
+        padded(plant.c),
+        padded(plant.rate) + plant.rate_through * plant_input_row,
         np.reshape(signals, (len(signals), total + 1)),
         sample_time,
     )
@@ -246,7 +247,7 @@ def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> Actua
     if model is None:
         return ActuatorsAtSample(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0, as_arrays(None, 0))
     with arithmetic():
-        begin, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.init(params)))
+        start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), model.init(params)))
         key = jax.random.key(0)
 
         def sample(z: jax.Array, u: Scalar) -> jax.Array:
@@ -257,9 +258,9 @@ def actuators_at_sample(actuators: ActuatorsBefore, sample_time: float) -> Actua
                 return jnp.asarray(model.advance(params, sample_time)(unravel(z), u)[1].mean, float)
             return jnp.asarray(u if model.linear is not None else model.output(params, unravel(z), u), float)
 
-        state, state_input = map(np.asarray, jax.jit(jax.jacfwd(sample, argnums=(0, 1)))(begin, 0.0))
-        output, output_input = map(np.asarray, jax.jit(jax.jacfwd(driving, argnums=(0, 1)))(begin, 0.0))
-        system = as_arrays(model.linear(params) if model.linear is not None else None, len(begin))
+        state, state_input = map(np.asarray, jax.jit(jax.jacfwd(sample, argnums=(0, 1)))(start, 0.0))
+        output, output_input = map(np.asarray, jax.jit(jax.jacfwd(driving, argnums=(0, 1)))(start, 0.0))
+        system = as_arrays(model.linear(params) if model.linear is not None else None, len(start))
     return ActuatorsAtSample(state, state_input, output, float(output_input), system)
 
 
@@ -271,7 +272,7 @@ def as_arrays(system: LinearSystem | None, order: int) -> SystemArrays:
     return SystemArrays(a, b, c, float(system.d))
 
 
-def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
+def closed_loop(plant: LinearPlant, controller: Component) -> ClosedLoop:
     """The loop with a controller, by the derivative of its second sample at rest."""
     model: Controller = controller.model
     gains = controller.params
@@ -279,27 +280,32 @@ def closed(plant: LinearPlant, controller: Component) -> ClosedLoop:
     rows = np.vstack([plant.c, plant.rate, plant.signals])
     with arithmetic():
 
-        def sample(state: Any, shown: jax.Array) -> tuple[Any, Scalar]:
-            measurement = Measurement(shown[0], shown[1], tuple(shown[2:]))
-            after, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
-            return after, command.total
+        def sample(state: Any, outputs: jax.Array) -> tuple[Any, Scalar]:
+            measurement = Measurement(outputs[0], outputs[1], tuple(outputs[2:]))
+            next_state, command, _ = model.step(gains, state, measurement, ReferencePoint(0.0, 0.0, 0.0), dt)
+            return next_state, command.total
 
-        quiet = jnp.zeros(len(rows))
-        begin = model.init(gains, Measurement(0.0, 0.0, tuple(quiet[2:])), ReferencePoint(0.0, 0.0, 0.0))
-        begin, _ = sample(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), begin), quiet)
-        at, unravel = ravel_pytree(begin)
+        zero_outputs = jnp.zeros(len(rows))
+        start = model.init(gains, Measurement(0.0, 0.0, tuple(zero_outputs[2:])), ReferencePoint(0.0, 0.0, 0.0))
+        start, _ = sample(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), start), zero_outputs)
+        start_vector, unravel = ravel_pytree(start)
 
-        def flat(state: jax.Array, shown: jax.Array) -> jax.Array:
-            after, command = sample(unravel(state), shown)
-            return jnp.append(ravel_pytree(after)[0], command)
+        def flat_sample(state: jax.Array, outputs: jax.Array) -> jax.Array:
+            next_state, command = sample(unravel(state), outputs)
+            return jnp.append(ravel_pytree(next_state)[0], command)
 
-        of_state, of_shown = map(np.asarray, jax.jit(jax.jacfwd(flat, argnums=(0, 1)))(at, quiet))
-    moves = of_state[:-1] != 0.0
-    shown_states = np.any(of_shown[:-1] != 0.0, axis=1)
-    kept = closure(shown_states, moves.T) & closure(of_state[-1] != 0.0, moves)  # an integral without k_i stands still
-    of_state, of_shown = of_state[np.append(kept, True)][:, kept], of_shown[np.append(kept, True)]
-    order = int(np.count_nonzero(kept))
-    command = np.append(of_shown[order] @ rows, of_state[order])
-    a = np.block([[plant.a, np.zeros((len(plant.a), order))], [of_shown[:order] @ rows, of_state[:order]]])
+        slopes_of = jax.jit(jax.jacfwd(flat_sample, argnums=(0, 1)))
+        state_slopes, output_slopes = map(np.asarray, slopes_of(start_vector, zero_outputs))
+    state_influences = state_slopes[:-1] != 0.0
+    driven_states = np.any(output_slopes[:-1] != 0.0, axis=1)
+    moving_states = closure(driven_states, state_influences.T)
+    effective_states = moving_states & closure(state_slopes[-1] != 0.0, state_influences)  # no integral without k_i
+    state_slopes, output_slopes = (
+        state_slopes[np.append(effective_states, True)][:, effective_states],
+        output_slopes[np.append(effective_states, True)],
+    )
+    order = int(np.count_nonzero(effective_states))
+    command = np.append(output_slopes[order] @ rows, state_slopes[order])
+    a = np.block([[plant.a, np.zeros((len(plant.a), order))], [output_slopes[:order] @ rows, state_slopes[:order]]])
     b = np.append(plant.b, np.zeros(order))
     return ClosedLoop(a + np.outer(b, command), b, command)

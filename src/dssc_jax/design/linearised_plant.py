@@ -15,7 +15,7 @@ from dssc_jax.core.named import signals_in
 from dssc_jax.core.numerics import arithmetic
 from dssc_jax.core.setting import NominalPlant
 from dssc_jax.core.signals import PlantInput, Scalar
-from dssc_jax.study.fitting import MATCHED, nominal_params
+from dssc_jax.study.fitting import COMMAND_DISTURBANCE, nominal_params
 from dssc_jax.study.study import Study
 
 NEWTON_STEPS = 20
@@ -53,7 +53,7 @@ class LinearisedPlant(NamedTuple):
             without the former has the command's column.
         inputs: Names of these columns.
         resting: The operating point; None: a linear plant, which has 0 as one, or a start at which no command holds it.
-        held: Whether a command holds the plant at this point, or it is linear.
+        is_held: Whether a command holds the plant at this point, or it is linear.
     """
 
     a: np.ndarray
@@ -66,7 +66,7 @@ class LinearisedPlant(NamedTuple):
     disturbances: np.ndarray
     inputs: tuple[str, ...]
     resting: Resting | None
-    held: bool
+    is_held: bool
 
     @property
     def nominal(self) -> NominalPlant:
@@ -101,7 +101,7 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
             drive = PlantInput(u, disturbances[0], None, tuple(disturbances[1:]))
             return ravel_pytree(loop.plant.derivative(params, unravel(x), drive, 0.0))[0]
 
-        def measured(x: jax.Array, u: Scalar) -> jax.Array:
+        def outputs(x: jax.Array, u: Scalar) -> jax.Array:
             state = unravel(x)
             drive = PlantInput(u, 0.0, None, tuple(quiet[1:]))
             measurement = loop.plant.measure(params, state, drive)
@@ -116,20 +116,20 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
         if at is not None and linear:
             raise ConfigError("`at`", "is of a nonlinear plant; a linear one is the same everywhere")
         if at is None:
-            holding = holding_command(slope, start)
+            resting_command = holding_command(slope, start)
         else:
-            start, holding = equilibrium(slope, lambda x, u: measured(x, u)[0], start, at)
-        command = holding or 0.0
+            start, resting_command = equilibrium(slope, lambda x, u: outputs(x, u)[0], start, at)
+        command = resting_command or 0.0
         a, b, columns = map(np.asarray, jax.jit(jax.jacfwd(slope, argnums=(0, 1, 2)))(start, command, quiet))
-        rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(measured, argnums=(0, 1)))(start, command))
-        y, _, *signals = np.asarray(jax.jit(measured)(start, command)).tolist()
+        rows, feedthrough = map(np.asarray, jax.jit(jax.jacfwd(outputs, argnums=(0, 1)))(start, command))
+        y, _, *signals = np.asarray(jax.jit(outputs)(start, command)).tolist()
     if not np.any(columns[:, 0]):
         columns = np.column_stack([b, columns[:, 1:]])
-    resting = None if linear or holding is None else Resting(y, command, tuple(signals))
-    held = linear or holding is not None
-    names = (MATCHED, *loop.input_names)
+    resting = None if linear or resting_command is None else Resting(y, command, tuple(signals))
+    is_held = linear or resting_command is not None
+    names = (COMMAND_DISTURBANCE, *loop.input_names)
     through = float(feedthrough[1])
-    return LinearisedPlant(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, held)
+    return LinearisedPlant(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, is_held)
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:
@@ -142,18 +142,18 @@ def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.
     rate_of = jax.jit(lambda u: slope(start, u))
     effect_of = jax.jit(jax.jacfwd(rate_of))
     command = 0.0
-    moved = float(np.max(np.abs(np.asarray(rate_of(0.0), float))))
-    for _ in range(NEWTON_STEPS if moved > 0.0 else 0):
+    initial_rate = float(np.max(np.abs(np.asarray(rate_of(0.0), float))))
+    for _ in range(NEWTON_STEPS if initial_rate > 0.0 else 0):
         rate = np.asarray(rate_of(command), float)
         effect = np.asarray(effect_of(command), float)
         size = float(effect @ effect)
         if not size > 0.0:
             return None
         command -= float(effect @ rate) / size
-    left = np.abs(np.asarray(rate_of(command), float))
+    residual = np.abs(np.asarray(rate_of(command), float))
     slopes, effect = (np.asarray(part) for part in jax.jit(jax.jacfwd(slope, argnums=(0, 1)))(start, command))
     terms = np.abs(slopes) @ np.abs(np.asarray(start)) + np.abs(effect * command)
-    return command if np.all(left <= np.maximum(AT_REST * moved, ROUNDING * terms)) else None
+    return command if np.all(residual <= np.maximum(AT_REST * initial_rate, ROUNDING * terms)) else None
 
 
 def equilibrium(
@@ -183,8 +183,8 @@ def equilibrium(
 
     slopes = jax.jit(jax.jacfwd(excess))
     point = np.append(np.asarray(start), holding_command(slope, start) or 0.0)
-    begin = float(output(start, point[-1]))
-    for y in np.linspace(begin, at, STEPS_TO_OUTPUT):
+    start_output = float(output(start, point[-1]))
+    for y in np.linspace(start_output, at, STEPS_TO_OUTPUT):
         for _ in range(NEWTON_STEPS):
             move = np.linalg.lstsq(np.asarray(slopes(point, y)), -np.asarray(excess(point, y)), rcond=None)[0]
             point = point + move
@@ -192,8 +192,8 @@ def equilibrium(
                 raise ConfigError("`at`", f"no equilibrium with the output {y:g} is found from the plant's start")
             if np.all(np.abs(move) <= AT_REST * np.abs(point)):
                 break
-    left = np.abs(np.asarray(excess(point, at)))
+    residual = np.abs(np.asarray(excess(point, at)))
     terms = np.abs(np.asarray(slopes(point, at))) @ np.abs(point)
-    if not np.all(left <= AT_REST * np.append(terms[:-1], abs(at) + terms[-1])):
+    if not np.all(residual <= AT_REST * np.append(terms[:-1], abs(at) + terms[-1])):
         raise ConfigError("`at`", f"no equilibrium with the output {at:g} is found from the plant's start")
     return jnp.asarray(point[:-1]), float(point[-1])

@@ -33,10 +33,10 @@ class Spread(NamedTuple):
 
 def eigenvalues_of_p(k_p: Numeric, eps: Numeric, gamma: Numeric) -> Spread:
     """Eigenvalues of P; the smaller one is NaN unless P > 0, that is gamma k_p > 4 eps^2."""
-    first = gamma * k_p
-    root = ((first - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
-    high = 0.5 * (first + 1.0 + root)
-    determinant = first - 4.0 * eps**2
+    p_11 = gamma * k_p
+    root = ((p_11 - 1.0) ** 2 + 16.0 * eps**2) ** 0.5
+    high = 0.5 * (p_11 + 1.0 + root)
+    determinant = p_11 - 4.0 * eps**2
     return Spread(ratio_where(determinant > 0.0, determinant, high), high)
 
 
@@ -54,9 +54,9 @@ class Alphas(NamedTuple):
 
 def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
     """rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2."""
-    first = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
-    second = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
-    return Alphas(first / p.phi_b, second / p.phi_b**2)
+    beta_1_bound = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
+    beta_2_bound = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
+    return Alphas(beta_1_bound / p.phi_b, beta_2_bound / p.phi_b**2)
 
 
 def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
@@ -75,20 +75,20 @@ def smallest_of_q(p: Parameters, k_p: Numeric, gain: Numeric, alpha_1: Numeric, 
         alpha_2: beta_2/phi_2.
     """
     eps = p.eps
-    first = p.gamma * k_p
+    p_11 = p.gamma * k_p
     k_q = (
-        2.0 * (first - 4.0 * eps**2) * k_p * gain
-        - 4.0 * eps * first
-        - 2.0 * first * alpha_1
+        2.0 * (p_11 - 4.0 * eps**2) * k_p * gain
+        - 4.0 * eps * p_11
+        - 2.0 * p_11 * alpha_1
         + 4.0 * eps * alpha_2
         - 2.0 * eps
     )
-    off = 2.0 * eps * alpha_1 - alpha_2
+    q_12 = 2.0 * eps * alpha_1 - alpha_2
     mean = 0.5 * k_q + eps
     half_difference = 0.5 * k_q - eps
-    root = (half_difference**2 + off**2) ** 0.5
+    root = (half_difference**2 + q_12**2) ** 0.5
     largest = mean + root
-    determinant = 2.0 * eps * k_q - off**2
+    determinant = 2.0 * eps * k_q - q_12**2
     positive = largest > 0.0
     xp = namespace(largest)
     divisor = xp.where(positive, largest, 1.0)
@@ -103,8 +103,8 @@ def worst_of_q(p: Parameters, bounds: Bounds, k_p: Numeric, sigma: Numeric, e: N
     limit = alphas(p, bounds, derive(bounds, p.l0), sigma, e)
     gain = kappa_1(p, sigma, e)
     vertices = [
-        smallest_of_q(p, k_p, gain, first * limit.rho_1, second * limit.rho_2)
-        for first, second in product((-1.0, 1.0), repeat=2)
+        smallest_of_q(p, k_p, gain, sign_1 * limit.rho_1, sign_2 * limit.rho_2)
+        for sign_1, sign_2 in product((-1.0, 1.0), repeat=2)
     ]
     xp = namespace(*vertices)
     return xp.stack(xp.broadcast_arrays(*vertices)).min(axis=0)
@@ -143,18 +143,18 @@ def q_coefficients(p: Parameters, bounds: Bounds) -> tuple[Numeric, ...]:
     eps = p.eps
     k_p = bounds.k_min
     gain = f(k_p, eps, p.gamma)
-    first = p.gamma * k_p
+    p_11 = p.gamma * k_p
     rho_1 = tuple(x / p.phi_b for x in (c.kd2_bar, c.kd1_bar, c.kd3_bar))
     rho_2 = tuple(x / p.phi_b**2 for x in (bounds.k_max * bounds.c_isigma, bounds.k_max * bounds.c_ie, c.k_sigma))
     a, b, d = (2.0 * eps * x + y for x, y in zip(rho_1, rho_2, strict=True))
-    linear = [4.0 * eps * first * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)]
+    linear = [4.0 * eps * p_11 * x + 8.0 * eps**2 * y for x, y in zip(rho_1, rho_2, strict=True)]
     return (
         gain * p.kappa_a**2 - a**2,
         2.0 * (gain * p.kappa_a * p.kappa_b - a * b),
         gain * p.kappa_b**2 - b**2,
         2.0 * (gain * p.kappa_a * p.kappa_c - a * d) - linear[0],
         2.0 * (gain * p.kappa_b * p.kappa_c - b * d) - linear[1],
-        gain * (p.kappa_c**2 + p.kappa_d) - d**2 - linear[2] - 8.0 * eps**2 * first - 4.0 * eps**2,
+        gain * (p.kappa_c**2 + p.kappa_d) - d**2 - linear[2] - 8.0 * eps**2 * p_11 - 4.0 * eps**2,
     )
 
 

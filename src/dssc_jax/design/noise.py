@@ -62,12 +62,12 @@ def traced_noise(
     key = jax.random.key(stream("noise"))
 
     def sample(state: Any, k: Scalar) -> tuple[Any, Scalar]:
-        sensed, read = sensor.step(params[0], state[0], at_rest, jax.random.fold_in(key, k), k * dt, dt)
-        followed, read = differentiator.step(params[1], state[1], read, dt)
-        return (sensed, followed), read.y_dot + l0 * read.y
+        sensor_state, measurement = sensor.step(params[0], state[0], at_rest, jax.random.fold_in(key, k), k * dt, dt)
+        differentiator_state, measurement = differentiator.step(params[1], state[1], measurement, dt)
+        return (sensor_state, differentiator_state), measurement.y_dot + l0 * measurement.y
 
-    first = sensor.init(params[0], at_rest, key)
-    start = first, differentiator.init(params[1], at_rest)
+    sensor_start = sensor.init(params[0], at_rest, key)
+    start = sensor_start, differentiator.init(params[1], at_rest)
     start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=jnp.result_type(float)), start)
     sigma = jax.lax.scan(sample, start, jnp.arange(SAMPLES))[1]
     return sigma - jnp.mean(sigma)
@@ -89,10 +89,10 @@ def mean_rates(functions: Any, l0: Scalar, noise: jax.Array, sigma: jax.Array, d
     """
 
     def rates(sigma: Scalar, noise: Scalar, previous: Scalar) -> tuple[Scalar, Scalar]:
-        read = sigma + noise
-        k_o, tau_av, tau_m = functions.at(read, sigma / l0, l0)
+        noisy_sigma = sigma + noise
+        k_o, tau_av, tau_m = functions.at(noisy_sigma, sigma / l0, l0)
         gain = 1.0 / (k_o * tau_av)
-        return gain * (noise - previous) / dt, gain * read / tau_m
+        return gain * (noise - previous) / dt, gain * noisy_sigma / tau_m
 
     present = jnp.stack([noise[1:], -noise[1:]])
     previous = jnp.stack([noise[:-1], -noise[:-1]])
@@ -116,44 +116,44 @@ def noise_drift(study: Study) -> dict[str, Drift]:
     template = jax.tree.map(lambda leaf: leaf if np.ndim(leaf) else nominal(leaf), study.template)  # records: arrays
     drifts = {}
     for i, name in enumerate(loop.channels):
-        exact = not template.sensor[i] and not template.differentiator[i]
-        if exact or loop.controller[i] != DSSC.members[Discretisation.IMPLICIT]:
+        is_exact = not template.sensor[i] and not template.differentiator[i]
+        if is_exact or loop.controller[i] != DSSC.members[Discretisation.IMPLICIT]:
             continue
         gains = template.controller[i]
         with jax.enable_x64(True):
             params = template.sensor[i], template.differentiator[i]
             noise = sigma_noise(loop.sensor[i], loop.differentiator[i], params, gains.l0, loop.sample_time)
-            size = float(jnp.std(noise))
-            if size > 0.0:
-                sigma = size * OFFSETS
+            noise_std = float(jnp.std(noise))
+            if noise_std > 0.0:
+                sigma = noise_std * OFFSETS
                 by_noise, by_law = mean_rates(gains.functions, gains.l0, noise, sigma, loop.sample_time)
-                drifts[name] = rest_drift(size, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
+                drifts[name] = rest_drift(noise_std, sigma, np.asarray(by_noise), np.asarray(by_law), gains.l0)
     return drifts
 
 
 def noise_warning(study: Study) -> str | None:
     """One sentence, if :func:`noise_drift` predicts an error in some channel beyond the study's settling band."""
     band = study.config.metrics.window.band
-    displaced = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
-    if not displaced:
+    large_drifts = {name: drift for name, drift in noise_drift(study).items() if drift.error > band}
+    if not large_drifts:
         return None
     unit = {name: units.output for name, units in zip(study.loop.channels, study.units, strict=True)}
-    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in displaced.items()]
+    errors = [f"{drift.error:.2g} {unit[name]}{f' in {name}' if name else ''}" for name, drift in large_drifts.items()]
     return (
         f"measurement noise is predicted to move DSSC's implicit form off its reference by {', '.join(errors)}; "
         "discretisation = 'conservative' in [controller] avoids this"
     )
 
 
-def rest_drift(size: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
+def rest_drift(noise_std: float, sigma: np.ndarray, by_noise: np.ndarray, by_law: np.ndarray, l0: float) -> Drift:
     """The largest sigma at which both rates balance, from the sign of their sum over a grid."""
     total = by_noise + by_law
-    driven = np.flatnonzero(total < 0.0)
-    if not driven.size:
-        return Drift(size, max(0.0, -float(by_noise.min())), 0.0)
-    i = int(driven[-1])
+    outward = np.flatnonzero(total < 0.0)
+    if not outward.size:
+        return Drift(noise_std, max(0.0, -float(by_noise.min())), 0.0)
+    i = int(outward[-1])
     if i + 1 == sigma.size:
-        return Drift(size, -float(by_noise.min()), np.inf)
+        return Drift(noise_std, -float(by_noise.min()), np.inf)
     share = total[i] / (total[i] - total[i + 1])
-    balanced = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
-    return Drift(size, -float(by_noise.min()), float(balanced / l0))
+    rest_sigma = sigma[i] * (sigma[i + 1] / sigma[i]) ** share
+    return Drift(noise_std, -float(by_noise.min()), float(rest_sigma / l0))

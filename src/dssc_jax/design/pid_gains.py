@@ -33,38 +33,39 @@ def pid(subject: Subject, omega: float, ratio: float) -> TomlTable:
         omega: The bandwidth [rad/s].
         ratio: Least corner of the integral action, in bandwidths.
     """
-    plant = subject.whole
-    at = plant.response(omega)
-    phase = float(np.angle(at))
+    plant = subject.actuated_plant
+    response = plant.response(omega)
+    phase = float(np.angle(response))
     phase -= 2.0 * math.pi if phase > math.radians(66.0) else 0.0  # a large lag, where no lead is meant
     integrates = acts_at_rest(plant, omega)
     if phase > MOST_ADVANCE:
         rule = f"has at {omega:.4g} rad/s a phase of {math.degrees(phase):.0f} degrees"
         remedy = "ask for another bandwidth, or for 'lqg'; where the gain is negative, turn the command's sign"
         raise ConfigError("plant", f"{rule}, with which this PID rule cannot cross there; {remedy}")
-    behind = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
-    corner = omega * math.tan(behind) if integrates else 0.0
-    needed = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
-    reached = PHASE_MARGIN - math.pi - phase + math.atan(min(SLOWEST, corner / omega)) <= MOST_LEAD
-    if needed > MOST_LEAD + (0.0 if reached else PHASE_MARGIN - LEAST_MARGIN):
+    lag = min(max(0.5 * math.pi + phase, math.atan(ratio)), MOST_LAG)
+    corner = omega * math.tan(lag) if integrates else 0.0
+    required_lead = PHASE_MARGIN - math.pi - phase + math.atan(corner / omega)
+    has_slow_design = PHASE_MARGIN - math.pi - phase + math.atan(min(SLOWEST, corner / omega)) <= MOST_LEAD
+    if required_lead > MOST_LEAD + (0.0 if has_slow_design else PHASE_MARGIN - LEAST_MARGIN):
         if falls_at_rest(plant, omega):
             rule = "has a negative gain at rest, and the gains of 'pid' are at least 0"
             raise ConfigError(f"{subject.study.source}: plant", f"{rule}; turn the command's sign, or ask for 'lqg'")
-        rule = f"needs a phase lead of {math.degrees(needed):.0f} degrees at {omega:.4g} rad/s, and one element gives"
+        degrees = math.degrees(required_lead)
+        rule = f"needs a phase lead of {degrees:.0f} degrees at {omega:.4g} rad/s, and one element gives"
         remedy = f"{math.degrees(MOST_LEAD):.0f}; ask for less, or for 'lqg'"
         raise ConfigError("`bandwidth`", f"{rule} {remedy}")
-    lead = min(max(needed, 0.0), MOST_LEAD)
+    lead = min(max(required_lead, 0.0), MOST_LEAD)
     ratio = math.sqrt((1.0 + math.sin(lead)) / (1.0 - math.sin(lead)))
-    ahead = ratio / omega if lead else 0.0
-    filtered = 1.0 / (ratio * omega) if lead else 0.0
+    lead_time = ratio / omega if lead else 0.0
+    filter_time = 1.0 / (ratio * omega) if lead else 0.0
     s = 1j * omega
-    gain = 1.0 / abs((1.0 + corner / s) * (1.0 + ahead * s) / (1.0 + filtered * s) * at)
+    gain = 1.0 / abs((1.0 + corner / s) * (1.0 + lead_time * s) / (1.0 + filter_time * s) * response)
     k_i = gain * corner
-    k_p = gain * (1.0 + corner * ahead) - k_i * filtered
-    k_d = gain * ahead - k_p * filtered if lead else 0.0
+    k_p = gain * (1.0 + corner * lead_time) - k_i * filter_time
+    k_d = gain * lead_time - k_p * filter_time if lead else 0.0
     table: TomlTable = {"kind": "pid", "k_p": k_p} | ({"k_i": k_i} if k_i else {})
     if lead:
-        table |= {"k_d": k_d, "filter": filtered}
+        table |= {"k_d": k_d, "filter": filter_time}
     return table | limits(subject)
 
 
@@ -77,12 +78,12 @@ def limits(subject: Subject) -> TomlTable:
         numbers = nominal_params(params)
         state = element.model.init(numbers)
         if not jax.tree.leaves(state):
-            low, high = (limited(element.model, numbers, state, end) for end in (low, high))
+            low, high = (command_end(element.model, numbers, state, end) for end in (low, high))
     return {"low": low, "high": high}
 
 
-def limited(model: Unmodelled, params: Params, state: State, end: float) -> float:
-    """What an actuator without a state gives at the end of the commands, if it gives no more beyond; else that end."""
+def command_end(model: Unmodelled, params: Params, state: State, end: float) -> float:
+    """The output of a stateless actuator at an end of the commands, if it gives no more beyond; else that end."""
     at_end, beyond = (float(model.output(params, state, factor * end)) for factor in (1.0, 2.0))
     return at_end if at_end == beyond else end
 

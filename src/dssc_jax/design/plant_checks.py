@@ -21,20 +21,20 @@ PUSH = 0.1  # size of commands and disturbances there
 SAME_RATE = 1e-3  # relative difference of y' from the derivative of y that counts as none
 
 
-class Observed(NamedTuple):
-    """What a plant does at some points near its start.
+class PlantFindings(NamedTuple):
+    """Properties of a plant at some points near its start.
 
     Args:
-        wrong_rates: Of which channels y' is not the derivative of y at any point, shape (channels,).
-        matched: At which commands a disturbance has an effect at some point, shape (channels,).
-        felt: Which named inputs have one, shape (inputs,).
-        contradicts: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
+        wrong_rates: Channels whose y' is not the derivative of y at any point, shape (channels,).
+        effective_commands: Commands at which a disturbance has an effect at some point, shape (channels,).
+        effective_inputs: Named inputs at which one has, shape (inputs,).
+        is_inconsistent: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
     """
 
     wrong_rates: np.ndarray
-    matched: np.ndarray
-    felt: np.ndarray
-    contradicts: bool
+    effective_commands: np.ndarray
+    effective_inputs: np.ndarray
+    is_inconsistent: bool
 
 
 class Behaviour(NamedTuple):
@@ -46,14 +46,14 @@ class Behaviour(NamedTuple):
         effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
             (..., channels + inputs).
         slopes: Those of ``derivative``, shape (states,).
-        held: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
+        split_slopes: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
     """
 
     along: jax.Array
     rate: jax.Array
     effects: jax.Array
     slopes: jax.Array
-    held: jax.Array
+    split_slopes: jax.Array
 
 
 def plant_warnings(study: Study) -> list[str]:
@@ -71,56 +71,61 @@ def plant_warnings(study: Study) -> list[str]:
     foreign = ":" in str(study.config.plant.get("kind", ""))
     if not foreign or loop.mimo_plant.begin is not None or kind_in(study.config, "wind") != "none":
         return []
-    observed = observed_plant(study)
-    found = []
-    if observed.contradicts:
-        found.append(
+    findings = plant_findings(study)
+    warnings = []
+    if findings.is_inconsistent:
+        warnings.append(
             "the plant's `linear` and `remainder` give other slopes than its `derivative`: a run takes the former, so "
             "that one of them is wrong"
         )
-    for channel, wrong in zip(loop.channels, observed.wrong_rates, strict=True):
+    for channel, wrong in zip(loop.channels, findings.wrong_rates, strict=True):
         if wrong:
             place = f" of {channel}" if channel else ""
-            found.append(
+            warnings.append(
                 f"the plant's y'{place} is not the derivative of its y along its own slopes, so that whatever takes y' "
                 "is misled: return it from `measure`, or take a [differentiator]"
             )
-    for channel, model, acts in zip(loop.channels, loop.disturbance, observed.matched, strict=True):
+    for channel, model, acts in zip(loop.channels, loop.disturbance, findings.effective_commands, strict=True):
         if model != NO_DISTURBANCE and not acts:
             place = f" {channel}" if channel else ""
-            found.append(
+            warnings.append(
                 f"the disturbance at the command{place} has no effect: the plant does not use it (`drive.disturbance`)"
             )
-    for name, model, acts in zip(loop.input_names, loop.inputs, observed.felt, strict=True):
+    for name, model, acts in zip(loop.input_names, loop.inputs, findings.effective_inputs, strict=True):
         if model != NO_DISTURBANCE and not acts:
-            found.append(
+            warnings.append(
                 f"the disturbance at the input {name} has no effect: the plant does not use it (`drive.inputs`)"
             )
-    return found
+    return warnings
 
 
-def observed_plant(study: Study) -> Observed:
-    """What the plant of a study does at some points near its start."""
-    channels = len(study.loop.channels)
-    named = len(study.loop.input_names)
-    different = np.zeros(channels, int)
-    known = np.zeros(channels, int)
-    felt = np.zeros(channels + named, bool)
-    contradicts = False
+def plant_findings(study: Study) -> PlantFindings:
+    """Examine the plant of a study at some points near its start."""
+    channel_count = len(study.loop.channels)
+    input_count = len(study.loop.input_names)
+    mismatch_counts = np.zeros(channel_count, int)
+    finite_counts = np.zeros(channel_count, int)
+    has_effect = np.zeros(channel_count + input_count, bool)
+    is_contradictory = False
     random = np.random.default_rng(0)
     with arithmetic():
         start, behaviour = start_and_behaviour(study)
         for _ in range(POINTS):
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
-            signals = PUSH * random.normal(size=2 * channels + named)
-            along, rate, effects, slopes, held = map(np.asarray, behaviour(x, signals))
+            signals = PUSH * random.normal(size=2 * channel_count + input_count)
+            along, rate, effects, slopes, split_slopes = map(np.asarray, behaviour(x, signals))
             scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
-            contradicts |= not np.allclose(slopes, held, SAME_RATE, scale, equal_nan=True)
-            usable = np.isfinite(along) & np.isfinite(rate)
-            known += usable
-            different += usable & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
-            felt |= np.any(effects != 0.0, axis=0)
-    return Observed((known > 0) & (different == known), felt[:channels], felt[channels:], contradicts)
+            is_contradictory |= not np.allclose(slopes, split_slopes, SAME_RATE, scale, equal_nan=True)
+            is_finite = np.isfinite(along) & np.isfinite(rate)
+            finite_counts += is_finite
+            mismatch_counts += is_finite & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
+            has_effect |= np.any(effects != 0.0, axis=0)
+    return PlantFindings(
+        (finite_counts > 0) & (mismatch_counts == finite_counts),
+        has_effect[:channel_count],
+        has_effect[channel_count:],
+        is_contradictory,
+    )
 
 
 def start_and_behaviour(
@@ -131,23 +136,23 @@ def start_and_behaviour(
     Signals are the commands, the matched disturbances and the named inputs.
     """
     plant = study.loop.mimo_plant
-    channels = len(study.loop.channels)
+    channel_count = len(study.loop.channels)
     params = nominal_params(study.template).plant
     start, unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.asarray(leaf, float), plant.init(params)))
 
     def drive_of(signals: jax.Array) -> PlantInput:
-        commands, matched, inputs = jnp.split(signals, [channels, 2 * channels])
+        commands, matched, inputs = jnp.split(signals, [channel_count, 2 * channel_count])
         return PlantInput(tuple(commands), tuple(matched), None, tuple(inputs))
 
     def slope(x: jax.Array, signals: jax.Array) -> jax.Array:
         return ravel_pytree(plant.derivative(params, unravel(x), drive_of(signals), 0.0))[0]
 
-    def measured(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def measured_outputs(x: jax.Array, signals: jax.Array) -> tuple[jax.Array, jax.Array]:
         measurements = plant.measure(params, unravel(x), drive_of(signals))
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
 
-    def held(x: jax.Array, signals: jax.Array) -> jax.Array:
+    def split_slope(x: jax.Array, signals: jax.Array) -> jax.Array:
         if plant.linear is None:
             return slope(x, signals)
         linear = plant.linear(params)
@@ -159,8 +164,14 @@ def start_and_behaviour(
 
     @jax.jit
     def behaviour(x: jax.Array, signals: jax.Array) -> Behaviour:
-        _, along = jax.jvp(lambda state: measured(state, signals)[0], (x,), (slope(x, signals),))
-        effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured, 1)(x, signals)])
-        return Behaviour(along, measured(x, signals)[1], effects[:, channels:], slope(x, signals), held(x, signals))
+        _, along = jax.jvp(lambda state: measured_outputs(state, signals)[0], (x,), (slope(x, signals),))
+        effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured_outputs, 1)(x, signals)])
+        return Behaviour(
+            along,
+            measured_outputs(x, signals)[1],
+            effects[:, channel_count:],
+            slope(x, signals),
+            split_slope(x, signals),
+        )
 
     return start, behaviour

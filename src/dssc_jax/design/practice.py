@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 from dssc_jax.core.numerics import namespace
 from dssc_jax.design.arrays import Numeric, ratio_where
-from dssc_jax.design.bounds import Bounds, derive, known, positive
+from dssc_jax.design.bounds import Bounds, derive, non_negative, positive
 from dssc_jax.design.lyapunov import kappa_1
 from dssc_jax.design.small_gain import Guarantee, guarantee
 from dssc_jax.design.table1 import Parameters
@@ -39,28 +39,28 @@ class Practice(NamedTuple):
     drift: Numeric
 
 
-def practice(p: Parameters, bounds: Bounds, promised: Guarantee | None = None) -> Practice:
+def practice(p: Parameters, bounds: Bounds, proved_guarantee: Guarantee | None = None) -> Practice:
     """Sampling periods from the sampling limit of the synthesised law, and the bounds that rho must dominate.
 
     Args:
         p: The parameters.
         bounds: The bounds.
-        promised: The guarantee, if it is already known.
+        proved_guarantee: The guarantee, if it is already known.
     """
-    reached = finite_guarantee(guarantee(p, bounds) if promised is None else promised)
-    gain = proportional_gain(p, reached.sigma, reached.e)
+    residual_set = finite_guarantee(guarantee(p, bounds) if proved_guarantee is None else proved_guarantee)
+    gain = proportional_gain(p, residual_set.sigma, residual_set.e)
     return Practice(
         sample_time(bounds.k_max, proportional_gain(p, 0.0, 0.0), predictor_pole(p)),
         sample_time(bounds.k_max, gain, predictor_pole(p)),
         gain,
-        *command_bounds(p, bounds, reached),
+        *command_bounds(p, bounds, residual_set),
     )
 
 
-def finite_guarantee(reached: Guarantee) -> Guarantee:
-    """NaN in place of infinity, whose product with 0 would be NaN."""
-    xp = namespace(*reached)
-    return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in reached))
+def finite_guarantee(guaranteed: Guarantee) -> Guarantee:
+    """A guarantee with NaN in place of infinity, whose product with 0 would be NaN."""
+    xp = namespace(*guaranteed)
+    return Guarantee(*(xp.where(xp.isfinite(value), value, xp.nan) for value in guaranteed))
 
 
 def proportional_gain(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:
@@ -94,24 +94,25 @@ def sample_time(k_p: Numeric, gain: Numeric, pole: Numeric) -> Numeric:
     return 2.0 * linear / (1.0 + (1.0 + 2.0 * linear * pole) ** 0.5)
 
 
-def command_bounds(p: Parameters, bounds: Bounds, reached: Guarantee) -> tuple[Numeric, Numeric]:
+def command_bounds(p: Parameters, bounds: Bounds, residual_set: Guarantee) -> tuple[Numeric, Numeric]:
     """Bounds of |u_av| and |sigma' + sigma/tau_m| in the residual set.
 
     sigma' = -k_p kappa_1 phi_1 + beta_1 + z (48) with |phi_1|, |z| <= zeta, and k_p u_av = d_sigma - sigma' (13).
     """
     b = bounds
     c = derive(bounds, p.l0)
-    xp = namespace(reached.sigma)
-    sigma = reached.sigma
-    e = reached.e
+    xp = namespace(residual_set.sigma)
+    sigma = residual_set.sigma
+    e = residual_set.e
     slope = c.kd1_bar * e + c.kd2_bar * sigma + c.kd3_bar
-    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * reached.zeta + slope * sigma
+    sigma_dot = (b.k_max * kappa_1(p, sigma, e) + 1.0) * residual_set.zeta + slope * sigma
     y_dot = p.l0 * e + sigma + b.y_m_dot
     sigma_m_dot = b.y_m_ddot + p.l0 * b.y_m_dot
     nominal = b.c_e1 * e + b.c_sigma * sigma + b.c_m
-    d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + output_norm(b) * reached.x_eta
-    disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
-    is_known = ((b.alpha_d > 0.0) | ~xp.asarray(disturbed)) & (b.c_isigma + b.c_ie == 0.0)
+    zero_output = output_norm(b) * residual_set.x_eta
+    d_sigma = b.k_max * (nominal + b.alpha_d) + (p.l0 + b.a_max) * y_dot + sigma_m_dot + zero_output
+    is_disturbed = sum((b.k_d1, b.k_d2, b.k_d3, b.k_d4, b.k_d5, b.alpha_d2, b.alpha_d3)) > 0.0
+    is_known = ((b.alpha_d > 0.0) | ~xp.asarray(is_disturbed)) & (b.c_isigma + b.c_ie == 0.0)
     u_av = xp.where(is_known, (d_sigma + sigma_dot) / b.k_min, xp.nan)
     return u_av, xp.where(is_known, sigma_dot + sigma * predictor_pole(p), xp.nan)
 
@@ -126,7 +127,7 @@ class Modulation(NamedTuple):
 
     k_o: Annotated[float, positive("1/s", "constant predictor gain k_o")]
     delta_rho: Annotated[float, positive("m/s^2", "margin delta_rho of (33)")]
-    sigma_tilde: Annotated[float, known("m/s", "|sigma - sigma_hat| at the start")] = 0.0
+    sigma_tilde: Annotated[float, non_negative("m/s", "|sigma - sigma_hat| at the start")] = 0.0
 
     def needed_rho(self, practice: Practice) -> Numeric:
         """Constant rho that maintains sliding in the residual set with the margin delta_rho [m/s]."""

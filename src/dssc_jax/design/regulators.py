@@ -18,28 +18,29 @@ FITS = 1e-9  # share of the regulator's gains that measured signals may leave ou
 
 def lqg(subject: Subject, omega: float, ratio: float) -> TomlTable:
     """The LQG controller of y, or of all measured signals; raises ConfigError."""
-    study, plant = subject.study, subject.alone
+    study, plant = subject.study, subject.bare_plant
     nominal = subject.plant.nominal
     names = [signal.name for signal in study.loop.measures] or ["y"]
     rows = nominal.signals if study.loop.measures else nominal.output[None, :]
-    z = plant.sample_time
-    faster = min(FILTER_RATIO * omega, 0.5 * math.pi / z)
-    sampled = sampled_system(nominal.a, np.column_stack([nominal.command, nominal.disturbances]), z)
-    entering = sampled.disturbances[:, 0]
-    sizes = np.abs(rows @ responses(sampled.a, entering, faster, z))
+    dt = plant.sample_time
+    filter_bandwidth = min(FILTER_RATIO * omega, 0.5 * math.pi / dt)
+    sampled = sampled_system(nominal.a, np.column_stack([nominal.command, nominal.disturbances]), dt)
+    disturbance_column = sampled.disturbances[:, 0]
+    sizes = np.abs(rows @ responses(sampled.a, disturbance_column, filter_bandwidth, dt))
     for name, size in zip(names, sizes, strict=True):
         if not size > 1e-12 * np.max(sizes):
             rule = f"'{name}' does not move with a disturbance at the command, so its noise has no scale"
             raise ConfigError(f"{study.source}: sensor.measures", f"{rule}; leave it out, or state weights of your own")
-    scaled = rows / sizes[:, None]
-    noise = np.outer(entering, entering)
+    scaled_rows = rows / sizes[:, None]
+    noise = np.outer(disturbance_column, disturbance_column)
 
-    def filtered(deviation: float) -> float:
-        correction = filter_gain(sampled.a, scaled, noise, deviation**2 * np.eye(len(rows)))
-        return float(np.linalg.norm(scaled @ responses(sampled.a, sampled.a @ correction, faster, z), 2))
+    def filter_crossing(deviation: float) -> float:
+        correction = filter_gain(sampled.a, scaled_rows, noise, deviation**2 * np.eye(len(rows)))
+        response = responses(sampled.a, sampled.a @ correction, filter_bandwidth, dt)
+        return float(np.linalg.norm(scaled_rows @ response, 2))
 
-    deviation = crossing(filtered, 1.0)
-    weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, z)
+    deviation = crossing(filter_crossing, 1.0)
+    weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, dt)
     table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight}
     table |= {"integral_weight": integral_weight(plant, ratio * omega)}
     table |= {"signal_std": [float(deviation * size) for size in sizes], "disturbance_std": [1.0]}
@@ -66,9 +67,9 @@ def operating_point(subject: Subject) -> TomlTable:
     if subject.limit is not None and abs(resting.command) >= subject.limit:
         rule = f"must be above the command {resting.command:.4g} that holds the plant at its start"
         raise ConfigError("`limit`", f"{rule}, got {subject.limit:g}")
-    found: TomlTable = {"resting_output": resting.output, "resting_command": resting.command}
-    found |= {"resting_signals": list(resting.signals)} if any(resting.signals) else {}
-    return {name: value for name, value in found.items() if value}
+    entries: TomlTable = {"resting_output": resting.output, "resting_command": resting.command}
+    entries |= {"resting_signals": list(resting.signals)} if any(resting.signals) else {}
+    return {name: value for name, value in entries.items() if value}
 
 
 def integral_weight(plant: LinearPlant, corner: float) -> float:
@@ -81,10 +82,10 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
     q = np.outer(c, c)
     response = responses(a, b, omega, sample_time)
 
-    def regulated(weight: float) -> float:
+    def regulator_crossing(weight: float) -> float:
         return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ response))
 
-    return crossing(regulated, float(np.abs(c @ response)) ** 2)
+    return crossing(regulator_crossing, float(np.abs(c @ response)) ** 2)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:
@@ -95,14 +96,14 @@ def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: flo
 def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
     """The regulator of LQG as feedback of measured states, or of y and y'; raises ConfigError."""
     study, plant = subject.study, subject.plant
-    z = subject.alone.sample_time
-    sampled = sampled_system(plant.a, plant.b[:, None], z)
-    weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, z)
+    dt = subject.bare_plant.sample_time
+    sampled = sampled_system(plant.a, plant.b[:, None], dt)
+    weight = regulator_weight(sampled.a, sampled.b, plant.c, omega, dt)
     n = len(plant.a)
-    integral = integral_weight(subject.alone, ratio * omega)
+    integral = integral_weight(subject.bare_plant, ratio * omega)
     a, b, q = sampled.a, sampled.b[:, None], np.outer(plant.c, plant.c)
     if integral:
-        a = np.block([[a, np.zeros((n, 1))], [z * plant.c[None, :], np.ones((1, 1))]])
+        a = np.block([[a, np.zeros((n, 1))], [dt * plant.c[None, :], np.ones((1, 1))]])
         b = np.append(b, [[0.0]], axis=0)
         q = np.block([[q, np.zeros((n, 1))], [np.zeros((1, n)), integral * np.ones((1, 1))]])
     gains = regulator_gain(a, b, q, weight)
@@ -111,11 +112,11 @@ def state_feedback(subject: Subject, omega: float, ratio: float) -> TomlTable:
     rows = plant.signals if names else np.stack([plant.c, plant.rate])[:n]
     through = plant.feedthrough if names else np.array([0.0, plant.rate_through])[:n]
     shares = np.linalg.lstsq(rows.T, feedback, rcond=None)[0]
-    passes = bool(np.any(through * shares[: len(through)] != 0.0))
-    if passes or np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback)):
-        shown = ", ".join(names) if names else "y and y'"
-        shown += ", which contain the last command" if passes else ""
-        rule = f"shows {shown}, and the regulator feeds back all {n} states"
+    has_feedthrough = bool(np.any(through * shares[: len(through)] != 0.0))
+    if has_feedthrough or np.max(np.abs(rows.T @ shares - feedback)) > FITS * np.max(np.abs(feedback)):
+        signal_text = ", ".join(names) if names else "y and y'"
+        signal_text += ", which contain the last command" if has_feedthrough else ""
+        rule = f"shows {signal_text}, and the regulator feeds back all {n} states"
         remedy = "add measures = \"state\" to [sensor], or ask for 'lqg', which estimates them"
         raise ConfigError(f"{study.source}: sensor", f"{rule}; {remedy}")
     forward = gain_at_rest(sampled, plant.c, feedback)

@@ -72,9 +72,9 @@ def lyapunov(matrix: Numeric) -> Numeric:
     identity = xp.eye(n)
     transposed = xp.swapaxes(matrix, -1, -2)
     # vec(A^T P + P A) = (A^T x I + I x A^T) vec P, row by row
-    left = transposed[..., :, None, :, None] * identity[:, None, :]
-    right = identity[:, None, :, None] * transposed[..., None, :, None, :]
-    system = (left + right).reshape(*matrix.shape[:-2], n * n, n * n)
+    left_product = transposed[..., :, None, :, None] * identity[:, None, :]
+    right_product = identity[:, None, :, None] * transposed[..., None, :, None, :]
+    system = (left_product + right_product).reshape(*matrix.shape[:-2], n * n, n * n)
     right_side = xp.broadcast_to(-2.0 * identity.reshape(n * n, 1), (*matrix.shape[:-2], n * n, 1))
     p = xp.linalg.solve(system, right_side).reshape(matrix.shape)
     return 0.5 * (p + xp.swapaxes(p, -1, -2))
@@ -111,8 +111,8 @@ def small_gain(p: Parameters, bounds: Bounds) -> SmallGain:
     common = eta.input * norm_of_pb(p.eps) * eta.spread.condition / p.eps
     derived = (common * (c.kappa_e + c.c_eta_a_eta) * worst_condition(p, bounds)) ** 0.5
     ends = [eigenvalues_of_p(k_p, p.eps, p.gamma) for k_p in (bounds.k_min, bounds.k_max)]
-    mixed = greater(*(end.high / end.low**0.5 for end in ends))
-    printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed / eta.spread.low**0.5
+    mixed_ratio = greater(*(end.high / end.low**0.5 for end in ends))
+    printed = 0.25 * common * (c.kappa_e_printed + c.c_eta_a_eta) * mixed_ratio / eta.spread.low**0.5
     return SmallGain(derived, 2.0 * derived, printed**0.5)
 
 
@@ -120,8 +120,8 @@ def small_gain_holds(p: Parameters, bounds: Bounds) -> Numeric:
     """Whether phi_b exceeds the derived bound by more than its rounding error, including that of P's determinant."""
     bound = small_gain(p, bounds).derived
     determinant = p.gamma * bounds.k_min - 4.0 * p.eps**2
-    cancelled = ratio_where(determinant > 0.0, ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2), determinant)
-    return p.phi_b > bound * (1.0 + BOUNDARY_WIDTH + cancelled)
+    cancellation_error = ratio_where(determinant > 0.0, ULPS * (p.gamma * bounds.k_min + 4.0 * p.eps**2), determinant)
+    return p.phi_b > bound * (1.0 + BOUNDARY_WIDTH + cancellation_error)
 
 
 class Gains(NamedTuple):
@@ -197,8 +197,8 @@ def guarantee(p: Parameters, bounds: Bounds) -> Guarantee:
     c = derive(bounds, p.l0)
     eta = error_dynamics(bounds, p.l0)
     low, high = (guarantee_at(p, bounds, c, eta, k_p) for k_p in (bounds.k_min, bounds.k_max))
-    worst = [greater(first, second) for first, second in zip(low[1:], high[1:], strict=True)]
-    return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *worst)
+    residual_bounds = [greater(at_k_min, at_k_max) for at_k_min, at_k_max in zip(low[1:], high[1:], strict=True)]
+    return Guarantee(-greater(-low.decay_rate, -high.decay_rate), *residual_bounds)
 
 
 def guarantee_at(p: Parameters, bounds: Bounds, c: Constants, eta: ErrorDynamics, k_p: Numeric) -> Guarantee:

@@ -72,26 +72,26 @@ def synthesise(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Pa
 
 def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parameters:
     """:func:`synthesise` without its checks, for arrays and traced values."""
-    strict = recipe is Recipe.STRICT
+    is_strict = recipe is Recipe.STRICT
     k_p = bounds.k_min
     k_max = bounds.k_max
     eps = free.eps
-    grow = 1.0 + free.slack if strict else 1.0
-    factor = greater(1.0, 2.0 * eps) if strict else 1.0
+    slack_factor = 1.0 + free.slack if is_strict else 1.0
+    factor = greater(1.0, 2.0 * eps) if is_strict else 1.0
     c = derive(bounds, free.l0)
     gamma = (1.0 + free.eps_1) / (4.0 * eps * k_p**2) + 4.0 * eps**2 / k_p
     # f - 1 = eps_1 by construction: the printed form of the bounds, without the difference's rounding
     lyapunov = (8.0 * eps**2 + 2.0 * gamma * k_p) / free.eps_1
     drift = (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / (1.0 + free.eps_1)
     phi_b = free.l0 / eps + free.eps_3
-    partial = Parameters(free.l0, free.phi_a, phi_b, free.delta, eps, gamma, 0.0, 0.0, 0.0, grow * drift)
-    if strict:
-        phi_b = greater(phi_b, grow * small_gain(partial, bounds).derived)
+    partial = Parameters(free.l0, free.phi_a, phi_b, free.delta, eps, gamma, 0.0, 0.0, 0.0, slack_factor * drift)
+    if is_strict:
+        phi_b = greater(phi_b, slack_factor * small_gain(partial, bounds).derived)
     kappa_b = over_phi_b(c.kd1_bar, k_max * bounds.c_ie, factor, phi_b) + free.eps_2
     kappa_a = over_phi_b(c.kd2_bar, k_max * bounds.c_isigma, factor, phi_b)
     return partial._replace(
         phi_b=phi_b,
         kappa_a=greater(kappa_a, kappa_b / free.l0) + free.eps_2,
         kappa_b=kappa_b,
-        kappa_c=grow * greater(lyapunov, over_phi_b(c.kd3_bar, c.k_sigma, factor, phi_b)),
+        kappa_c=slack_factor * greater(lyapunov, over_phi_b(c.kd3_bar, c.k_sigma, factor, phi_b)),
     )

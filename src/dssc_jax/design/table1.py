@@ -136,7 +136,7 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
     lyapunov = kappa_c_bound(*at)
     drift = kappa_d_bound(*at)
 
-    def disturbed(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
+    def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
         return Inequality(name, f"{table}, Appendix F", left, derived, over_phi_b(first, second, 1.0, p.phi_b))
 
@@ -159,9 +159,9 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
             lyapunov,
             error / greater(near_one, error),
         ),
-        disturbed("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
-        disturbed("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),
-        disturbed("kappa_a (disturbance)", p.kappa_a, constants.kd2_bar, k_max * bounds.c_isigma),
+        disturbance_row("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
+        disturbance_row("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),
+        disturbance_row("kappa_a (disturbance)", p.kappa_a, constants.kd2_bar, k_max * bounds.c_isigma),
         Inequality(
             "kappa_a (kappa_b/l0)", f"{table}: kappa_a > kappa_b/l0", p.kappa_a, p.kappa_b / p.l0, p.kappa_b / p.l0
         ),

@@ -55,14 +55,14 @@ def channel_functions(controller: SampledController) -> str:
         f"{variable}.parameters.{parameter.name} = given[{place}];"
         for place, parameter in enumerate(controller.parameters)
     ]
-    measured = len(controller.measured)
+    measured_count = len(controller.measured_signals)
     return fill(
         "bench_channel.h",
         name=controller.prefix,
         parameters=parameters,
         results=results,
-        measurement=", ".join(f"row[{place}]" for place in range(measured)),
-        reference=", ".join(f"row[{place}]" for place in range(measured, len(controller.signals))),
+        measurement=", ".join(f"row[{place}]" for place in range(measured_count)),
+        reference=", ".join(f"row[{place}]" for place in range(measured_count, len(controller.signals))),
     )
 
 

@@ -53,10 +53,10 @@ def certified_premises(study: Study, content: object, source: str) -> Premises:
     return axis_premises(study, content, verdict)
 
 
-def first_difference(problem: JsonObject, proved: JsonObject) -> str:
+def first_difference(problem: JsonObject, certified_problem: JsonObject) -> str:
     """The name of the first entry in which two problems differ."""
-    names = [*problem, *proved]
-    return next((name for name in names if problem.get(name) != proved.get(name)), "kind")
+    names = [*problem, *certified_problem]
+    return next((name for name in names if problem.get(name) != certified_problem.get(name)), "kind")
 
 
 def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict) -> Premises:
@@ -67,7 +67,7 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
     for i, name in enumerate(CHANNELS_OF_VEHICLE):
         controller = problem["channels"][name]
         bounds = verdict.bounds[name]
-        distance, fast = controller["initial"]
+        largest_distance, largest_speed = controller["initial"]
         channels.append(
             ChannelPremises(
                 label=labels[i],
@@ -78,17 +78,17 @@ def vehicle_premises(study: Study, content: JsonObject, verdict: VehicleVerdict)
                 sigma=bounds["sigma"],
                 sigma_slope=verdict.slopes[name],
                 slides=True,
-                start=None if i < PLANE else ((-distance, distance), (-fast, fast)),
+                start=None if i < PLANE else ((-largest_distance, largest_distance), (-largest_speed, largest_speed)),
                 disturbance=None,
                 units=study.units[i],
             )
         )
     wind_h, wind_z = problem["wind"]
-    distance, fast = problem["channels"]["x"]["initial"]
+    largest_distance, largest_speed = problem["channels"]["x"]["initial"]
     return Premises(
         sample_time=problem["sample_time"],
         channels=tuple(channels),
-        plane_start=(distance, fast),
+        plane_start=(largest_distance, largest_speed),
         tilt=verdict.tilt,
         rotors=(verdict.rotor_min, verdict.rotor_max),
         rotor_count=problem["rotors"],
@@ -102,20 +102,20 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
     problem = content["problem"]
     units = study.units[0]
     stages = [proof["stages"][0] for proof in content["proofs"]]
-    by_state = any(problem["by_state"])
-    level = max(stage["level"] for stage in stages) if by_state else problem["level"]
-    slope = max(stage["slope"] for stage in stages) if by_state else problem["slope"]
-    order = LAG_ORDERS.get(tuple(map(float, problem["denominator"])), 0)
-    unseen = why_unseen(problem, order)
-    seen = None
-    if not unseen:
-        seen = DisturbancePremises(
+    depends_on_state = any(problem["by_state"])
+    level = max(stage["level"] for stage in stages) if depends_on_state else problem["level"]
+    slope = max(stage["slope"] for stage in stages) if depends_on_state else problem["slope"]
+    lag_order = LAG_ORDERS.get(tuple(map(float, problem["denominator"])), 0)
+    hidden_reason = why_disturbance_hidden(problem, lag_order)
+    disturbance_premises = None
+    if not hidden_reason:
+        disturbance_premises = DisturbancePremises(
             level=level,
             slope=slope,
             k_p=tuple(problem["k_p"]),
             a_p=tuple(problem["a_p"]),
             mu=tuple(problem["mu"]),
-            lag_order=order,
+            lag_order=lag_order,
             delay_weights=delay_weights(problem["delay"]),
         )
     e, e_dot = problem["initial"][:2]
@@ -129,7 +129,7 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
         sigma_slope=None,
         slides=problem["rho"] is not None,
         start=(tuple(e), tuple(e_dot)),
-        disturbance=seen,
+        disturbance=disturbance_premises,
         units=units,
     )
     return Premises(
@@ -140,17 +140,17 @@ def axis_premises(study: Study, content: JsonObject, verdict: ProofVerdict) -> P
         rotors=None,
         rotor_count=0,
         statement=f"one axis with |d| <= {level:g} {units.of('u')} and |d'| <= {slope:g} {units.of('u/s')}",
-        unwatched=f"The disturbance is not seen: {unseen}." if unseen else "",
+        unwatched=f"The disturbance is not seen: {hidden_reason}." if hidden_reason else "",
     )
 
 
-def why_unseen(problem: JsonObject, order: int) -> str:
+def why_disturbance_hidden(problem: JsonObject, lag_order: int) -> str:
     """Why the disturbance cannot be told from the measurements; empty if it can."""
     if problem["zero_a"]:
         return "the state of the zero dynamics, which acts like one, is not measured"
     if problem["sensor_lag"]:
         return "the sensor lags behind the output"
-    if problem["denominator"] and (not order or tuple(problem["numerator"]) != (1.0,)):
+    if problem["denominator"] and (not lag_order or tuple(problem["numerator"]) != (1.0,)):
         return "the output of a general transfer function is not enclosed"
     return ""
 

@@ -84,12 +84,12 @@ class SampledController:
     step: TracedFunction
     transfer: TracedFunction | None
     precision: int  # bits of a number
-    measured: tuple[MeasuredSignal, ...]  # the members of its measurement
+    measured_signals: tuple[MeasuredSignal, ...]  # the members of its measurement
 
     @property
     def signals(self) -> tuple[str, ...]:
         """Its inputs at each sample, in C."""
-        measurement = (f"measurement.{signal.name}" for signal in self.measured)
+        measurement = (f"measurement.{signal.name}" for signal in self.measured_signals)
         return (*measurement, *(f"reference.{name}" for name in ReferencePoint._fields))
 
     @property
@@ -141,9 +141,9 @@ def trace_controller(study: Study, index: int) -> SampledController:
     """
     loop = study.loop
     place = f"controller.{loop.channels[index]}".rstrip(".")
-    native = loop.controller[index].native
-    if native:
-        raise ConfigError(place, f"is native code already: {native}")
+    native_description = loop.controller[index].native
+    if native_description:
+        raise ConfigError(place, f"is native code already: {native_description}")
     parameters = channel_parameters(study, index)
     keys = [parameter.key for parameter in parameters]
 
@@ -169,17 +169,17 @@ def trace_controller(study: Study, index: int) -> SampledController:
 
     number: Any = jax.ShapeDtypeStruct((), jnp.result_type(float))
     numbers = (number,) * len(keys)
-    measured = measured_signals(study, index)
-    further = (number,) * (len(measured) - len(OF_CHANNEL))
-    signals = (Measurement(number, number, further), ReferencePoint(number, number, number))
-    transferred = None
+    channel_signals = measured_signals(study, index)
+    further_shapes = (number,) * (len(channel_signals) - len(OF_CHANNEL))
+    signals = (Measurement(number, number, further_shapes), ReferencePoint(number, number, number))
+    transfer_function = None
     try:
         start_program, state, start_origins = translate_with_origins(start, numbers, *signals)
         state = jax.tree.map(lambda leaf: number, state)
         step_program, results, step_origins = translate_with_origins(step, numbers, state, *signals)
         if loop.controller[index].transfer is not None:
             transfer_program, _, transfer_origins = translate_with_origins(transfer, numbers, number, *signals)
-            transferred = TracedFunction(transfer_program, transfer_origins)
+            transfer_function = TracedFunction(transfer_program, transfer_origins)
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
@@ -191,9 +191,9 @@ def trace_controller(study: Study, index: int) -> SampledController:
         leaf_names(results[2]),
         TracedFunction(start_program, start_origins),
         TracedFunction(step_program, step_origins),
-        transferred,
+        transfer_function,
         study.config.loop.precision,
-        measured,
+        channel_signals,
     )
 
 
@@ -233,11 +233,11 @@ def channel_labels(channels: tuple[str, ...]) -> list[str]:
     """The part of a name in C for each channel; equal ones are numbered, and that of a single channel may be empty."""
     labels: list[str] = []
     for channel in channels:
-        base = underscored(channel) or ("channel" if channel else "")
-        label = base
+        plain_label = underscored(channel) or ("channel" if channel else "")
+        label = plain_label
         count = 2
         while label in labels:
-            label = f"{base}_{count}"
+            label = f"{plain_label}_{count}"
             count += 1
         labels.append(label)
     return labels

@@ -44,18 +44,18 @@ class OperationCount:
     def __init__(self, program: Program) -> None:
         self.depths: dict[int, int] = {}
         self.loops = 0
-        self._alive = reachable(program)
+        self._reachable = reachable(program)
 
     def block(self, block: CodeBlock, start: int) -> Counter[str]:
         """Operations of a block that begins at a depth."""
         counts: Counter[str] = Counter()
         for node in block.nodes:
-            if id(node) not in self._alive:
+            if id(node) not in self._reachable:
                 continue
             if isinstance(node, Value):
-                paid = node.operation not in FREE
-                self.depths[id(node)] = self.deepest(node.operands, start) + paid
-                if paid:
+                is_counted = node.operation not in FREE
+                self.depths[id(node)] = self.deepest(node.operands, start) + is_counted
+                if is_counted:
                     counts[node.operation] += 1
             elif isinstance(node, CodeLoop):
                 self.loops += 1
@@ -63,7 +63,7 @@ class OperationCount:
                 self.finish(node.results, self.deepest([*node.initial_states, *node.next_states], start))
             elif isinstance(node, Branch):
                 depth = self.deepest([node.condition], start)
-                counts += max((self.block(side, depth) for side in node.sides), key=Counter.total)
+                counts += max((self.block(branch_side, depth) for branch_side in node.sides), key=Counter.total)
                 self.finish(node.results, self.deepest([node.condition, *node.values[0], *node.values[1]], start))
         return counts
 

@@ -41,7 +41,7 @@ class ControllerFmu:
     sources: dict[str, str]  # texts of the source files by name
 
     @property
-    def compiled(self) -> list[str]:
+    def c_files(self) -> list[str]:
         """Names of the files to compile."""
         return [name for name in self.sources if name.endswith(".c")]
 
@@ -68,12 +68,12 @@ def controller_fmu(code: FlightCode) -> ControllerFmu:
         f"{code.name}_controller.c": source_text(code),
         WRAPPER: template_text(WRAPPER),
     }
-    compiled = [file for file in sources if file.endswith(".c")]
-    contents = [description_text(code, "", compiled), variables_text(code, ""), *sources.values()]
+    c_files = [file for file in sources if file.endswith(".c")]
+    contents = [description_text(code, "", c_files), variables_text(code, ""), *sources.values()]
     digest = hashlib.sha256("\0".join(contents).encode()).hexdigest()
     guid = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
     sources[VARIABLES_HEADER] = variables_text(code, guid)
-    return ControllerFmu(code.name, description_text(code, guid, compiled), sources)
+    return ControllerFmu(code.name, description_text(code, guid, c_files), sources)
 
 
 def machine_platform() -> str | None:
@@ -93,8 +93,8 @@ def compiler() -> str | None:
 def no_library_reason() -> str | None:
     """Why no library can be built here; None if one can."""
     if machine_platform() is None:
-        supported = " and ".join(" ".join(names) for names in FMI_PLATFORMS)
-        return f"libraries are built on {supported} only, this is {platform.system()} {platform.machine()}"
+        platforms = " and ".join(" ".join(names) for names in FMI_PLATFORMS)
+        return f"libraries are built on {platforms} only, this is {platform.system()} {platform.machine()}"
     if compiler() is None:
         return f"no compiler is found ({', '.join(COMPILERS)})"
     return None

@@ -64,7 +64,7 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
     reals = real_variables(code)
     flags = flag_variables(code)
     variables = [*reals, *flags]
-    structured = all(STRUCTURED_NAME.fullmatch(variable.name) for variable in variables)
+    has_structured_names = all(STRUCTURED_NAME.fullmatch(variable.name) for variable in variables)
     outputs = [index for index, variable in enumerate(variables, start=1) if variable.causality == OUTPUT]
     sample_time = study.loop.sample_time
     description = (
@@ -80,7 +80,7 @@ def description_text(code: FlightCode, guid: str, sources: Sequence[str]) -> str
         guid=guid,
         description=attribute(description),
         tool=f"dssc_jax {version('dssc_jax')}, study {study.hash}",
-        convention="structured" if structured else "flat",
+        convention="structured" if has_structured_names else "flat",
         name=code.name,
         files=[element("File", {"name": name}) for name in sources],
         units=[unit_element(unit) for unit in sorted({xml_text(variable.unit) for variable in reals if variable.unit})],

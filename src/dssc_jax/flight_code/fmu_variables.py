@@ -81,7 +81,7 @@ def fmu_inputs(study: Study, controller: SampledController) -> list[FmuVariable]
         (units.of("y/s^2"), "second derivative of "),
     )
     variables = []
-    for signal in controller.measured:
+    for signal in controller.measured_signals:
         name = channel_variable(controller, f"measurement.{signal.name}")
         variables.append(FmuVariable(name, INPUT, signal.unit, signal.meaning, 0.0))
     for member, (unit, derivative) in zip(ReferencePoint._fields, derivatives, strict=True):
@@ -94,9 +94,9 @@ def fmu_outputs(study: Study, controller: SampledController) -> list[FmuVariable
     """Command and telemetry of a channel."""
     units = study.units[controller.index]
     variables = []
-    for member, part in zip(COMMAND, ("robust part of the", "nominal part of the", "whole"), strict=True):
+    for member, part_text in zip(COMMAND, ("robust part of the", "nominal part of the", "whole"), strict=True):
         name = channel_variable(controller, f"command.{member}")
-        variables.append(FmuVariable(name, OUTPUT, units.command, f"{part} {units.command_meaning}"))
+        variables.append(FmuVariable(name, OUTPUT, units.command, f"{part_text} {units.command_meaning}"))
     for info in controller.infos:
         name = channel_variable(controller, f"telemetry.{info}")
         variables.append(FmuVariable(name, OUTPUT, "", "what the controller reports"))
@@ -216,7 +216,7 @@ def channel_step(controller: SampledController, references: dict[str, int], flag
     return fill(
         "fmu_channel.h",
         name=controller.prefix,
-        measurement=inputs("measurement", [signal.name for signal in controller.measured]),
+        measurement=inputs("measurement", [signal.name for signal in controller.measured_signals]),
         reference=inputs("reference", ReferencePoint._fields),
         flag=flag,
         results=results,

@@ -70,9 +70,9 @@ class FlightFolder:
         monitor = {} if self.monitor is None else monitor_texts(self.monitor, study)
         sections = [] if self.software is None else software_lines(self.software)
         sections += [] if self.monitor is None else monitor_lines(self.monitor)
-        further = software | monitor
-        includes = [f"include {file}" for file in further if file.endswith(".mk")]
-        return further | {
+        additional_texts = software | monitor
+        includes = [f"include {file}" for file in additional_texts if file.endswith(".mk")]
+        return additional_texts | {
             f"{name}_controller.h": header_text(self.code),
             f"{name}_controller.c": source_text(self.code),
             "bench.c": fill("bench.c", same_bits=template_text("same_bits.c"), hostile=template_text("hostile.c")),
@@ -96,22 +96,22 @@ class FlightFolder:
             ConfigError: The loop has no strict machine code, or a count is not positive.
         """
         draws, count = self._counts(draws, samples)
-        recorded = recorded_draws(self.code.study, self.code.controllers, draws, count)
-        return self._guarded(recording(recorded, self.code.precision))
+        draw_records = recorded_draws(self.code.study, self.code.controllers, draws, count)
+        return self._with_config_errors(recording(draw_records, self.code.precision))
 
     def monitor_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the monitor's recording; arguments and errors as for :meth:`recording`."""
         assert self.monitor is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_flights(self.code.study, self.monitor, draws, count)
-        return self._guarded(recording_bytes(MONITOR, flights, self.code.precision))
+        return self._with_config_errors(recording_bytes(MONITOR, flights, self.code.precision))
 
     def software_recording(self, draws: int = RECORDED_DRAWS, samples: int | None = None) -> Iterable[bytes]:
         """The bytes of the recording of software on board; arguments and errors as for :meth:`recording`."""
         assert self.software is not None
         draws, count = self._counts(draws, samples)
         flights = recorded_ticks(self.code.study, self.software.software, draws, count)
-        return self._guarded(recording_bytes(SOFTWARE, flights, self.code.precision))
+        return self._with_config_errors(recording_bytes(SOFTWARE, flights, self.code.precision))
 
     def _counts(self, draws: int, samples: int | None) -> tuple[int, int]:
         for name, count in (("draws", draws), ("samples", samples or 1)):
@@ -119,7 +119,7 @@ class FlightFolder:
                 raise ConfigError(name, f"must be >= 1, got {count}")
         return min(draws, self.code.study.config.draws), samples or min(RECORDED_SAMPLES, self.code.study.loop.steps)
 
-    def _guarded(self, parts: Iterator[bytes]) -> Iterator[bytes]:
+    def _with_config_errors(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         try:
             yield from parts
         except Unsupported as problem:

@@ -66,7 +66,7 @@ def declarations(study: Study, controller: SampledController) -> str:
         "channel.h",
         name=controller.prefix,
         parameters=members(parameter_comments.items()),
-        measurement=members((signal.name, signal.unit) for signal in controller.measured),
+        measurement=members((signal.name, signal.unit) for signal in controller.measured_signals),
         reference=members(zip(ReferencePoint._fields, rates, strict=True)),
         command=members(zip(COMMAND, command_comments, strict=True)),
         state=members([(state, "") for state in controller.states]),

@@ -27,44 +27,44 @@ def description_text(code: FlightCode) -> str:
 def channel_text(code: FlightCode, controller: SampledController) -> str:
     """The tables and the description of one channel."""
     name = controller.prefix
-    computed = Quantity("", "computed from the study")
-    rows: list[str] = []
+    computed_quantity = Quantity("", "computed from the study")
+    parameter_rows: list[str] = []
     for parameter in read_parameters(controller):
-        quantity = parameter.quantity or computed
+        quantity = parameter.quantity or computed_quantity
         low, high = limits(quantity, controller.real)
         texts = f"{c_string(quantity.unit)}, {c_string(quantity.meaning)}"
-        rows.append(f"DSSC_JAX_PARAMETER({name}, {parameter.name}, {texts}, {low}, {high})")
-    known = quantities_of(code.study.loop.controller[controller.index].info)
+        parameter_rows.append(f"DSSC_JAX_PARAMETER({name}, {parameter.name}, {texts}, {low}, {high})")
+    info_quantities = quantities_of(code.study.loop.controller[controller.index].info)
     units = code.study.units[controller.index]
-    reported: list[str] = []
+    telemetry_rows: list[str] = []
     for info in controller.infos:
-        quantity = known.get(info, Quantity("1", info))
+        quantity = info_quantities.get(info, Quantity("1", info))
         texts = f"{c_string(units.of(quantity.unit))}, {c_string(quantity.meaning)}"
-        reported.append(f"DSSC_JAX_TELEMETRY({name}, {info}, {texts})")
-    measured: list[str] = []
-    for signal in controller.measured[len(OF_CHANNEL) :]:
+        telemetry_rows.append(f"DSSC_JAX_TELEMETRY({name}, {info}, {texts})")
+    measured_rows: list[str] = []
+    for signal in controller.measured_signals[len(OF_CHANNEL) :]:
         texts = f"{c_string(signal.signal)}, {c_string(signal.unit)}, {c_string(signal.meaning)}"
-        measured.append(f"DSSC_JAX_MEASURED({name}, {signal.name}, {texts})")
+        measured_rows.append(f"DSSC_JAX_MEASURED({name}, {signal.name}, {texts})")
     sample_time = c_literal(DOUBLE.type(code.study.loop.sample_time), DOUBLE)
     return fill(
         "description_channel.c",
         name=name,
         sample_time=sample_time,
         tables=[
-            *table_lines(f"{name}_parameter_table", rows),
-            *table_lines(f"{name}_telemetry_table", reported),
-            *table_lines(f"{name}_measured_table", measured),
+            *table_lines(f"{name}_parameter_table", parameter_rows),
+            *table_lines(f"{name}_telemetry_table", telemetry_rows),
+            *table_lines(f"{name}_measured_table", measured_rows),
         ],
-        parameters=table_argument(f"{name}_parameter_table", rows),
-        telemetry=table_argument(f"{name}_telemetry_table", reported),
-        measured=table_argument(f"{name}_measured_table", measured),
+        parameters=table_argument(f"{name}_parameter_table", parameter_rows),
+        telemetry=table_argument(f"{name}_telemetry_table", telemetry_rows),
+        measured=table_argument(f"{name}_measured_table", measured_rows),
     )
 
 
 def read_parameters(controller: SampledController) -> list[Parameter]:
     """The parameters that start or step read; others, such as those of metrics, are no parameters of a library."""
-    read = read_inputs(controller.start.program) | read_inputs(controller.step.program)
-    return [parameter for position, parameter in enumerate(controller.parameters) if position in read]
+    read_positions = read_inputs(controller.start.program) | read_inputs(controller.step.program)
+    return [parameter for position, parameter in enumerate(controller.parameters) if position in read_positions]
 
 
 def table_lines(name: str, rows: Sequence[str]) -> list[str]:

@@ -93,8 +93,8 @@ def initial_monitor(premises: Premises) -> MonitorState:
     """The state before the first sample."""
     memories = []
     for channel in premises.channels:
-        seen = () if channel.disturbance is None else initial_seen(channel.disturbance)
-        memories.append(ChannelMemory(0.0, 0.0, seen))
+        disturbance_state = () if channel.disturbance is None else initial_seen(channel.disturbance)
+        memories.append(ChannelMemory(0.0, 0.0, disturbance_state))
     no_flag = jnp.zeros((), jnp.uint32)
     no_sample = jnp.full((), NEVER, jnp.int32)
     first = (no_sample,) * len(premises.flags())

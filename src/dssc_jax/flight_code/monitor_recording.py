@@ -1,4 +1,4 @@
-"""Recorded flights of a study with what its monitor makes of them, in strict arithmetic, for the bench.
+"""Recorded flights of a study with the states and flags of its monitor, in strict arithmetic, for the bench.
 
 Of each draw there are two: the flight itself, and the same with deviations that grow from sample to sample and with
 numbers that are missing, so that most flags are raised.
@@ -43,17 +43,18 @@ def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
     return MonitorSample(tuple(channels), tilt, tuple(vehicle.rotor) if premises.rotor_count else ())
 
 
-def strained(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
+def exaggerated(premises: Premises, sample: MonitorSample, k: Scalar) -> MonitorSample:
     """The sample with larger deviations; every now and then a number is missing."""
     factor = 1.0 + GROWTH * k
-    missing = k % MISSING_EVERY == MISSING_EVERY - 1
+    is_missing = k % MISSING_EVERY == MISSING_EVERY - 1
     channels = []
-    for channel, at in zip(premises.channels, sample.channels, strict=True):
-        y = at.y_ref + (at.y - at.y_ref) * factor
-        y_dot = at.y_ref_dot + (at.y_dot - at.y_ref_dot) * factor
-        command = () if channel.disturbance is None else at.u_p * factor
-        margin = at.sliding_margin - 0.01 * factor if channel.slides else ()
-        channels.append(at._replace(y=jnp.where(missing, jnp.nan, y), y_dot=y_dot, u_p=command, sliding_margin=margin))
+    for channel, channel_sample in zip(premises.channels, sample.channels, strict=True):
+        y = channel_sample.y_ref + (channel_sample.y - channel_sample.y_ref) * factor
+        y_dot = channel_sample.y_ref_dot + (channel_sample.y_dot - channel_sample.y_ref_dot) * factor
+        command = () if channel.disturbance is None else channel_sample.u_p * factor
+        margin = channel_sample.sliding_margin - 0.01 * factor if channel.slides else ()
+        y = jnp.where(is_missing, jnp.nan, y)
+        channels.append(channel_sample._replace(y=y, y_dot=y_dot, u_p=command, sliding_margin=margin))
     tilt = () if premises.tilt is None else sample.tilt * factor
     return MonitorSample(tuple(channels), tilt, tuple(rotor + 0.1 * (k % 9 - 4) for rotor in sample.rotor))
 
@@ -72,10 +73,11 @@ def recording_lane(
         def sample(carry: Carry, _: None) -> tuple[Carry, tuple[Row, Row]]:
             state, k, monitors = carry
             after, recorded = step(loop, params, key, state, k, advance)
-            seen = sample_of(premises, recorded)
-            plain, plain_row = watched(premises, monitors[0], seen)
-            harsh, harsh_row = watched(premises, monitors[1], strained(premises, seen, k))
-            return (after, k + 1, (plain, harsh)), (plain_row, harsh_row)
+            monitor_sample = sample_of(premises, recorded)
+            plain_state, plain_row = monitored(premises, monitors[0], monitor_sample)
+            exaggerated_sample = exaggerated(premises, monitor_sample, k)
+            exaggerated_state, exaggerated_row = monitored(premises, monitors[1], exaggerated_sample)
+            return (after, k + 1, (plain_state, exaggerated_state)), (plain_row, exaggerated_row)
 
         monitors = (typed(initial_monitor(premises)), typed(initial_monitor(premises)))
         initial = (initial_state(loop, params, key), jnp.zeros((), jnp.int32), monitors)
@@ -84,19 +86,19 @@ def recording_lane(
     return lane
 
 
-def watched(premises: Premises, state: MonitorState, seen: MonitorSample) -> tuple[MonitorState, Row]:
+def monitored(premises: Premises, state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Row]:
     """One sample of the monitor, and its row."""
-    after, current = monitor(premises, state, seen)
-    after = typed(after)
-    memories = [leaf for leaf in jax.tree.leaves(after) if leaf.dtype.kind == "f"]
-    row = (*jax.tree.leaves(seen), current, after.latched, *memories)
+    next_state, current = monitor(premises, state, sample)
+    next_state = typed(next_state)
+    memories = [leaf for leaf in jax.tree.leaves(next_state) if leaf.dtype.kind == "f"]
+    row = (*jax.tree.leaves(sample), current, next_state.latched, *memories)
     real = jnp.result_type(float)
-    return after, tuple(jnp.asarray(number, real) for number in row)
+    return next_state, tuple(jnp.asarray(number, real) for number in row)
 
 
-def recorded_flights(study: Study, traced: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
+def recorded_flights(study: Study, traced_monitor: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
     """The rows of both flights of the first draws of a study, shape (samples, members of a row) each."""
-    lane = recording_lane(study, traced.premises, samples)
-    for flights in recorded_columns(study, lane, draws, traced.precision):
+    lane = recording_lane(study, traced_monitor.premises, samples)
+    for flights in recorded_columns(study, lane, draws, traced_monitor.precision):
         for columns in flights:
             yield np.stack(columns, axis=1)

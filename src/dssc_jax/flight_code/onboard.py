@@ -35,14 +35,14 @@ class TracedSoftware:
         parameters: Its numbers that may be changed in flight.
         laws: Names of the study's other laws, of which it must read none.
         readings: Names of what it measures, in C.
-        held: Names of its state in C.
+        state_names: Names of its state in C.
         commands: Names of its commands in C, one for each channel.
         start: The held numbers before the first sample.
         sample: Those after the part that runs at a sample of the loop.
         tick: Those after a tick.
         transfer: Those from which it goes on driving as another software did, and 1 where its limits let it do so, else
             0; None: it cannot.
-        driven: Names of the held numbers that drive actuators.
+        drive_names: Names of the held numbers that drive actuators.
         ticks: Ticks in a sample.
         period: Time between two ticks [s].
         precision: Bits of a number.
@@ -54,13 +54,13 @@ class TracedSoftware:
     parameters: tuple[Parameter, ...]
     laws: tuple[str, ...]
     readings: tuple[str, ...]
-    held: tuple[str, ...]
+    state_names: tuple[str, ...]
     commands: tuple[str, ...]
     start: TracedFunction
     sample: TracedFunction
     tick: TracedFunction
     transfer: TracedFunction | None
-    driven: tuple[str, ...]
+    drive_names: tuple[str, ...]
     ticks: int
     period: float
     precision: int
@@ -136,32 +136,32 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             readings = jax.tree.map(lambda leaf: number, without_held(software, plant_state))
             held = jax.tree.map(lambda leaf: number, software.held(plant_state))
             commands = (number,) * count
-            started = traced(start, values, readings)
-            sampled = traced(sample, values, readings, held, commands)
-            ticked = traced(tick, values, readings, held)
-            names = names_of(held)
-            driven = tuple(held_name for held_name in names if held_name.startswith(f"{software.drives}_"))
-            transferred = None
+            traced_start = traced_function(start, values, readings)
+            traced_sample = traced_function(sample, values, readings, held, commands)
+            traced_tick = traced_function(tick, values, readings, held)
+            state_names = names_of(held)
+            driven = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
+            traced_transfer = None
             if software.taken_over is not None:
-                transferred = traced(transfer, values, readings, (number,) * len(driven))
+                traced_transfer = traced_function(transfer, values, readings, (number,) * len(driven))
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
-    labels = member_names(channel or "command" for channel in loop.channels)
-    measured = names_of(readings)
+    command_names = member_names(channel or "command" for channel in loop.channels)
+    reading_names = names_of(readings)
     directions = []
     for field in software.directions:
-        directions.append(tuple(reading for reading in measured if reading.startswith(f"{field}_")))
+        directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
     return TracedSoftware(
         f"{name}_inner_loop",
         parameters,
         laws,
-        measured,
-        names,
-        tuple(labels),
-        started,
-        sampled,
-        ticked,
-        transferred,
+        reading_names,
+        state_names,
+        tuple(command_names),
+        traced_start,
+        traced_sample,
+        traced_tick,
+        traced_transfer,
         driven,
         round(loop.sample_time / period),
         period,
@@ -186,7 +186,7 @@ def software_parameters(study: Study, software: Onboard) -> tuple[Parameter, ...
     return loop_parameters(study, belongs, name)
 
 
-def traced(function: Callable[..., State], *shapes: Any) -> TracedFunction:
+def traced_function(function: Callable[..., State], *shapes: Any) -> TracedFunction:
     """A function of the software, traced."""
     program, _, origins = translate_with_origins(function, *shapes)
     return TracedFunction(program, origins)

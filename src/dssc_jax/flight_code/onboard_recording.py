@@ -38,17 +38,17 @@ def recording_lane(
         real = jnp.result_type(float)
         estimation = estimation_of(loop, params)
 
-        def seen(state: State) -> State:
+        def measured_state(state: State) -> State:
             """What the software measures."""
-            known = state if estimation is None else estimation.estimated_state(params.plant, state)
-            return without_held(software, known)
+            estimated_state = state if estimation is None else estimation.estimated_state(params.plant, state)
+            return without_held(software, estimated_state)
 
         def sample(carry: tuple[LoopState, Scalar], _: None) -> tuple[tuple[LoopState, Scalar], list[Row]]:
             state, k = carry
             rows: list[Row] = []
 
             def observe(earlier: State, drive: PlantInput, after: State) -> None:
-                readings = jax.tree.leaves(seen(earlier))
+                readings = jax.tree.leaves(measured_state(earlier))
                 commands = (u + d for u, d in zip(drive.command, drive.disturbance, strict=True))
                 gains = (values[key] for key in uncertain)
                 row = (*readings, *commands, *gains, NO_FLAGS, *jax.tree.leaves(software.held(after)))
@@ -58,10 +58,10 @@ def recording_lane(
             following = step(loop, params, key, state, k, advance)[0]
             return (following, k + 1), rows
 
-        begin = initial_state(loop, params, key)
-        held = software.start(params.plant, seen(begin.plant), None)  # as its C starts: never settled
-        begin = as_arrays(begin._replace(plant=software.holding(begin.plant, held)))
-        return jax.lax.scan(sample, (begin, jnp.zeros((), jnp.int32)), length=samples)[1]
+        start = initial_state(loop, params, key)
+        held = software.start(params.plant, measured_state(start.plant), None)  # as its C starts: never settled
+        start = as_arrays(start._replace(plant=software.holding(start.plant, held)))
+        return jax.lax.scan(sample, (start, jnp.zeros((), jnp.int32)), length=samples)[1]
 
     return lane
 
@@ -74,7 +74,7 @@ def recorded_ticks(study: Study, traced: TracedSoftware, draws: int, samples: in
     lane = recording_lane(study, traced, samples)
     constants = {parameter.key: parameter.value for parameter in traced.parameters}
     for ticks in recorded_columns(study, lane, draws, traced.precision, constants):
-        parts = [np.stack(columns, axis=1) for columns in ticks]
-        rows = np.stack(parts, axis=1).reshape(-1, parts[0].shape[1])
+        tick_rows = [np.stack(columns, axis=1) for columns in ticks]
+        rows = np.stack(tick_rows, axis=1).reshape(-1, tick_rows[0].shape[1])
         is_finite = np.isfinite(rows).all(axis=1)
         yield rows if is_finite.all() else rows[: int(np.argmin(is_finite))]

@@ -31,7 +31,7 @@ LOCAL_NAMES = {"inner_loop", "seen", "wanted", "held", "updated", "kept", "drive
 """Names in the template files, which no computed variable may have."""
 
 
-class Written(NamedTuple):
+class FunctionLines(NamedTuple):
     """A function of the software in C: its lines, the parameters and readings that it needs, and its definitions."""
 
     lines: list[str]
@@ -40,9 +40,9 @@ class Written(NamedTuple):
     definitions: list[str]
 
 
-def written(
+def write_function(
     software: TracedSoftware, function: TracedFunction, arguments: Sequence[str], further: Sequence[str] = ()
-) -> Written:
+) -> FunctionLines:
     """Write one function.
 
     Args:
@@ -54,11 +54,11 @@ def written(
     Raises:
         ConfigError: It reads a number that has a law.
     """
-    used = read_inputs(function.program)
+    read_positions = read_inputs(function.program)
     first_law = len(software.parameters)
     first_reading = first_law + len(software.laws)
     for place, name in enumerate(software.laws, start=first_law):
-        if place in used:
+        if place in read_positions:
             rule = "has a law, and is a constant in the inner loop's C"
             raise ConfigError(name, f"{rule}; give it a number (--set {name}=NUMBER)")
     members = [f"p->{parameter.name}" for parameter in software.parameters]
@@ -68,27 +68,30 @@ def written(
     outputs = [output for output in function.program.outputs if isinstance(output, Value)]
     text.compute(outputs)
     text.line("")
-    count = len(software.held)
-    for name, output in zip(software.held, outputs[:count], strict=True):
+    count = len(software.state_names)
+    for name, output in zip(software.state_names, outputs[:count], strict=True):
         text.line(f"updated.{name} = {text.read(output)};")
     for name, output in zip(further, outputs[count:], strict=True):
         text.line(f"const {c_type(software.real)} {name} = {text.read(output)};")
-    parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in used]
-    seen = [name for place, name in enumerate(software.readings, start=first_reading) if place in used]
-    return Written(text.lines, parameters, seen, [*text.tables, *text.notation.helpers(), *text.functions.values()])
+    parameters = [parameter.name for place, parameter in enumerate(software.parameters) if place in read_positions]
+    needed_readings = [
+        name for place, name in enumerate(software.readings, start=first_reading) if place in read_positions
+    ]
+    definitions = [*text.tables, *text.notation.helpers(), *text.functions.values()]
+    return FunctionLines(text.lines, parameters, needed_readings, definitions)
 
 
 class SoftwareFiles(NamedTuple):
     """The data from which all files are written."""
 
     software: TracedSoftware
-    start: Written
-    sample: Written
-    tick: Written
-    transfer: Written | None
+    start: FunctionLines
+    sample: FunctionLines
+    tick: FunctionLines
+    transfer: FunctionLines | None
 
     @property
-    def functions(self) -> list[Written]:
+    def functions(self) -> list[FunctionLines]:
         """All functions."""
         functions = [self.start, self.sample, self.tick]
         return functions if self.transfer is None else [*functions, self.transfer]
@@ -96,28 +99,29 @@ class SoftwareFiles(NamedTuple):
     @property
     def readings(self) -> list[str]:
         """Names of the readings that some function needs."""
-        used = {name for function in self.functions for name in function.readings}
-        return [name for name in self.software.readings if name in used]
+        needed_names = {name for function in self.functions for name in function.readings}
+        return [name for name in self.software.readings if name in needed_names]
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """The parameters that some function needs."""
-        used = {name for function in self.functions for name in function.parameters}
-        return tuple(parameter for parameter in self.software.parameters if parameter.name in used)
+        needed_names = {name for function in self.functions for name in function.parameters}
+        return tuple(parameter for parameter in self.software.parameters if parameter.name in needed_names)
 
 
 def software_files(software: TracedSoftware) -> SoftwareFiles:
-    """Write the functions; raises ConfigError as :func:`written`."""
-    held = [f"held.{name}" for name in software.held]
+    """Write the functions; raises ConfigError as :func:`write_function`."""
+    state_members = [f"held.{name}" for name in software.state_names]
     commands = [f"wanted->{name}" for name in software.commands]
     transfer = None
     if software.transfer is not None:
-        transfer = written(software, software.transfer, [f"driven->{name}" for name in software.driven], [CARRIED])
+        drives = [f"driven->{name}" for name in software.drive_names]
+        transfer = write_function(software, software.transfer, drives, [CARRIED])
     return SoftwareFiles(
         software,
-        written(software, software.start, []),
-        written(software, software.sample, [*held, *commands]),
-        written(software, software.tick, held),
+        write_function(software, software.start, []),
+        write_function(software, software.sample, [*state_members, *commands]),
+        write_function(software, software.tick, state_members),
         transfer,
     )
 
@@ -155,7 +159,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         parameters=[member_text(real, parameter.name, text) for parameter, text in members] or f"{real} unused;",
         readings=[f"{real} {reading};" for reading in files.readings],
         commands=[f"{real} {command};" for command in software.commands],
-        held=[f"{real} {held};" for held in software.held],
+        held=[f"{real} {member};" for member in software.state_names],
         ticks=str(software.ticks),
         length_error=f"{100.0 * LENGTH_ERROR:g}",
         transfer="" if files.transfer is None else transfer_declaration(software),
@@ -167,7 +171,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
         definitions=joined_definitions(definitions),
         readings_valid="\n        && ".join([finite(readings), *lengths]),
         commands_finite=finite(commands),
-        held_finite=finite([f"updated.{held}" for held in software.held]),
+        held_finite=finite([f"updated.{member}" for member in software.state_names]),
         parameters=assignments("inner_loop->parameters", files.parameters, software.real),
         checks=checks(files.parameters, software.real),
         start=body_lines(files.start, name),
@@ -182,7 +186,7 @@ def software_texts(files: SoftwareFiles, study: str) -> dict[str, str]:
     }
 
 
-def body_lines(function: Written, name: str) -> list[str]:
+def body_lines(function: FunctionLines, name: str) -> list[str]:
     """The lines of a function with the pointers that it needs; a reading that it does not need is marked."""
     pointer = f"    const {name}_parameters *const p = &inner_loop->parameters;"
     before = [pointer] if function.parameters else []
@@ -192,16 +196,16 @@ def body_lines(function: Written, name: str) -> list[str]:
 def transfer_declaration(software: TracedSoftware) -> str:
     """The function for a takeover in flight."""
     real = c_type(software.real)
-    driven = [f"{real} {name};" for name in software.driven]
-    return fill("inner_loop_transfer.h", name=software.prefix, driven=driven)
+    members = [f"{real} {name};" for name in software.drive_names]
+    return fill("inner_loop_transfer.h", name=software.prefix, driven=members)
 
 
-def transfer_definition(function: Written, software: TracedSoftware) -> str:
+def transfer_definition(function: FunctionLines, software: TracedSoftware) -> str:
     """The definition of that function."""
     return fill(
         "inner_loop_transfer.c",
         name=software.prefix,
-        driven_finite=finite([f"driven->{name}" for name in software.driven]),
+        driven_finite=finite([f"driven->{name}" for name in software.drive_names]),
         transfer=body_lines(function, software.prefix),
     )
 
@@ -211,12 +215,12 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
     software = files.software
     name = software.prefix
     count = len(software.readings)
-    needed = [(place, reading) for place, reading in enumerate(software.readings) if reading in files.readings]
-    give = [f"seen.{reading} = row[{place}];" for place, reading in needed]
+    needed_readings = [(place, reading) for place, reading in enumerate(software.readings) if reading in files.readings]
+    reading_assignments = [f"seen.{reading} = row[{place}];" for place, reading in needed_readings]
     uncertain = [parameter.name for parameter in software.parameters if parameter.uncertain]
     inputs = count + len(software.commands) + len(uncertain)
     needed_parameters = {parameter.name for parameter in files.parameters}
-    changed = [
+    parameter_assignments = [
         f"held->parameters.{parameter} = row[{place}];"
         for place, parameter in enumerate(uncertain, start=count + len(software.commands))
         if parameter in needed_parameters
@@ -225,11 +229,11 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
         f"{name}_readings seen;",
         f"{name}_commands wanted;",
         "uint32_t flags = 0;",
-        *give,
+        *reading_assignments,
         *(f"wanted.{command} = row[{place}];" for place, command in enumerate(software.commands, start=count)),
         "if (k == 0) {",
         f"    {name}_init(held);",
-        *(f"    {line}" for line in changed),
+        *(f"    {line}" for line in parameter_assignments),
         f"    flags |= {name}_start(held, &seen);",
         "}",
         f"if (k % {software.ticks} == 0) {{",
@@ -237,15 +241,15 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
         "}",
         f"flags |= {name}_tick(held, &seen);",
         "results[0] = (real)flags;",
-        *(f"results[{place}] = held->{member};" for place, member in enumerate(software.held, start=1)),
+        *(f"results[{place}] = held->{member};" for place, member in enumerate(software.state_names, start=1)),
         "return flags;",
     ]
-    disturb = [
+    disturbance_lines = [
         "real *const numbers = (real *)&held->parameters;",
         "numbers[random_bits() % (sizeof held->parameters / sizeof(real))] = hostile_number();",
     ]
-    results = ("flags", *software.held)
-    return ReplayBench(LABEL, name, software.precision, "tick", inputs, results, advance, disturb, True, True)
+    results = ("flags", *software.state_names)
+    return ReplayBench(LABEL, name, software.precision, "tick", inputs, results, advance, disturbance_lines, True, True)
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:

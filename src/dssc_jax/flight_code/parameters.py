@@ -39,18 +39,18 @@ def loop_parameters(
         name: Its name in C, from its name in the study, or its path if the study computes it.
         units: Units of y and u, for numbers that the study computes.
     """
-    names = {path: known for known, number in study.numbers.items() for path in number.paths}
+    names = {path: name_in_study for name_in_study, number in study.numbers.items() for path in number.paths}
     leaves, _ = tree_flatten_with_path(study.template)
     parameters: dict[str, Parameter] = {}
     for path, leaf in leaves:
-        dotted = keystr(path, simple=True, separator=".")
-        if not belongs(dotted) or not isinstance(leaf, float | Uncertain):
+        dotted_path = keystr(path, simple=True, separator=".")
+        if not belongs(dotted_path) or not isinstance(leaf, float | Uncertain):
             continue
-        number = study.numbers.get(names.get(dotted, ""))
+        number = study.numbers.get(names.get(dotted_path, ""))
         if number is not None and not number.quantity.law:
             continue
-        key = dotted if number is None else number.name
-        quantity = declared_quantity(study.template, dotted, units) if number is None else number.quantity
+        key = dotted_path if number is None else number.name
+        quantity = declared_quantity(study.template, dotted_path, units) if number is None else number.quantity
         uncertain = isinstance(leaf, Uncertain)
         value = float(leaf.median) if isinstance(leaf, Uncertain) else leaf
         parameters[key] = Parameter(key, name(key), quantity, value, uncertain)
@@ -61,21 +61,21 @@ def loop_parameters(
 def declared_quantity(params: Any, path: str, units: ChannelUnits) -> Quantity | None:
     """The quantity that a field of parameters declares, for a number at a dotted path; None: none, as in a matrix."""
     quantity = None
-    part = params
+    node = params
     for step in path.split("."):
         if step.isdecimal():
-            part = part[int(step)]
+            node = node[int(step)]
         else:
-            quantity = quantities_of(type(part)).get(step)
-            part = getattr(part, step)
+            quantity = quantities_of(type(node)).get(step)
+            node = getattr(node, step)
     return None if quantity is None else replace(quantity, unit=units.of(quantity.unit))
 
 
 def numbers_of_draws(study: Study, indices: np.ndarray, constants: Mapping[str, float]) -> dict[str, np.ndarray]:
     """Laws of draws, what follows from them, and constants, by their keys in ``Study.params``; one value a draw."""
-    drawn = draw_values(study, indices)
-    drawn |= {name: np.asarray(column) for name, column in study.derived(drawn).items()}
-    return {name: np.full(len(indices), value) for name, value in constants.items()} | drawn
+    values = draw_values(study, indices)
+    values |= {name: np.asarray(column) for name, column in study.derived(values).items()}
+    return {name: np.full(len(indices), value) for name, value in constants.items()} | values
 
 
 def parameter_comment(number: int, parameter: Parameter) -> str:

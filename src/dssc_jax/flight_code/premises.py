@@ -55,7 +55,7 @@ class ChannelPremises:
         sigma_slope: Bound of |sigma'|; None: the certificate states none.
         slides: Whether the controller has a clip, which is not to be active.
         start: Intervals of e and e' at the first sample; None: those of the plane count.
-        disturbance: What is taken for granted of the disturbance; None: it cannot be seen.
+        disturbance: Assumptions on the disturbance; None: it cannot be seen.
         units: Units of the output and of the command.
     """
 
@@ -75,24 +75,26 @@ class ChannelPremises:
         """The channel's flags, in the order of their bits."""
         y, rate, change = (self.units.of(symbol) for symbol in ("y", "y/s", "y/s^2"))
         place = f" of {self.label}" if self.label else ""
-        found = [Flag("e", f"|e|{place} exceeds {self.e:.4g} {y}, the certificate's bound.")]
+        channel_flags = [Flag("e", f"|e|{place} exceeds {self.e:.4g} {y}, the certificate's bound.")]
         if self.e_dot is not None:
-            found.append(Flag("e_dot", f"|e'|{place} exceeds {self.e_dot:.4g} {rate}, the certificate's bound."))
-        found.append(Flag("sigma", f"|sigma|{place} exceeds {self.sigma:.4g} {rate}, the certificate's bound."))
+            channel_flags.append(
+                Flag("e_dot", f"|e'|{place} exceeds {self.e_dot:.4g} {rate}, the certificate's bound.")
+            )
+        channel_flags.append(Flag("sigma", f"|sigma|{place} exceeds {self.sigma:.4g} {rate}, the certificate's bound."))
         if self.sigma_slope is not None:
             bound = f"{self.sigma_slope:.4g} {change}"
             text = f"sigma{place} changes faster than {bound}: what acts on the channel is too large or too sudden."
-            found.append(Flag("sigma_slope", text))
+            channel_flags.append(Flag("sigma_slope", text))
         if self.slides:
             text = f"The equivalent control{place} exceeds rho: the clip is active, and the loop does not slide."
-            found.append(Flag("sliding", text))
+            channel_flags.append(Flag("sliding", text))
         if self.disturbance is not None:
             level = f"{self.disturbance.level:.4g} {self.units.of('u')}"
             slope = f"{self.disturbance.slope:.4g} {self.units.of('u/s')}"
-            found.append(Flag("disturbance", f"The disturbance{place} that the plant shows exceeds {level}."))
-            found.append(Flag("disturbance_slope", f"The disturbance{place} changes faster than {slope}."))
+            channel_flags.append(Flag("disturbance", f"The disturbance{place} that the plant shows exceeds {level}."))
+            channel_flags.append(Flag("disturbance_slope", f"The disturbance{place} changes faster than {slope}."))
         prefix = f"{self.label}_" if self.label else ""
-        return [flag._replace(name=prefix + flag.name) for flag in found]
+        return [flag._replace(name=prefix + flag.name) for flag in channel_flags]
 
 
 @dataclass(frozen=True)
@@ -122,16 +124,20 @@ class Premises:
     def flags(self) -> tuple[Flag, ...]:
         """All flags, in the order of their bits."""
         start = "At the first sample e or e' is outside of the certificate's start: nothing is proved of this flight."
-        found = [Flag("start", start)]
+        flight_flags = [Flag("start", start)]
         for channel in self.channels:
-            found += channel.flags()
+            flight_flags += channel.flags()
         if self.tilt is not None:
-            found.append(Flag("tilt", f"The tilt exceeds {self.tilt:.4g} rad, the certificate's bound."))
+            flight_flags.append(Flag("tilt", f"The tilt exceeds {self.tilt:.4g} rad, the certificate's bound."))
         if self.rotors is not None:
             low, high = self.rotors
-            found.append(Flag("rotor_low", f"The command of a rotor is below {low:.5g} N, the certificate's bound."))
-            found.append(Flag("rotor_high", f"The command of a rotor is above {high:.5g} N, the certificate's bound."))
-        return tuple(found)
+            flight_flags.append(
+                Flag("rotor_low", f"The command of a rotor is below {low:.5g} N, the certificate's bound.")
+            )
+            flight_flags.append(
+                Flag("rotor_high", f"The command of a rotor is above {high:.5g} N, the certificate's bound.")
+            )
+        return tuple(flight_flags)
 
     def rounded(self, real: np.dtype) -> "Premises":
         """Return the bounds in another type of numbers, each rounded outwards."""
@@ -155,14 +161,14 @@ def outwards(interval: Interval, real: np.dtype) -> Interval:
 
 def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises:
     """A channel's bounds, rounded outwards."""
-    seen = channel.disturbance
-    if seen is not None:
-        seen = replace(
-            seen,
-            level=above(seen.level, real),
-            slope=above(seen.slope, real),
-            k_p=outwards(seen.k_p, real),
-            a_p=outwards(seen.a_p, real),
+    disturbance = channel.disturbance
+    if disturbance is not None:
+        disturbance = replace(
+            disturbance,
+            level=above(disturbance.level, real),
+            slope=above(disturbance.slope, real),
+            k_p=outwards(disturbance.k_p, real),
+            a_p=outwards(disturbance.a_p, real),
         )
     start = channel.start and (outwards(channel.start[0], real), outwards(channel.start[1], real))
     return replace(
@@ -172,5 +178,5 @@ def rounded_channel(channel: ChannelPremises, real: np.dtype) -> ChannelPremises
         sigma=above(channel.sigma, real),
         sigma_slope=None if channel.sigma_slope is None else above(channel.sigma_slope, real),
         start=start,
-        disturbance=seen,
+        disturbance=disturbance,
     )

@@ -85,8 +85,8 @@ def recorded_draws(
         width = lanes.signature.width
         group_bytes = samples * len(lanes.signature.outputs) * np.dtype(number.dtype).itemsize * width
         batch = max(1, BATCH_BYTES // group_bytes) * width
-        for first in range(0, draws, batch):
-            indices = np.arange(first, min(first + batch, draws))
+        for first_draw in range(0, draws, batch):
+            indices = np.arange(first_draw, min(first_draw + batch, draws))
             values = numbers_of_draws(study, indices, constants)
             inputs = {name: values[name] for name in names}
             channels = lanes.start((inputs, indices), len(indices), usable_cores())()

@@ -125,12 +125,14 @@ def recorded_columns(
         names = sorted({*study.laws, *constants})
         lanes = compiled_lanes(lane, dict.fromkeys(names, number), index, strict=True)
         width = lanes.signature.width
-        for first in range(0, draws, width):
-            indices = np.arange(first, min(first + width, draws))
+        for first_draw in range(0, draws, width):
+            indices = np.arange(first_draw, min(first_draw + width, draws))
             values = numbers_of_draws(study, indices, constants)
-            recorded = lanes.start(({name: values[name] for name in names}, indices), len(indices), usable_cores())()
+            columns_of_draws = lanes.start(
+                ({name: values[name] for name in names}, indices), len(indices), usable_cores()
+            )()
             for place in range(len(indices)):
-                yield jax.tree.map(lambda column, place=place: column[place], recorded)
+                yield jax.tree.map(lambda column, place=place: column[place], columns_of_draws)
 
 
 def recording_bytes(label: str, flights: Iterator[np.ndarray], precision: int) -> Iterator[bytes]:

@@ -30,7 +30,7 @@ PASSED_MEAN_PEAK = 0.29843
 """Where (1 - exp(-h) (1 + h))/h has its peak, and a bound of it."""
 
 
-class Enclosed(NamedTuple):
+class EnclosingInterval(NamedTuple):
     """Lower and upper end of an interval that holds a number."""
 
     low: Scalar
@@ -54,10 +54,10 @@ class SeenDisturbance(NamedTuple):
     y: Scalar
     y_dot: Scalar
     fresh: Scalar
-    commands: tuple[Enclosed, ...]
-    lags: tuple[Enclosed, ...]
-    acting: Enclosed
-    average: Enclosed
+    commands: tuple[EnclosingInterval, ...]
+    lags: tuple[EnclosingInterval, ...]
+    acting: EnclosingInterval
+    average: EnclosingInterval
     averaging: Scalar
 
 
@@ -80,9 +80,9 @@ def averaging_time(premises: DisturbancePremises, dt: float) -> float:
 
 def initial_seen(premises: DisturbancePremises) -> SeenDisturbance:
     """The state before the first sample: nothing measured, and all earlier commands 0."""
-    zero = Enclosed(0.0, 0.0)
-    delayed = (zero,) * (len(premises.delay_weights) - 1)
-    return SeenDisturbance(0.0, 0.0, 0.0, delayed, (zero,) * premises.lag_order, zero, zero, 0.0)
+    zero = EnclosingInterval(0.0, 0.0)
+    delayed_commands = (zero,) * (len(premises.delay_weights) - 1)
+    return SeenDisturbance(0.0, 0.0, 0.0, delayed_commands, (zero,) * premises.lag_order, zero, zero, 0.0)
 
 
 def see(
@@ -124,7 +124,9 @@ def see(
     )
     low = jnp.where(averaged, state.average.low + weight * (seen.low - state.average.low), seen.low)
     high = jnp.where(averaged, state.average.high + weight * (seen.high - state.average.high), seen.high)
-    average = Enclosed(jnp.where(resumed, low, state.average.low), jnp.where(resumed, high, state.average.high))
+    average = EnclosingInterval(
+        jnp.where(resumed, low, state.average.low), jnp.where(resumed, high, state.average.high)
+    )
     commands, lags, acting = acting_command(premises, state, command, dt)
     after = SeenDisturbance(
         y=jnp.where(measured, y, state.y),
@@ -141,7 +143,7 @@ def see(
 
 def mean_disturbance(
     premises: DisturbancePremises, state: SeenDisturbance, y: Scalar, y_dot: Scalar, dt: float
-) -> Enclosed:
+) -> EnclosingInterval:
     """The interval of the mean of d since the last sample, for all k_p and a_p within their intervals.
 
     (A + a_p B)/k_p takes its extremes where both k_p and a_p are at an end of their intervals.
@@ -159,18 +161,18 @@ def mean_disturbance(
     held = jnp.abs(state.acting.low) + jnp.abs(state.acting.high)
     memory = 1.0 + premises.lag_order * premises.mu[1] / dt  # samples over which roundings of the lags add up
     rounding = roundings() / (premises.k_p[0] * dt) * sizes + memory * roundings() * held
-    return Enclosed(lowest - state.acting.high - rounding, highest - state.acting.low + rounding)
+    return EnclosingInterval(lowest - state.acting.high - rounding, highest - state.acting.low + rounding)
 
 
 def acting_command(
     premises: DisturbancePremises, state: SeenDisturbance, command: Scalar, dt: float
-) -> tuple[tuple[Enclosed, ...], tuple[Enclosed, ...], Enclosed]:
+) -> tuple[tuple[EnclosingInterval, ...], tuple[EnclosingInterval, ...], EnclosingInterval]:
     """Delayed commands, lags at the end of the sample that begins, and the mean of what acts until then."""
     known = jnp.abs(command) < UNKNOWN
-    newest = Enclosed(jnp.where(known, command, -UNKNOWN), jnp.where(known, command, UNKNOWN))
+    newest = EnclosingInterval(jnp.where(known, command, -UNKNOWN), jnp.where(known, command, UNKNOWN))
     ages = (newest, *state.commands)
     weights = premises.delay_weights
-    held = Enclosed(
+    held = EnclosingInterval(
         sum(weight * aged.low for weight, aged in zip(weights, ages, strict=True)),
         sum(weight * aged.high for weight, aged in zip(weights, ages, strict=True)),
     )
@@ -185,7 +187,7 @@ def acting_command(
     return ages[:-1], ends, between(held, (second, ratios.mean), (first, ratios.passed_mean))
 
 
-def between(held: Enclosed, *parts: tuple[Enclosed, Interval]) -> Enclosed:
+def between(held: EnclosingInterval, *parts: tuple[EnclosingInterval, Interval]) -> EnclosingInterval:
     """held + the sum of ratio (x - held) over parts (x, ratio), which rises with held and with every x."""
     low = held.low
     high = held.high
@@ -194,7 +196,7 @@ def between(held: Enclosed, *parts: tuple[Enclosed, Interval]) -> Enclosed:
         upper = x.high - held.high
         low = low + jnp.minimum(smallest * lower, largest * lower)
         high = high + jnp.maximum(smallest * upper, largest * upper)
-    return Enclosed(low, high)
+    return EnclosingInterval(low, high)
 
 
 class LagRatios(NamedTuple):

@@ -55,26 +55,26 @@ def source_text(code: FlightCode) -> str:
     tables: dict[str, None] = {}
     subroutines: dict[str, str] = {}
     for controller in code.controllers:
-        written = [step_function(code, controller)]
+        channel_functions = [step_function(code, controller)]
         if controller.states:
-            written.insert(0, start_function(code, controller))
+            channel_functions.insert(0, start_function(code, controller))
         if controller.transfer is not None:
-            written.append(transfer_function(code, controller, controller.transfer))
+            channel_functions.append(transfer_function(code, controller, controller.transfer))
         functions.append(init_functions(controller))
-        for function in written:
+        for function in channel_functions:
             functions.append(function.text)
             helpers |= dict.fromkeys(function.notation.helpers())
             tables |= dict.fromkeys(function.tables)
             subroutines |= function.functions
-    first = code.controllers[0]
+    first_controller = code.controllers[0]
     definitions = [*tables, *helpers, *subroutines.values()]
     if any("T_s" in function for function in functions):
-        sample_time = c_literal(first.real.type(code.study.loop.sample_time), first.real)
-        definitions.insert(0, f"static const {first.c_real} T_s = {sample_time};  /* s */")
+        sample_time = c_literal(first_controller.real.type(code.study.loop.sample_time), first_controller.real)
+        definitions.insert(0, f"static const {first_controller.c_real} T_s = {sample_time};  /* s */")
     body = fill(
         "controller.c",
         definitions=joined_definitions(definitions),
-        is_finite=finite_function(first.real),
+        is_finite=finite_function(first_controller.real),
         functions="\n".join(functions),
         description=description_text(code),
     )
@@ -104,8 +104,8 @@ def start_function(code: FlightCode, controller: SampledController) -> FunctionT
     function = FunctionText(code, controller, controller.start)
     function.compute(function.outputs)
     function.assign([f"state->{state}" for state in controller.states], function.outputs)
-    unread = [f"(void){name};" for name in ("p", "measurement", "reference") if not function.reads(name)]
-    function.text = fill("start.c", name=controller.prefix, unread=unread, computation=function.lines)
+    unused_arguments = [f"(void){name};" for name in ("p", "measurement", "reference") if not function.reads(name)]
+    function.text = fill("start.c", name=controller.prefix, unread=unused_arguments, computation=function.lines)
     return function
 
 
@@ -113,11 +113,11 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
     """One sample. Telemetry is computed only if it is wanted, and nothing is kept unless all is finite."""
     name = controller.prefix
     function = FunctionText(code, controller, controller.step, [f"before.{state}" for state in controller.states])
-    updated = [f"updated.{state}" for state in controller.states]
-    count = len(updated) + len(COMMAND)
+    updated_members = [f"updated.{state}" for state in controller.states]
+    count = len(updated_members) + len(COMMAND)
     function.compute(function.outputs[:count])
     function.line("")
-    function.assign([*updated, *COMPUTED], function.outputs[:count])
+    function.assign([*updated_members, *COMPUTED], function.outputs[:count])
     computation = list(function.lines)
     if controller.infos:
         function.line("if (telemetry != NULL) {")
@@ -138,11 +138,11 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
         "step.c",
         name=name,
         signals_finite=finite(controller.signals),
-        state_before=state_before if updated else "",
+        state_before=state_before if updated_members else "",
         parameters=parameter_pointer(controller, function),
         computation=computation,
-        results_finite=finite([*COMPUTED, *updated]),
-        state_after="controller->state = updated;" if updated else "",
+        results_finite=finite([*COMPUTED, *updated_members]),
+        state_after="controller->state = updated;" if updated_members else "",
         telemetry=function.lines[len(computation) :],
     )
     return function
@@ -151,10 +151,10 @@ def step_function(code: FlightCode, controller: SampledController) -> FunctionTe
 def transfer_function(code: FlightCode, controller: SampledController, traced: TracedFunction) -> FunctionText:
     """The state that carries a command."""
     function = FunctionText(code, controller, traced, ["command"])
-    updated = [f"updated.{state}" for state in controller.states]
+    updated_members = [f"updated.{state}" for state in controller.states]
     function.compute(function.outputs)
     function.line("")
-    function.assign([*updated, *COMPUTED], function.outputs)
+    function.assign([*updated_members, *COMPUTED], function.outputs)
     tolerance = controller.real.type(np.sqrt(np.finfo(controller.real).eps))
     function.text = fill(
         "transfer.c",
@@ -163,7 +163,7 @@ def transfer_function(code: FlightCode, controller: SampledController, traced: T
         arguments_finite=finite([*controller.signals, "command"]),
         parameters=parameter_pointer(controller, function),
         computation=function.lines,
-        results_finite=finite([*updated, *COMPUTED]),
+        results_finite=finite([*updated_members, *COMPUTED]),
         fabs=absolute_value(controller.real),
         tolerance=c_literal(tolerance, controller.real),
         smallest=c_literal(controller.smallest_difference, controller.real),

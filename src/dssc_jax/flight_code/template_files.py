@@ -29,14 +29,14 @@ def template_text(file: str) -> str:
 def fill(file: str, **values: str | Iterable[str]) -> str:
     """Fill a template file with a text, or lines, for each placeholder."""
     texts = {name: value if isinstance(value, str) else "\n".join(value) for name, value in values.items()}
-    filled = []
+    filled_lines = []
     for line in template_text(file).split("\n"):
         placeholder = LINES.fullmatch(line)
         if placeholder is None:
-            filled.append(TextTemplate(line).substitute(texts))
+            filled_lines.append(TextTemplate(line).substitute(texts))
             continue
         indentation, name = placeholder.groups()
         if texts[name]:
-            inserted = texts[name].removesuffix("\n").split("\n")
-            filled += [indentation + text if text else "" for text in inserted]
-    return "\n".join(filled)
+            inserted_lines = texts[name].removesuffix("\n").split("\n")
+            filled_lines += [indentation + text if text else "" for text in inserted_lines]
+    return "\n".join(filled_lines)

@@ -1,4 +1,4 @@
-"""The monitor of a study's flight, traced: what its C is written from, and what its bits are compared with."""
+"""The traced monitor of a study's flight, from which its C is written and with which its bits are compared."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -46,15 +46,15 @@ class TracedMonitor:
 
 def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
     """Trace the monitor of a study's flight."""
-    rounded = premises.rounded(np.dtype(f"float{code.precision}"))
+    rounded_premises = premises.rounded(np.dtype(f"float{code.precision}"))
 
     def step(state: MonitorState, sample: MonitorSample) -> tuple[MonitorState, Scalar]:
-        after, current = monitor(rounded, state, sample)
+        after, current = monitor(rounded_premises, state, sample)
         return typed(after), current
 
     with arithmetic(code.precision):
-        state = monitor_state(rounded)
-        sample = sample_shape(rounded)
+        state = monitor_state(rounded_premises)
+        sample = sample_shape(rounded_premises)
         program, _, origins = translate_with_origins(step, state, sample)
     labels = [channel.label for channel in premises.channels]
     inputs = member_names_of(sample, labels)
@@ -64,7 +64,7 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
         if leaf.dtype.kind == "f"
     ]
     return TracedMonitor(
-        rounded,
+        rounded_premises,
         f"{code.name}_monitor",
         tuple(inputs),
         tuple(memories),

@@ -38,8 +38,8 @@ def entries_of(pairs: list[tuple[str, Json]]) -> dict[str, Json]:
     table = dict(pairs)
     if len(table) < len(pairs):
         names = [name for name, _ in pairs]
-        repeated = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the entry {repeated[:40]!r} occurs more than once")
+        repeated_name = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the entry {repeated_name[:40]!r} occurs more than once")
     return table
 
 

@@ -79,8 +79,8 @@ def axis_problem_of(study: Study) -> ProofProblem:
             if not followers:
                 raise NotCovered(f"{name} is uncertain, and nothing follows from it; leave it out")
             raise NotCovered(f"{name} is uncertain, and {followers} follows from it; give the latter a law of its own")
-        covered = set(study.numbers[name].paths) & set(UNCERTAIN)
-        if not covered and not name.startswith(BOUNDED_SIGNALS):
+        covered_paths = set(study.numbers[name].paths) & set(UNCERTAIN)
+        if not covered_paths and not name.startswith(BOUNDED_SIGNALS):
             raise NotCovered(
                 f"{name} is uncertain; a proof takes intervals of plant.k_p, plant.a_p, unmodelled.mu only"
             )
@@ -89,30 +89,33 @@ def axis_problem_of(study: Study) -> ProofProblem:
     if loop.plant is not NORMAL_FORM:
         raise NotCovered("the plant is not of the class (5)-(8), which kind = 'normal_form' writes down")
     low, high = ends
-    zero = low.plant.zero_dynamics
-    if zero is not None and (any(isinstance(row, Law) for row in zero) or zero != high.plant.zero_dynamics):
+    zero_dynamics = low.plant.zero_dynamics
+    if zero_dynamics is not None and (
+        any(isinstance(row, Law) for row in zero_dynamics) or zero_dynamics != high.plant.zero_dynamics
+    ):
         raise NotCovered("the zero dynamics are uncertain")
     level, slope, by_state = disturbance_of(study, ends)
-    moves = reference_bounds(loop.reference, ends.part("reference"))
+    reference_derivatives = reference_bounds(loop.reference, ends.part("reference"))
     lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
-    if moves and zero is not None:
+    if reference_derivatives and zero_dynamics is not None:
         raise NotCovered("the reference moves, and the plant has zero dynamics")
-    if moves and lag:
+    if reference_derivatives and lag:
         raise NotCovered("the reference moves, and the sensor lags")
-    speed, acceleration, jerk = (float(moves.get(name, 0.0)) for name in ("y_m_dot", "y_m_ddot", "y_m_dddot"))
+    derivative_names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
+    speed, acceleration, jerk = (float(reference_derivatives.get(name, 0.0)) for name in derivative_names)
     problem = ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
         a_p=(float(low.plant.a_p), float(high.plant.a_p)),
-        zero_a=tuple(map(float, zero.a)) if zero else (),
-        zero_c=tuple(map(float, zero.c)) if zero else (),
+        zero_a=tuple(map(float, zero_dynamics.a)) if zero_dynamics else (),
+        zero_c=tuple(map(float, zero_dynamics.c)) if zero_dynamics else (),
         sensor_lag=lag,
         level=level,
         slope=slope,
         reference=(speed, acceleration, jerk),
         initial=initial_errors(study, ends),
         by_state=by_state,
-        reference_size=float(moves.get("y_m", 0.0)) if any(by_state) else 0.0,
+        reference_size=float(reference_derivatives.get("y_m", 0.0)) if any(by_state) else 0.0,
         **unmodelled_of(study, ends),
         **controller_of(study),
     )
@@ -130,7 +133,7 @@ def numbers_in(value: object) -> list[float]:
         value = tuple(value.values())
     if not isinstance(value, tuple):
         return []
-    return [number for part in value for number in numbers_in(part)]
+    return [number for item in value for number in numbers_in(item)]
 
 
 def disturbance_of(study: Study, ends: Ends) -> tuple[float, float, tuple[float, ...]]:
@@ -180,13 +183,13 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     """
     if any(name.startswith("reference.") for name in study.written_laws):
         raise NotCovered("the reference's start is uncertain")
-    zero = ends.low.plant.zero_dynamics
-    size = 2 + (len(zero.a) if zero else 0)
+    zero_dynamics = ends.low.plant.zero_dynamics
+    size = 2 + (len(zero_dynamics.a) if zero_dynamics else 0)
     with jax.enable_x64(True):
         y, y_dot, _ = map(float, study.loop.reference.at(ends.low.reference, 0.0))
-    begins = (y, y_dot, *(0.0 for _ in range(size - 2)))
+    reference_start = (y, y_dot, *(0.0 for _ in range(size - 2)))
     starts = [tuple(map(float, end.plant.initial)) + (0.0,) * (size - len(end.plant.initial)) for end in ends]
-    pairs = zip(*starts, begins, strict=True)
+    pairs = zip(*starts, reference_start, strict=True)
     return tuple((min(a, b) - begin, max(a, b) - begin) for a, b, begin in pairs)
 
 
@@ -198,20 +201,20 @@ def unmodelled_of(study: Study, ends: Ends) -> JsonObject:
     """
     model = study.loop.unmodelled[0]
     low, high = (end.unmodelled[0] for end in ends)
-    absent = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
+    no_dynamics = {"numerator": (), "denominator": (), "mu": (0.0, 0.0), "delay": 0.0}
     if model is NO_DYNAMICS:
-        return absent
+        return no_dynamics
     if model is DELAY:
         if low.samples != high.samples:
             raise NotCovered("the delay is uncertain")
-        return absent | {"delay": float(low.samples)}
+        return no_dynamics | {"delay": float(low.samples)}
     if model in LAGS:
         numerator, denominator = LAGS[model]
     elif model is TRANSFER_FUNCTION:
-        numerator, denominator = (tuple(map(float, side)) for side in (low.numerator, low.denominator))
+        numerator, denominator = (tuple(map(float, coefficients)) for coefficients in (low.numerator, low.denominator))
     else:
         raise NotCovered("the unmodelled dynamics are neither a lag, a transfer function nor a delay")
-    return absent | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
+    return no_dynamics | {"numerator": numerator, "denominator": denominator, "mu": (float(low.mu), float(high.mu))}
 
 
 def controller_of(study: Study) -> JsonObject:

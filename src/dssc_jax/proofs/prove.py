@@ -74,7 +74,7 @@ class Proved:
 
     def summary(self) -> JsonObject:
         """The outcome in plain numbers."""
-        finite = bool(self.proofs)
+        has_proofs = bool(self.proofs)
         failures = [
             {"box": with_mu(failure.box), "reason": failure.reason, "text": REASONS[failure.reason]}
             for failure in self.failures
@@ -83,8 +83,8 @@ class Proved:
             "proved": self.complete,
             "share": self.share,
             "boxes": len(self.proofs),
-            "error": self.error if finite else None,
-            "largest_error": self.largest_error if finite else None,
+            "error": self.error if has_proofs else None,
+            "largest_error": self.largest_error if has_proofs else None,
             "statement": self.statement(),
             "failures": failures,
             "seconds": self.seconds,
@@ -152,8 +152,8 @@ def prove(study: Study, *, boxes: int = BOXES, progress: Callable[[int, int], No
         NotCovered: The loop is outside of what a proof covers; the message gives the reason.
         ConfigError: ``boxes`` is not positive.
     """
-    proved = prove_problem(problem_of(study), boxes, progress)
-    return replace(proved, units=study.units[0]) if isinstance(proved, Proved) else proved
+    outcome = prove_problem(problem_of(study), boxes, progress)
+    return replace(outcome, units=study.units[0]) if isinstance(outcome, Proved) else outcome
 
 
 def prove_problem(problem: AnyProblem, boxes: int, progress: Callable[[int, int], None] | None = None) -> AnyProved:
@@ -177,33 +177,34 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
     """
     if boxes < 1:
         raise ConfigError("boxes", f"must be at least 1, got {boxes}")
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     content = problem.to_dict()
-    number = itertools.count()
-    waiting: list[tuple[float, int, Box]] = [(-1.0, next(number), problem.box)]  # the number orders equal volumes
+    counter = itertools.count()
+    pending_boxes: list[tuple[float, int, Box]] = []  # the number in the middle orders equal volumes
+    pending_boxes.append((-1.0, next(counter), problem.box))
     proofs: list[Proof] = []
     failures: list[Failure] = []
     verdicts: list[ProofVerdict] = []
-    tried = 0
-    while waiting:
-        _, _, box = heapq.heappop(waiting)
-        tried += 1
+    box_count = 0
+    while pending_boxes:
+        _, _, box = heapq.heappop(pending_boxes)
+        box_count += 1
         result, verdict = attempt(problem, content, box)
         if isinstance(result, Proof) and verdict is not None:
             proofs.append(result)
             verdicts.append(verdict)
         elif isinstance(result, Failure):
-            hopeless = all(low == high for low, high in box.values())
-            if hopeless or tried + len(waiting) + 2 > boxes:
+            is_point = all(low == high for low, high in box.values())
+            if is_point or box_count + len(pending_boxes) + 2 > boxes:
                 failures.append(result)
             else:
-                for part in halves(box, problem):
-                    heapq.heappush(waiting, (-volume(part, problem), next(number), part))
+                for half in halves(box, problem):
+                    heapq.heappush(pending_boxes, (-volume(half, problem), next(counter), half))
         if progress is not None:
-            progress(tried, tried + len(waiting))
+            progress(box_count, box_count + len(pending_boxes))
     error = max((verdict.error for verdict in verdicts), default=np.inf)
     largest_error = max((verdict.largest_error for verdict in verdicts), default=np.inf)
-    return Proved(problem, proofs, failures, error, largest_error, time.perf_counter() - began)
+    return Proved(problem, proofs, failures, error, largest_error, time.perf_counter() - start_time)
 
 
 def attempt(
@@ -227,9 +228,10 @@ def check_certificate(content: object) -> ProofVerdict | VehicleVerdict:
     Raises:
         ConfigError: it is no certificate of this version.
     """
-    of_vehicle = isinstance(content, dict) and content.get("kind") == VEHICLE_KIND
+    is_vehicle = isinstance(content, dict) and content.get("kind") == VEHICLE_KIND
     version = content.get("version") if isinstance(content, dict) else None
-    expected = VEHICLE_VERSION if of_vehicle else VERSION
-    if type(version) is not int or version != expected:
-        raise ConfigError("version", f"is not {expected}: no certificate of this program; prove the study again")
-    return verify_vehicle(content) if of_vehicle else verify_certificate(content)
+    expected_version = VEHICLE_VERSION if is_vehicle else VERSION
+    if type(version) is not int or version != expected_version:
+        rule = f"is not {expected_version}: no certificate of this program; prove the study again"
+        raise ConfigError("version", rule)
+    return verify_vehicle(content) if is_vehicle else verify_certificate(content)

@@ -76,14 +76,14 @@ class VehicleProved:
 
     def summary(self) -> JsonObject:
         """The outcome in plain numbers: ``bounds`` from the start on, ``settled`` in the end [m, m/s, rad, rad/s]."""
-        absent = {"bounds": None, "settled": None}
+        no_bounds = {"bounds": None, "settled": None}
         return {
             "proved": self.complete,
             "share": self.share,
             "boxes": int(self.complete),
             "error": self.error if self.complete else None,
             "largest_error": self.largest_error if self.complete else None,
-            **(absent if self.verdict is None or self.failure else stated_bounds(self.verdict)),
+            **(no_bounds if self.verdict is None or self.failure else stated_bounds(self.verdict)),
             "statement": self.statement(),
             "failures": [] if self.complete else [{"box": {}, "reason": self.failure, "text": self.reason}],
             "seconds": self.seconds,
@@ -129,10 +129,10 @@ def vehicle_words(problem: VehicleProblem) -> list[str]:
         words.append(f"a rotor lag of {problem.rotor_lag:g} s")
     if problem.delay:
         words.append(f"a delay of {problem.delay * problem.sample_time:g} s")
-    for name, of, unit in (("x", "in the plane", "m"), ("z", "along z", "m"), ("psi", "of yaw", "rad")):
+    for name, place, unit in (("x", "in the plane", "m"), ("z", "along z", "m"), ("psi", "of yaw", "rad")):
         e, e_dot = problem.channels[name].initial
         if max(e, e_dot) > ROUNDED_START:
-            words.append(f"a start within {e:.4g} {unit} and {e_dot:.4g} {unit}/s {of}")
+            words.append(f"a start within {e:.4g} {unit} and {e_dot:.4g} {unit}/s {place}")
     return words
 
 
@@ -143,27 +143,27 @@ def certificate_of(problem: VehicleProblem, proof: JsonObject | None) -> JsonObj
 
 def prove_vehicle(problem: VehicleProblem) -> VehicleProved:
     """Search bounds that imply themselves, and have them verified as a certificate's file would hold them."""
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     proof: JsonObject | str = "gain"
     verdict: VehicleVerdict | None = None
     for room in ROOMS:
-        proof = found_proof(problem, room)
+        proof = search_proof(problem, room)
         if isinstance(proof, str):
             break
         verdict = verify_vehicle(json.loads(json.dumps(certificate_of(problem, proof))))
         if verdict.proved:
-            return VehicleProved(problem, proof, verdict, "", time.perf_counter() - began)
-    seconds = time.perf_counter() - began
+            return VehicleProved(problem, proof, verdict, "", time.perf_counter() - start_time)
+    seconds = time.perf_counter() - start_time
     if isinstance(proof, str) and verdict is None:
         return VehicleProved(problem, None, None, proof, seconds)
     return VehicleProved(problem, None, verdict, "verifier", seconds)
 
 
-def found_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
+def search_proof(problem: VehicleProblem, room: float) -> JsonObject | str:
     """The bounds that the search finds, in cells of time if the vehicle starts elsewhere; or why it finds none."""
     if problem.starts_away:
-        in_cells = cell_bounds(problem, room)
-        if not isinstance(in_cells, str):
-            return cells_proof_of(problem, in_cells)
-    found = best_bounds(problem, room)
-    return found if isinstance(found, str) else proof_of(problem, found)
+        bounds_in_cells = cell_bounds(problem, room)
+        if not isinstance(bounds_in_cells, str):
+            return cells_proof_of(problem, bounds_in_cells)
+    bounds = best_bounds(problem, room)
+    return bounds if isinstance(bounds, str) else proof_of(problem, bounds)

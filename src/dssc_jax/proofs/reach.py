@@ -8,7 +8,7 @@ import numpy as np
 from dssc_jax.core.bisection import bisect
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
-from dssc_jax.design.certification import widened
+from dssc_jax.design.certification import widened_laws
 from dssc_jax.proofs import SWEEP_BOXES
 from dssc_jax.proofs.coverage import AnyProblem, problem_of
 from dssc_jax.proofs.prove import AnyProved, Proved, prove_problem
@@ -101,14 +101,14 @@ def proved_up_to(
     if safe == end or (log and min(bounds) <= 0.0):
         raise ConfigError("over", f"needs two different{' positive' if log else ''} ends, got {safe:g} and {end:g}")
     study.require_free(name)
-    single = study.without_sweep()
+    study_at_point = study.without_sweep()
     proofs: dict[float, tuple[float, AnyProved]] = {}
 
     def proved_at(share: np.ndarray | float) -> bool:
         """Whether the study is proved at a share of the way from the safe end to the other."""
         share = float(share)
         value = safe * (end / safe) ** share if log else safe + share * (end - safe)
-        proof = prove_problem(problem_at(single, name, value), boxes)
+        proof = prove_problem(problem_at(study_at_point, name, value), boxes)
         if isinstance(proof, Proved):
             proof = replace(proof, units=study.units[0])
         proofs[share] = (value, proof)
@@ -116,21 +116,21 @@ def proved_up_to(
             progress(len(proofs), None)
         return proof.complete
 
-    inside = 0.0
-    outside = 1.0
-    if not proved_at(inside):
-        value, proof = proofs[inside]
-        return ProvedReach(name, tried(proofs), None, None, value, proof.reason)
-    if proved_at(outside):
-        value, proof = proofs[outside]
-        return ProvedReach(name, tried(proofs), proof, value, None, "")
-    inside, outside = map(float, bisect(proved_at, inside, outside, HALVINGS))
-    value, proof = proofs[inside]
-    refused, failure = proofs[outside]
-    return ProvedReach(name, tried(proofs), proof, value, refused, failure.reason)
+    proved_share = 0.0
+    unproved_share = 1.0
+    if not proved_at(proved_share):
+        value, proof = proofs[proved_share]
+        return ProvedReach(name, proved_values(proofs), None, None, value, proof.reason)
+    if proved_at(unproved_share):
+        value, proof = proofs[unproved_share]
+        return ProvedReach(name, proved_values(proofs), proof, value, None, "")
+    proved_share, unproved_share = map(float, bisect(proved_at, proved_share, unproved_share, HALVINGS))
+    value, proof = proofs[proved_share]
+    unproved_value, failure = proofs[unproved_share]
+    return ProvedReach(name, proved_values(proofs), proof, value, unproved_value, failure.reason)
 
 
-def tried(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
+def proved_values(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
     """The values that were tried, in order, and whether each is proved."""
     return [(value, proof.complete) for value, proof in proofs.values()]
 
@@ -143,4 +143,4 @@ def problem_at(study: Study, name: str, value: float) -> AnyProblem:
     """
     if name == SAMPLE_TIME:  # the duration need not be a multiple of it
         return replace(problem_of(study), sample_time=value)
-    return problem_of(study.override(widened(study, value) if name == SPREAD else {name: value}))
+    return problem_of(study.override(widened_laws(study, value) if name == SPREAD else {name: value}))

@@ -56,28 +56,28 @@ def vehicle_problem_of(study: Study) -> VehicleProblem:
     ends = ends_of(study.without_sweep())
     require_loop(study)
     plant = ends.part("plant")
-    inner = require_inner_loop(plant)
+    inner_gains = require_inner_loop(plant)
     vehicle = ends.low.plant.vehicle
     require_geometry(plant)
     model = ends.low.plant.inner_model
     masses = interval_of([end.plant.vehicle.mass for end in ends])
     thrusts = interval_of([end.plant.vehicle.thrust_coefficient for end in ends])
-    relative = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))
+    thrust_ratio = quotient(thrusts, (model.thrust_coefficient, model.thrust_coefficient))
     inertia = tuple(interval_of(pair) for pair in zip(*(end.plant.vehicle.inertia for end in ends), strict=True))
-    turns = [quotient((believed, believed), pair) for believed, pair in zip(model.inertia, inertia, strict=True)]
-    turns = [product(relative, turn) for turn in turns]
+    turn_ratios = [quotient((believed, believed), pair) for believed, pair in zip(model.inertia, inertia, strict=True)]
+    turn_ratios = [product(thrust_ratio, turn) for turn in turn_ratios]
     return VehicleProblem(
         sample_time=study.loop.sample_time,
         delay=delay_of(study, ends),
-        velocity_gain=float(inner.kd_velocity),
-        stiffness=float(inner.kp_attitude),
-        damping=float(inner.kd_attitude),
-        yaw_gain=float(inner.kd_yaw),
-        yaw_integral_gain=float(inner.kp_yaw),
+        velocity_gain=float(inner_gains.kd_velocity),
+        stiffness=float(inner_gains.kp_attitude),
+        damping=float(inner_gains.kd_attitude),
+        yaw_gain=float(inner_gains.kd_yaw),
+        yaw_integral_gain=float(inner_gains.kp_yaw),
         mass=masses,
         believed_mass=float(model.mass),
-        thrust=product(relative, quotient((model.mass, model.mass), masses)),
-        turn=(min(low for low, _ in turns), max(high for _, high in turns)),
+        thrust=product(thrust_ratio, quotient((model.mass, model.mass), masses)),
+        turn=(min(low for low, _ in turn_ratios), max(high for _, high in turn_ratios)),
         inertia=(inertia[0], inertia[1], inertia[2]),
         believed_inertia=(float(model.inertia.x), float(model.inertia.y), float(model.inertia.z)),
         rotors=vehicle.rotors,
@@ -163,9 +163,9 @@ def require_geometry(plant: Ends) -> None:
         raise NotCovered("plant.desaturation is not 'clip'")
     n = vehicle.rotors
     angles = np.array(vehicle.rotor_angles, dtype=float)
-    steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))
+    angle_steps = np.diff(np.append(angles, angles[0] + 2.0 * math.pi))
     spins = np.array(vehicle.spins, dtype=float)
-    if n % 2 or np.max(np.abs(steps - 2.0 * math.pi / n)) > EQUAL_ANGLES or np.any(spins[1:] != -spins[:-1]):
+    if n % 2 or np.max(np.abs(angle_steps - 2.0 * math.pi / n)) > EQUAL_ANGLES or np.any(spins[1:] != -spins[:-1]):
         raise NotCovered("the rotors are not equally spaced, counter-clockwise, with alternating spins")
     if vehicle.structure_drag[0] != vehicle.structure_drag[1]:
         raise NotCovered("plant.vehicle.structure_drag differs between body x and y")
@@ -176,7 +176,7 @@ def interval_of(ends: "list[float] | tuple[float, ...]") -> Interval:
     return float(min(ends)), float(max(ends))
 
 
-def widened(interval: Interval, exact: Interval) -> Interval:
+def with_rounding_room(interval: Interval, exact: Interval) -> Interval:
     """An interval a little wider than its rounded ends, unless it is a number that rounding has not changed."""
     if interval == exact:
         return interval
@@ -188,14 +188,14 @@ def quotient(a: Interval, b: Interval) -> Interval:
     """The interval of a/b of positive numbers; 1 for a number over itself."""
     if a == b and a[0] == a[1]:
         return 1.0, 1.0
-    return widened((a[0] / b[1], a[1] / b[0]), (1.0, 1.0))
+    return with_rounding_room((a[0] / b[1], a[1] / b[0]), (1.0, 1.0))
 
 
 def product(a: Interval, b: Interval) -> Interval:
     """The interval of a b of positive numbers."""
     if a == (1.0, 1.0) or b == (1.0, 1.0):
         return b if a == (1.0, 1.0) else a
-    return widened((a[0] * b[0], a[1] * b[1]), (1.0, 1.0))
+    return with_rounding_room((a[0] * b[0], a[1] * b[1]), (1.0, 1.0))
 
 
 def delay_of(study: Study, ends: Ends) -> float:
@@ -209,7 +209,7 @@ def delay_of(study: Study, ends: Ends) -> float:
         return 0.0
     if any(model is not DELAY for model in models):
         raise NotCovered("the unmodelled dynamics are no single delay; a lag belongs to plant.vehicle.motor_lag")
-    samples = {float(part.samples) for end in ends for part in end.unmodelled}
+    samples = {float(delay_params.samples) for end in ends for delay_params in end.unmodelled}
     if len(samples) > 1:
         raise NotCovered("the delay is uncertain, or differs between the channels")
     return samples.pop()
@@ -296,16 +296,16 @@ def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
 def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
     """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms, of psi that of |psi'|."""
     plants: list[UavParams] = [end.plant for end in ends]
-    *places, yaw = first_points(study, ends)
-    room = 0.0 if study.loop.reference is HOVER else START_ROOM
-    distances = [largest_of([end.position[i] - places[i][0] for end in plants]) for i in range(3)]
-    speeds = [largest_of([end.velocity[i] - places[i][1] for end in plants]) for i in range(3)]
-    turned = [float(end.yaw) - yaw[0] for end in plants]
-    turns = TURN * round(sum(turned) / (2.0 * TURN))  # the vehicle takes the shorter way round
+    *first_points_of_axes, yaw = first_points(study, ends)
+    rounding_room = 0.0 if study.loop.reference is HOVER else START_ROOM
+    distances = [largest_of([end.position[i] - first_points_of_axes[i][0] for end in plants]) for i in range(3)]
+    speeds = [largest_of([end.velocity[i] - first_points_of_axes[i][1] for end in plants]) for i in range(3)]
+    yaw_errors = [float(end.yaw) - yaw[0] for end in plants]
+    full_turns = TURN * round(sum(yaw_errors) / (2.0 * TURN))  # the vehicle takes the shorter way round
     return {
-        "x": (math.hypot(distances[0], distances[1]) + room, math.hypot(speeds[0], speeds[1]) + room),
-        "z": (distances[2] + room, speeds[2] + room),
-        "psi": (largest_of([angle - turns for angle in turned]) + room, 0.0),
+        "x": (math.hypot(distances[0], distances[1]) + rounding_room, math.hypot(speeds[0], speeds[1]) + rounding_room),
+        "z": (distances[2] + rounding_room, speeds[2] + rounding_room),
+        "psi": (largest_of([angle - full_turns for angle in yaw_errors]) + rounding_room, 0.0),
     }
 
 

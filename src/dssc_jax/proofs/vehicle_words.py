@@ -38,8 +38,8 @@ def inner_words(problem: VehicleProblem) -> str:
 def inertia_words(problem: VehicleProblem) -> str:
     """The inertia, and what the inner loops believe of it."""
     axes = zip("xyz", problem["inertia"], problem["believed_inertia"], strict=True)
-    parts = [f"J_{axis} {interval_words(interval)} (believed {believed})" for axis, interval, believed in axes]
-    return f"{', '.join(parts)} kg m^2, believed over true {interval_words(problem['turn'])}"
+    axis_words = [f"J_{axis} {interval_words(interval)} (believed {believed})" for axis, interval, believed in axes]
+    return f"{', '.join(axis_words)} kg m^2, believed over true {interval_words(problem['turn'])}"
 
 
 def rotor_words(problem: VehicleProblem) -> str:
@@ -108,18 +108,18 @@ def stated_bounds(verdict: VehicleVerdict) -> JsonObject:
     """
     rotors = {"rotor_min": verdict.rotor_min, "rotor_max": verdict.rotor_max}
     pairs = {"bounds": (verdict.bounds, verdict.tilt), "settled": (verdict.settled, verdict.settled_tilt)}
-    stated: JsonObject = {
+    bounds_by_moment: JsonObject = {
         moment: by_channel(signals) | {"tilt": tilt, **rotors} for moment, (signals, tilt) in pairs.items()
     }
     if verdict.cell:
-        stated |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}
-    return stated
+        bounds_by_moment |= {"cell": verdict.cell, "envelope": by_channel(verdict.envelope)}
+    return bounds_by_moment
 
 
 def by_channel(signals: Mapping[str, Mapping[str, float | list[float]]]) -> JsonObject:
     """The signals that a statement holds, by channel."""
     return {
-        shown: {signal: signals[name][signal] for signal in STATED}
+        label: {signal: signals[name][signal] for signal in STATED}
         for name, names in SHOWN_AS.items()
-        for shown in names
+        for label in names
     }

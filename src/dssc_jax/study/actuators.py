@@ -81,14 +81,16 @@ def parse_chain(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Comp
         path = f"{ACTUATOR}.{label}"
         channel = table.get("channel", "")
         if channel and channel not in channels:
-            known = nearest(str(channel), channels) if any(channels) else "the plant has one channel without a name"
-            raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {known}")
-        plain = {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
-        elements.append((path, table, parse_component(plain, UNMODELLED, path)))
+            hint = nearest(str(channel), channels) if any(channels) else "the plant has one channel without a name"
+            raise ConfigError(f"{path}.channel", f"must be a channel of the plant, got {channel!r}; {hint}")
+        kind_table = {name: value for name, value in table.items() if name not in ELEMENT_FIELDS}
+        elements.append((path, table, parse_component(kind_table, UNMODELLED, path)))
     components = []
     for index, channel in enumerate(channels):
-        acting = [(path, part) for path, table, part in elements if in_channel(table, channel) and part.kind != "none"]
-        components.append(chained(acting, f"{SLOT}.{index}"))
+        elements_of_channel = [
+            (path, part) for path, table, part in elements if in_channel(table, channel) and part.kind != "none"
+        ]
+        components.append(series_component(elements_of_channel, f"{SLOT}.{index}"))
     return components
 
 
@@ -101,15 +103,15 @@ def acting_elements(table: Mapping[str, object], config: StudyTable) -> list[tup
     """
     parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
     elements = []
-    for content in parameters.resolved(tables_of(config, SLOT), SLOT):
-        plain = {name: value for name, value in content.items() if name not in ELEMENT_FIELDS}
-        part = parse_component(plain, UNMODELLED, SLOT)
-        if part.kind != "none":
-            elements.append((Element(part.kind, part.model), part.params))
+    for element_table in parameters.resolved(tables_of(config, SLOT), SLOT):
+        kind_table = {name: value for name, value in element_table.items() if name not in ELEMENT_FIELDS}
+        element = parse_component(kind_table, UNMODELLED, SLOT)
+        if element.kind != "none":
+            elements.append((Element(element.kind, element.model), element.params))
     return elements
 
 
-def chained(elements: list[tuple[str, Component]], place: str) -> Component:
+def series_component(elements: list[tuple[str, Component]], place: str) -> Component:
     """The elements of one channel as one component; ``place`` is its path in the loop's parameters."""
     if not elements:
         return parse_component({"kind": "none"}, UNMODELLED, ACTUATOR)
@@ -149,8 +151,8 @@ def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTabl
         channel: Name of a channel, whose own table overrides the common one; empty: the common ones.
     """
     if slot == SLOT and config.actuator:
-        acting = [table for table in config.actuator if table.get("kind") != "none"]
-        return [table for table in acting if not channel or in_channel(table, channel)]
+        active_tables = [table for table in config.actuator if table.get("kind") != "none"]
+        return [table for table in active_tables if not channel or in_channel(table, channel)]
     table = getattr(config, slot)
     if isinstance(table, list):
         return table

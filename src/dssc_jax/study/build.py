@@ -28,7 +28,7 @@ from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
 from dssc_jax.study.fitting import fitted, nominal_params
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
-from dssc_jax.study.measuring import available_metrics, kinds_of, measured
+from dssc_jax.study.measuring import available_metrics, kinds_of, parse_measures
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
 from dssc_jax.study.parameters import TEXTS, ParameterTable
 from dssc_jax.study.schema import (
@@ -78,9 +78,11 @@ def validate_fixed(table: TomlTable) -> StudyTable:
     try:
         return StudyTable.model_validate(table)
     except ValidationError as error:
-        outer = [str(part) for part in error.errors()[0]["loc"][:-1]]
-        inside = FIXED_TABLES.get(".".join(outer)) or FIXED_TABLES.get("".join(outer[:1])) or StudyTable
-        raise explain(error, inside.model_fields) from None
+        parent_path = [str(part) for part in error.errors()[0]["loc"][:-1]]
+        nested_table = FIXED_TABLES.get(".".join(parent_path))
+        top_table = FIXED_TABLES.get("".join(parent_path[:1]))
+        table_model = nested_table or top_table or StudyTable
+        raise explain(error, table_model.model_fields) from None
 
 
 def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
@@ -89,8 +91,10 @@ def with_constants(table: TomlTable, parameters: ParameterTable) -> TomlTable:
     Raises:
         ConfigError: one is not valid, or depends on a law.
     """
-    kept = {*TABLES, *TEXTS, "compare", PARAMETERS}
-    return {name: value if name in kept else parameters.constants(value, name) for name, value in table.items()}
+    unchanged_names = {*TABLES, *TEXTS, "compare", PARAMETERS}
+    return {
+        name: value if name in unchanged_names else parameters.constants(value, name) for name, value in table.items()
+    }
 
 
 class Parts(NamedTuple):
@@ -131,29 +135,30 @@ def parsed_parts(table: TomlTable) -> Parts:
     channels = plant.model.channels or ("",)
     has_several_channels = len(channels) > 1
     units = parse_units(config.units, plant.model, channels)
-    wholes = {
+    single_parts = {
         "plant": plant,
         "reference": parse_reference(tables["reference"], channels, units),
         "wind": parse_winds(tables["wind"]),
     }
-    if not has_several_channels and wholes["wind"].kind != "none":
+    if not has_several_channels and single_parts["wind"].kind != "none":
         raise ConfigError("wind.kind", f"the plant '{plant.kind}' does not fly; use a disturbance")
     if not has_several_channels:
-        wholes["plant"] = with_units(plant, units[0])
+        single_parts["plant"] = with_units(plant, units[0])
     inputs = plant.model.inputs(plant.params) if plant.model.inputs else ()
-    places = [signal.name for signal in inputs]
-    known = measurable(plant.model, nominal_params(plant.params), plant.model.reported(plant.params), channels, units)
-    sensors = sensor_tables(tables["sensor"], known)
-    measures = tuple(known[name] for name in sensors.measures)
+    input_names = [signal.name for signal in inputs]
+    outputs = plant.model.reported(plant.params)
+    measurable_signals = measurable(plant.model, nominal_params(plant.params), outputs, channels, units)
+    sensors = sensor_tables(tables["sensor"], measurable_signals)
+    measures = tuple(measurable_signals[name] for name in sensors.measures)
     tables["sensor"] = sensors.channels
     columns = {slot: parse_channels(tables[slot], slot, channels) for slot in PER_CHANNEL if slot != "disturbance"}
-    columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, places)
+    columns["disturbance"] = parse_disturbances(tables["disturbance"], channels, input_names)
     columns = {slot: [*map(with_units, column, units)] for slot, column in columns.items()}
     columns["inputs"] = [
         with_units(part, units[0]._replace(command=signal.unit or UNNAMED_UNITS.command))
-        for part, signal in zip(parse_inputs(tables["disturbance"], channels, places), inputs, strict=True)
+        for part, signal in zip(parse_inputs(tables["disturbance"], channels, input_names), inputs, strict=True)
     ]
-    columns["signal_sensor"] = parse_signal_sensors(sensors, known)
+    columns["signal_sensor"] = parse_signal_sensors(sensors, measurable_signals)
     events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
     columns["unmodelled"] = with_command_events(columns["unmodelled"], events, channels)
     columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
@@ -171,37 +176,39 @@ def parsed_parts(table: TomlTable) -> Parts:
     columns["sensor"] = with_sensor_events(columns["sensor"], events, channels)
     columns["events"] = list(vehicle_events(events, plant.params.vehicle)) if events else []
     loop = Loop(
-        **{slot: part.model for slot, part in wholes.items()},
+        **{slot: part.model for slot, part in single_parts.items()},
         **{slot: tuple(part.model for part in column) for slot, column in columns.items()},
         channels=channels,
         measures=measures,
         input_names=tuple(signal.name for signal in inputs),
-        outputs=plant.model.reported(plant.params),
+        outputs=outputs,
         rotors=plant.params.vehicle.rotors if columns["events"] else 0,
         **clock(config),
     )
     template = LoopParams(
-        **{slot: part.params for slot, part in wholes.items()},
+        **{slot: part.params for slot, part in single_parts.items()},
         **{slot: tuple(part.params for part in column) for slot, column in columns.items()},
     )
     metrics = kinds_of(config)
-    fields, seen = info_fields(loop, template)
-    names = available_metrics(fields, seen, metrics)
+    fields, vehicle_fields = info_fields(loop, template)
+    names = available_metrics(fields, vehicle_fields, metrics)
     signals = signals_of(loop, template, units)
-    computed, requirements = measured(config, names, metrics, channels, units, signals, parameters.constant)
-    numbers = by_name(n for part in (*wholes.values(), *chain(*columns.values())) for n in part.numbers)
+    metric_measures, requirements = parse_measures(
+        config, names, metrics, channels, units, signals, parameters.constant
+    )
+    numbers = by_name(n for part in (*single_parts.values(), *chain(*columns.values())) for n in part.numbers)
     numbers = {number.name: number for number in parameter_numbers(parameters, numbers.values())} | numbers
     check_axes(config, numbers)
-    check_swept_parts(table, config, loop, known, numbers)
-    check_settled(loop, computed)
-    return Parts(config, loop, template, units, numbers, computed, requirements)
+    check_swept_parts(table, config, loop, measurable_signals, numbers)
+    check_settled(loop, metric_measures)
+    return Parts(config, loop, template, units, numbers, metric_measures, requirements)
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:
     """Every signal of a loop, by the name of its column in a trajectory."""
-    fields, seen = info_fields(loop, template)
+    fields, vehicle_fields = info_fields(loop, template)
     reports = [quantities_of(model.info) for model in loop.controller]
-    return sampled_signals(fields, seen, units, reports, loop.quantities, loop.measures)
+    return sampled_signals(fields, vehicle_fields, units, reports, loop.quantities, loop.measures)
 
 
 def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tuple[ChannelUnits, ...]:
@@ -212,7 +219,7 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
     """
     units_of_plant = plant.units or (UNNAMED_UNITS,) * len(channels)
     common = {name: value for name, value in table.items() if name not in channels}
-    named = []
+    channel_units = []
     for units, channel in zip(units_of_plant, channels, strict=True):
         with errors_under(dotted("units", channel if channel in table else "")):
             overrides = as_table(table[channel]) if channel in table else {}
@@ -220,8 +227,8 @@ def parse_units(table: TomlTable, plant: Plant, channels: tuple[str, ...]) -> tu
                 changes = UnitsTable.model_validate(common | overrides).model_dump(exclude_none=True)
             except ValidationError as error:
                 raise explain(error, [*UnitsTable.model_fields, *filter(None, channels)]) from None
-        named.append(units._replace(**changes))
-    return tuple(named)
+        channel_units.append(units._replace(**changes))
+    return tuple(channel_units)
 
 
 def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
@@ -254,7 +261,7 @@ def check_settled(loop: Loop, measures: tuple[Measure, ...]) -> None:
 
 
 def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Component:
-    """The sensor whose jitter, if it has one, is at most one sample; axes and margins know the bound, too.
+    """Limit a sensor's jitter, if it has one, to one sample; axes and margins respect the limit, too.
 
     Raises:
         ConfigError: Its own jitter may exceed the sampling period.
@@ -264,11 +271,11 @@ def with_bounded_jitter(sensor: Component, path: str, sample_time: float) -> Com
     if longest > sample_time:
         rule = f"must be <= loop.sample_time = {sample_time:g} s, got up to {longest:g} s"
         raise ConfigError(dotted(path, "jitter"), rule)
-    bounded = (
+    bounded_numbers = (
         replace(n, quantity=replace(n.quantity, at_most=sample_time)) if n.name.endswith(".jitter") else n
         for n in sensor.numbers
     )
-    return replace(sensor, numbers=tuple(bounded))
+    return replace(sensor, numbers=tuple(bounded_numbers))
 
 
 Fields = tuple[dict[str, tuple[str, ...]], tuple[str, ...]]
@@ -289,19 +296,19 @@ def traced_fields(loop: Loop, structure: Any, leaves: tuple[Hashable, ...]) -> F
     def is_array(leaf: Hashable) -> bool:
         return isinstance(leaf, jax.ShapeDtypeStruct)
 
-    def first(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
+    def infos_of(arrays: list[jax.Array]) -> tuple[tuple[Any, ...], Any]:
         remaining = iter(arrays)
-        completed = [next(remaining) if is_array(leaf) else leaf for leaf in leaves]
-        params = jax.tree.unflatten(structure, completed)
+        filled_leaves = [next(remaining) if is_array(leaf) else leaf for leaf in leaves]
+        params = jax.tree.unflatten(structure, filled_leaves)
         rehearse(loop, params)
         return first_infos(loop, params)
 
     def fields() -> Fields:
         with arithmetic():
-            controllers, plant = jax.eval_shape(first, [leaf for leaf in leaves if is_array(leaf)])
-        reported = {
+            controllers, plant = jax.eval_shape(infos_of, [leaf for leaf in leaves if is_array(leaf)])
+        controller_fields = {
             channel: fields_of(info, "controller") for channel, info in zip(loop.channels, controllers, strict=True)
         }
-        return reported, fields_of(plant, "plant")
+        return controller_fields, fields_of(plant, "plant")
 
     return remembered("fields", fields, loop, jax.tree.unflatten(structure, leaves))

@@ -17,17 +17,17 @@ NAMING = ("kind", "metric", "names")
 def code_names(table: Mapping[str, object]) -> tuple[str, ...]:
     """Every ``module:object`` in a study's table, sorted; the table need not be valid."""
     names: set[str] = set()
-    waiting: list[Any] = [table]
-    while waiting:
-        node = waiting.pop()
+    pending_nodes: list[Any] = [table]
+    while pending_nodes:
+        node = pending_nodes.pop()
         if isinstance(node, Mapping):
             for key in NAMING:
                 value = node.get(key)
                 texts = value if isinstance(value, list | tuple) else [value]
                 names.update(text for text in texts if isinstance(text, str) and ":" in text)
-            waiting.extend(node.values())
+            pending_nodes.extend(node.values())
         elif isinstance(node, list | tuple):
-            waiting.extend(node)
+            pending_nodes.extend(node)
     return tuple(sorted(names))
 
 
@@ -36,12 +36,12 @@ def code_file(name: str) -> Path | None:
 
     The packages above the module are not imported either, as ``importlib.util.find_spec`` of a dotted name would.
     """
-    first, *submodules = name.partition(":")[0].split(".")
+    top_package, *submodules = name.partition(":")[0].split(".")
     try:
-        spec = importlib.util.find_spec(first)
-        for part in submodules:
-            places = spec.submodule_search_locations if spec else None
-            spec = PathFinder.find_spec(part, list(places)) if places else None
+        spec = importlib.util.find_spec(top_package)
+        for submodule in submodules:
+            search_paths = spec.submodule_search_locations if spec else None
+            spec = PathFinder.find_spec(submodule, list(search_paths)) if search_paths else None
     except (ImportError, ValueError):  # no name of a module, or one that says nothing of its file
         return None
     return Path(spec.origin) if spec and spec.has_location and spec.origin else None
@@ -49,13 +49,13 @@ def code_file(name: str) -> Path | None:
 
 def recorded(table: Mapping[str, object]) -> dict[str, dict[str, str | None]]:
     """File and digest of each module that a study refers to, by ``module:object``, and of native code; for JSON."""
-    modules = {name: digested(code_file(name)) for name in code_names(table)}
+    modules = {name: file_digest(code_file(name)) for name in code_names(table)}
     native = {part.file: {"file": part.place, "sha256": part.sha256} for part in native_files(table)}
     return modules | native
 
 
-def digested(file: Path | None) -> dict[str, str | None]:
-    """A file and the digest of its content."""
+def file_digest(file: Path | None) -> dict[str, str | None]:
+    """A file and the SHA-256 digest of its content, for JSON."""
     if file is None:
         return {"file": None, "sha256": None}
     return {"file": str(file), "sha256": hashlib.sha256(files.read_bytes(file)).hexdigest()}
@@ -87,13 +87,13 @@ def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] 
     """
     lines = []
     for name in code_names(table):
-        present = digested(code_file(name))
-        earlier = (modules or {}).get(name)
-        known = earlier if isinstance(earlier, Mapping) else {}
-        if present["file"] is None:
-            run = f" (the run used {known['file']})" if known.get("file") else ""
-            lines.append(f"{name} from no file that is found{run}")
+        current = file_digest(code_file(name))
+        recorded_module = (modules or {}).get(name)
+        recorded_file = recorded_module if isinstance(recorded_module, Mapping) else {}
+        if current["file"] is None:
+            former_file = f" (the run used {recorded_file['file']})" if recorded_file.get("file") else ""
+            lines.append(f"{name} from no file that is found{former_file}")
         else:
-            changed = bool(known) and known.get("sha256") != present["sha256"]
-            lines.append(f"{name} from {present['file']}{', changed since the run' * changed}")
+            is_changed = bool(recorded_file) and recorded_file.get("sha256") != current["sha256"]
+            lines.append(f"{name} from {current['file']}{', changed since the run' * is_changed}")
     return "; ".join(lines)

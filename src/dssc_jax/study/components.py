@@ -180,11 +180,11 @@ def contract_of(registry: Registry) -> type:
 def require_contract(kind: str, model: object, contract: type) -> None:
     """Require that a user's model has the type that its slot expects."""
     expected = f"a {contract.__name__}"
-    fits = isinstance(model, contract)
+    is_of_contract = isinstance(model, contract)
     if contract is type:
         expected = "a NamedTuple type"
-        fits = fits and is_record(model)
-    if not fits:
+        is_of_contract = is_of_contract and is_record(model)
+    if not is_of_contract:
         raise ConfigError("kind", f"'{kind}' must be {expected}, got {type(model).__name__}")
 
 
@@ -279,10 +279,10 @@ def parse_params(
     for name, spec in specs.items():
         if spec.part:
             with errors_under(name):
-                fields[name], inner = parse_part(name, spec, table, defaults)
-            numbers[name] = tuple(number.under(name, name) for number in inner)
-    plain = {name: item for name, item in table.items() if name not in numbers}
-    for name, value in parse_plain(plain, params, defaults, choices).items():
+                fields[name], numbers_of_part = parse_part(name, spec, table, defaults)
+            numbers[name] = tuple(number.under(name, name) for number in numbers_of_part)
+    plain_table = {name: item for name, item in table.items() if name not in numbers}
+    for name, value in parse_plain(plain_table, params, defaults, choices).items():
         fields[name] = leaves_of(value)
         mark = specs[name].mark
         if isinstance(mark, Quantity) and value is not None and not mark.data:
@@ -315,10 +315,10 @@ def parse_part(name: str, spec: FieldSpec, table: TomlTable, defaults: TomlTable
     if slot.number is None or not (is_number(value) or is_law(value) or isinstance(value, Expression)):
         component = parse_component(value, slot.registry, default=slot.default)
         return component.params, component.numbers
-    first = next(iter(field_specs(slot.registry[slot.number].members[None])))
-    component = parse_component({"kind": slot.number, first: value}, slot.registry)
+    first_field = next(iter(field_specs(slot.registry[slot.number].members[None])))
+    component = parse_component({"kind": slot.number, first_field: value}, slot.registry)
     return component.params, tuple(
-        replace(number, name="") if number.name == first else number for number in component.numbers
+        replace(number, name="") if number.name == first_field else number for number in component.numbers
     )
 
 
@@ -333,8 +333,8 @@ def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple
         presets: tuple[Any, ...] = (None,) * len(tables)
     else:
         tables_by_index = as_table({} if value is None else value)
-        known = [str(index) for index in range(len(preset))]
-        unknown = next((key for key in tables_by_index if key not in known), None)
+        valid_indices = [str(index) for index in range(len(preset))]
+        unknown = next((key for key in tables_by_index if key not in valid_indices), None)
         if unknown is not None:
             hint = f"valid are 0 to {len(preset) - 1}" if preset else "there is none; write a list of tables"
             raise ConfigError(unknown, f"is no index of an item; {hint}")
@@ -344,9 +344,9 @@ def parse_list(item: Any, value: object, preset: tuple[Any, ...]) -> tuple[tuple
     numbers: list[Number] = []
     for index, table in tables.items():
         with errors_under(str(index)):
-            part, inner = parse_params(table, item, presets[index])
+            part, numbers_of_item = parse_params(table, item, presets[index])
         items.append(part)
-        numbers += [number.under(str(index), str(index)) for number in inner]
+        numbers += [number.under(str(index), str(index)) for number in numbers_of_item]
     return tuple(items), tuple(numbers)
 
 
@@ -369,8 +369,8 @@ def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tupl
                 items[name] = leaves_of(number)
                 numbers.append(Number.of(name, spec.mark, number, name))
                 continue
-            items[name], inner = parse_params(as_table(value), spec.named)
-            numbers += [number.under(name, name) for number in inner]
+            items[name], numbers_of_item = parse_params(as_table(value), spec.named)
+            numbers += [number.under(name, name) for number in numbers_of_item]
     return items, tuple(numbers)
 
 
@@ -382,14 +382,14 @@ def parse_plain(table: TomlTable, params: Any, defaults: TomlTable, choices: tup
     """
     specs = field_specs(params)
     model = table_model(params)
-    usual = {name: defaults[name] for name in model.model_fields if name in defaults}
-    values = {name: value.value if isinstance(value, Enum) else value for name, value in usual.items()}
+    default_values = {name: defaults[name] for name in model.model_fields if name in defaults}
+    values = {name: value.value if isinstance(value, Enum) else value for name, value in default_values.items()}
     try:
-        checked = model.model_validate(values | table)
+        validated = model.model_validate(values | table)
     except ValidationError as error:
         raise explain(error, [*specs, *choices], [name for name in specs if specs[name].derived]) from None
-    checked_values = {name: getattr(checked, name) for name in model.model_fields}
-    for name, value in checked_values.items():
+    parsed_values = {name: getattr(validated, name) for name in model.model_fields}
+    for name, value in parsed_values.items():
         enum = Text if specs[name].text else specs[name].enum
-        checked_values[name] = value if enum is None else enum(value)
-    return checked_values
+        parsed_values[name] = value if enum is None else enum(value)
+    return parsed_values

@@ -51,7 +51,7 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
     Raises:
         ConfigError: A pair is malformed, contains an unknown name or occurs twice, or no law has these correlations.
     """
-    seen: set[frozenset[str]] = set()
+    visited_pairs: set[frozenset[str]] = set()
     for pair, rank in table.items():
         place = f'correlation."{pair}"'
         names = split_pair(pair)
@@ -61,9 +61,9 @@ def require_correlation(table: Mapping[str, float], laws: Collection[str], swept
             if name not in laws:
                 rule = f"'{name}' is no uncertain number of this study; {nearest(name, laws)}"
                 raise ConfigError(place, f"{rule}; where it has a number in place of its law, take the pair out")
-        if frozenset(names) in seen:
+        if frozenset(names) in visited_pairs:
             raise ConfigError(place, "this pair is given twice")
-        seen.add(frozenset(names))
+        visited_pairs.add(frozenset(names))
         if not -1.0 < rank < 1.0:
             raise ConfigError(place, f"a rank correlation must lie in (-1, 1), got {rank:g}")
     if table:
@@ -89,15 +89,15 @@ def require_positive_definite(table: Mapping[str, float], names: tuple[str, ...]
     values, vectors = np.linalg.eigh(correlations)
     if values[0] > LEAST_EIGENVALUE:
         return
-    blame = correlations * np.outer(vectors[:, 0], vectors[:, 0])
+    eigenvalue_shares = correlations * np.outer(vectors[:, 0], vectors[:, 0])
 
     def share(pair: str) -> float:
         a, b = split_pair(pair)
-        return float(blame[names.index(a), names.index(b)])
+        return float(eigenvalue_shares[names.index(a), names.index(b)])
 
-    worst = min(table, key=share)
+    worst_pair = min(table, key=share)
     raise ConfigError(
-        f'correlation."{worst}"',
-        f"{table[worst]:g} is incompatible with the other pairs: the correlation matrix is not positive definite "
+        f'correlation."{worst_pair}"',
+        f"{table[worst_pair]:g} is incompatible with the other pairs: the correlation matrix is not positive definite "
         f"(smallest eigenvalue {values[0]:.2g})",
     )

@@ -79,11 +79,11 @@ def csv_form(path: Path, content: bytes) -> CsvForm:
         ConfigError: numbers have decimal commas and points.
     """
     header, *rows = [line.text for line in itertools.islice(csv_lines(content), FIRST_LINES)] or [b""]
-    found = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
-    if len(found) > 1:
-        alike = [separator for separator in found if is_even(header, rows, separator)]
-        found = alike if len(alike) == 1 else [b","]
-    separator = found[0] if found else b","
+    separators = [separator for separator in SEPARATORS if separator in QUOTED.sub(b"", header)]
+    if len(separators) > 1:
+        even_separators = [separator for separator in separators if is_even(header, rows, separator)]
+        separators = even_separators if len(even_separators) == 1 else [b","]
+    separator = separators[0] if separators else b","
     if separator == b",":
         return CsvForm()
     commas = points = None
@@ -121,51 +121,54 @@ def whole_rows(path: Path, content: bytes, form: CsvForm) -> bytes:
         RecordWarning: The last row is left out, or its last number may be cut off.
     """
     separator = form.separator.encode()
-    quoted = b'"' in content
-    if quoted and any(line.text.count(b'"') % 2 for line in csv_lines(content)):  # a quoted cell spans several lines
+    has_quotes = b'"' in content
+    has_open_quotes = has_quotes and any(line.text.count(b'"') % 2 for line in csv_lines(content))
+    if has_open_quotes:  # a quoted cell spans several lines
         return content
-    expected = 0
-    cut: CsvLine | None = None
+    header_count = 0
+    short_line: CsvLine | None = None
     for line in csv_lines(content):
-        count = len(cells(line.text, separator)) if quoted else line.text.count(separator) + 1
-        expected = expected or count
-        if cut is not None:
-            raise uneven(path, cut, form, expected)
-        if count > expected:
-            raise uneven(path, line, form, expected)
-        cut = line if count < expected else None
-    if cut is None:
+        count = len(cells(line.text, separator)) if has_quotes else line.text.count(separator) + 1
+        header_count = header_count or count
+        if short_line is not None:
+            raise uneven_row_error(path, short_line, form, header_count)
+        if count > header_count:
+            raise uneven_row_error(path, line, form, header_count)
+        short_line = line if count < header_count else None
+    if short_line is None:
         warn_of_cut_number(path, content, separator)
         return content
-    warnings.warn(f"'{path.name}' ends within line {cut.number}, which is left out", RecordWarning, stacklevel=2)
-    return content[: cut.begin]
+    warnings.warn(f"'{path.name}' ends within line {short_line.number}, which is left out", RecordWarning, stacklevel=2)
+    return content[: short_line.begin]
 
 
 def warn_of_cut_number(path: Path, content: bytes, separator: bytes) -> None:
     """Warn of a file without a last line break whose last number is shorter than those before it."""
     lines = content.rsplit(b"\n", LAST_LINES)[1:]  # without the header
     numbers = [cells(line, separator)[-1].strip() for line in lines] or [b""]
-    last = numbers[-1]
+    last_number = numbers[-1]
     lengths = sorted(map(len, numbers))
-    if 0 < len(last) < SHORT * lengths[len(lengths) // 2]:
+    median_length = lengths[len(lengths) // 2]
+    if 0 < len(last_number) < SHORT * median_length:
+        text = last_number.decode()
         warnings.warn(
-            f"'{path.name}' ends without a line break, so that its last number, {last.decode()}, may be cut off; it is "
+            f"'{path.name}' ends without a line break, so that its last number, {text}, may be cut off; it is "
             "taken as it is",
             RecordWarning,
             stacklevel=3,
         )
 
 
-def uneven(path: Path, line: CsvLine, form: CsvForm, expected: int) -> ConfigError:
-    """The error of a row that has other cells than the header."""
+def uneven_row_error(path: Path, line: CsvLine, form: CsvForm, header_count: int) -> ConfigError:
+    """The error of a row that has more or fewer cells than the header."""
     count = len(cells(line.text, form.separator.encode()))
-    if expected == 1:
+    if header_count == 1:
         reason = "its first line is no header"
-    elif count < expected:
+    elif count < header_count:
         reason = "the row is cut off, or goes on behind a #, where comments begin"
     elif form.separator == ",":
         reason = "it ends with a separator, or commas are its decimal signs"
     else:
         reason = "it ends with a separator"
-    place = f"'{path}' has {count} cells in line {line.number}, and {expected} in its header"
+    place = f"'{path}' has {count} cells in line {line.number}, and {header_count} in its header"
     return ConfigError("file", f"{place}: {reason}")

@@ -33,11 +33,11 @@ def normal(a: Arguments, x: np.ndarray) -> np.ndarray:
 def truncated_normal(a: Arguments, x: np.ndarray) -> np.ndarray:
     """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean its mass is of the upper tail."""
     mean, std, low, high = a
-    left = (low - mean) / std
-    right = (high - mean) / std
-    if left > 0.0:
-        left, right = -right, -left
-    mass = scipy.special.ndtr(right) - scipy.special.ndtr(left)
+    lower = (low - mean) / std
+    upper = (high - mean) / std
+    if lower > 0.0:
+        lower, upper = -upper, -lower
+    mass = scipy.special.ndtr(upper) - scipy.special.ndtr(lower)
     return np.where((x >= low) & (x <= high), normal((mean, std), x) - np.log(mass), -np.inf)
 
 

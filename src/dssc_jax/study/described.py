@@ -23,7 +23,7 @@ from dssc_jax.study.build import clock, info_fields, signals_of, validate_fixed,
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
-from dssc_jax.study.measuring import KNOWN, available_metrics, kinds_of, measured
+from dssc_jax.study.measuring import KNOWN, available_metrics, kinds_of, parse_measures
 from dssc_jax.study.native import native_files
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import ParameterTable
@@ -131,45 +131,49 @@ class Described(Study):
             description = Description.model_validate(content)
             parameters = ParameterTable.of(as_table(table.get(PARAMETERS, {}), PARAMETERS))
             numbers = numbers_of(description, parameters)
-            certified = np.asarray(description.certified or False, dtype=bool)
+            verdicts = np.asarray(description.certified or False, dtype=bool)
         except ValueError as error:  # pydantic's is one
             complaint = " ".join(str(error).split())
             raise ConfigError(source, f"is damaged: its description of the study's code: {complaint}") from None
         rule = f"runs code that was not loaded: {describe_code(table, code)}; {remedy_for(table)} loads it"
-        absent: Any = Unloaded(refusal := ConfigError(source, rule))
+        unloaded: Any = Unloaded(refusal := ConfigError(source, rule))
         channels = description.channels
         angles = description.angles
-        plant = Plant(NoParams, absent, absent, absent, absent, channels=channels, angles=angles)
-        metres = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
-        units = metres if description.units is None else tuple(ChannelUnits(*texts) for texts in description.units)
-        if len(units) != len(metres):
+        plant = Plant(NoParams, unloaded, unloaded, unloaded, unloaded, channels=channels, angles=angles)
+        default_units = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
+        units = default_units
+        if description.units is not None:
+            units = tuple(ChannelUnits(*texts) for texts in description.units)
+        if len(units) != len(default_units):
             raise ConfigError(source, "is damaged: its description is not that of its study")
         metrics_of_user = {
-            name: Metric(a.unit, a.meaning, absent, absent, a.needs, a.scope) for name, a in description.metrics.items()
+            name: Metric(a.unit, a.meaning, unloaded, unloaded, a.needs, a.scope)
+            for name, a in description.metrics.items()
         }
-        known = KNOWN | metrics_of_user
+        metrics = KNOWN | metrics_of_user
         try:
             config = validate_fixed(with_constants(dict(table), parameters))
-            names = available_metrics(description.fields, description.seen, known)
+            names = available_metrics(description.fields, description.seen, metrics)
             signals = {
-                name: SampledSignal(told.unit, told.meaning, absent) for name, told in description.signals.items()
+                name: SampledSignal(signal.unit, signal.meaning, unloaded)
+                for name, signal in description.signals.items()
             }
-            measures, requirements = measured(
-                config, names, known, channels or ("",), units, signals, parameters.constant
+            measures, requirements = parse_measures(
+                config, names, metrics, channels or ("",), units, signals, parameters.constant
             )
         except ConfigError as error:
             raise error.within(source) from None
         shape = tuple(len(values) for values in config.sweep.values())
-        loop = Loop(plant, *[absent] * 7, channels=channels or ("",), **clock(config))
-        fits = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == loop.channels
-        if not fits or (certified.shape or shape) != shape:
+        loop = Loop(plant, *[unloaded] * 7, channels=channels or ("",), **clock(config))
+        is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == loop.channels
+        if not is_consistent or (verdicts.shape or shape) != shape:
             raise ConfigError(source, "is damaged: its description is not that of its study")
         return cls(
             table=dict(table),
             source=source,
             config=config,
             loop=loop,
-            template=absent,
+            template=unloaded,
             units=units,
             numbers=numbers,
             measures=measures,
@@ -189,7 +193,7 @@ class Described(Study):
 
 
 def remedy_for(table: Mapping[str, object]) -> str:
-    """What loads the code that a study refers to."""
+    """The options with which the code that a study refers to is loaded."""
     native = [NATIVE_REMEDY] if native_files(table) else []
     return " and ".join([REMEDY] * bool(code_names(table)) + native)
 
@@ -197,9 +201,9 @@ def remedy_for(table: Mapping[str, object]) -> str:
 def numbers_of(description: Description, parameters: ParameterTable) -> dict[str, Number]:
     """Every number of the loop; its paths are unknown without the models."""
     numbers = {}
-    for name, stored in description.numbers.items():
-        quantity = Quantity(stored.unit, stored.meaning)
-        match stored.value:
+    for name, description_of_number in description.numbers.items():
+        quantity = Quantity(description_of_number.unit, description_of_number.meaning)
+        match description_of_number.value:
             case dict(law):
                 numbers[name] = Number.of(name, quantity, parse_law(law))
             case str(text):
@@ -224,7 +228,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         value = law.table if isinstance(law, Law) else law
         value = number.expression.text if number.expression else value
         numbers[name] = {"value": value, "unit": quantity.unit, "meaning": quantity.meaning}
-    fields, seen = info_fields(study.loop, study.template)
+    fields, vehicle_fields = info_fields(study.loop, study.template)
     metrics_of_user = {name: metric for name, metric in kinds_of(study.config).items() if name not in KNOWN}
     return {
         "channels": list(study.loop.plant.channels),
@@ -232,7 +236,7 @@ def describe(study: Study, certified: np.ndarray | None, silence: str) -> JsonOb
         "units": [list(units) for units in study.units],
         "numbers": numbers,
         "fields": {name: list(names) for name, names in fields.items()},
-        "seen": list(seen),
+        "seen": list(vehicle_fields),
         "signals": {
             name: {"unit": signal.unit, "meaning": signal.meaning}
             for name, signal in signals_of(study.loop, study.template, study.units).items()
@@ -258,8 +262,8 @@ def received(manifest: JsonObject, source: str, trust_code: bool = False) -> Stu
         ConfigError: It is not valid, or it refers to code and was written before descriptions were stored.
     """
     table = manifest["study"]
-    absent = [native for native in native_files(table) if not native.loaded]
-    if not absent and (trust_code or not code_names(table)):
+    unloaded_files = [native for native in native_files(table) if not native.loaded]
+    if not unloaded_files and (trust_code or not code_names(table)):
         return Study.from_table(table, source)
     code = manifest.get("code")
     content = manifest.get("described")

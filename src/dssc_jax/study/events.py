@@ -18,7 +18,7 @@ EVENT = "event"
 MOST_EVENTS = 12
 
 
-class Happening(NamedTuple):
+class StudyEvent(NamedTuple):
     """An event with its place in the study, and the channel of its part; empty: all of them."""
 
     path: str
@@ -26,7 +26,7 @@ class Happening(NamedTuple):
     channel: str
 
 
-def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ...]) -> list[Happening]:
+def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ...]) -> list[StudyEvent]:
     """The events of a study whose plant is a vehicle.
 
     Raises:
@@ -37,7 +37,7 @@ def events_of(tables: list[TomlTable], plant: Component, channels: tuple[str, ..
     return parse_events(tables, channels)
 
 
-def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Happening]:
+def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[StudyEvent]:
     """The events of a study; without a kind, one is that of a rotor.
 
     Raises:
@@ -45,120 +45,124 @@ def parse_events(tables: list[TomlTable], channels: tuple[str, ...]) -> list[Hap
     """
     if len(tables) > MOST_EVENTS:
         raise ConfigError(EVENT, f"takes at most {MOST_EVENTS} events, got {len(tables)}")
-    found = []
+    study_events = []
     for index, table in enumerate(tables):
         path = f"{EVENT}.{index}"
         channel = table.get("channel", "")
         part = parse_component({k: v for k, v in table.items() if k != "channel"}, EVENTS, path, default="rotor")
         if channel and (channel not in channels or isinstance(part.model, VehicleEvent)):
-            told = "has no channel" if isinstance(part.model, VehicleEvent) else nearest(str(channel), channels)
-            raise ConfigError(f"{path}.channel", f"must be a channel that the event changes, got {channel!r}; {told}")
-        found.append(Happening(path, part, channel))
-    return found
+            hint = "has no channel" if isinstance(part.model, VehicleEvent) else nearest(str(channel), channels)
+            raise ConfigError(f"{path}.channel", f"must be a channel that the event changes, got {channel!r}; {hint}")
+        study_events.append(StudyEvent(path, part, channel))
+    return study_events
 
 
-def require_remaining_mass(happenings: list[Happening], mass: Scalar) -> None:
-    """Require that all that is dropped leaves some of a mass.
+def require_remaining_mass(study_events: list[StudyEvent], mass: Scalar) -> None:
+    """Require that some mass remains when all loads are dropped.
 
     Raises:
-        ConfigError: what is dropped, taken together, may be the whole mass.
+        ConfigError: all dropped loads together may weigh as much as the vehicle.
     """
     remaining = extent(mass)[0]
-    for happening in happenings:
-        dropped = min(0.0, extent(getattr(happening.part.params, "mass", 0.0))[0])
-        remaining += dropped
-        if dropped < 0.0 and remaining <= 0.0:
-            rule = f"must leave some of the vehicle's mass, got {dropped:g} kg and {remaining:g} kg of all"
-            raise ConfigError(f"{happening.path}.mass", rule)
+    for study_event in study_events:
+        mass_change = min(0.0, extent(getattr(study_event.part.params, "mass", 0.0))[0])
+        remaining += mass_change
+        if mass_change < 0.0 and remaining <= 0.0:
+            rule = f"must leave some of the vehicle's mass, got {mass_change:g} kg and {remaining:g} kg of all"
+            raise ConfigError(f"{study_event.path}.mass", rule)
 
 
-def vehicle_events(events: list[Happening], vehicle: Vehicle) -> tuple[Component, ...]:
+def vehicle_events(events: list[StudyEvent], vehicle: Vehicle) -> tuple[Component, ...]:
     """The events of the vehicle, with the paths of their numbers in the loop's parameters.
 
     Raises:
         ConfigError: a rotor does not exist, or nothing remains of the mass.
     """
-    found: list[Component] = []
-    of_vehicle = [happening for happening in events if isinstance(happening.part.model, VehicleEvent)]
-    require_remaining_mass(of_vehicle, vehicle.mass)
-    for happening in of_vehicle:
-        part = happening.part
+    components: list[Component] = []
+    events_of_vehicle = [study_event for study_event in events if isinstance(study_event.part.model, VehicleEvent)]
+    require_remaining_mass(events_of_vehicle, vehicle.mass)
+    for study_event in events_of_vehicle:
+        part = study_event.part
         rotor = getattr(part.params, "rotor", None)
         if rotor is not None and extent(rotor)[1] > vehicle.rotors:
-            raise ConfigError(f"{happening.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
-        numbers = tuple(number.under(f"events.{len(found)}", happening.path) for number in part.numbers)
-        found.append(replace(part, numbers=numbers))
-    return tuple(found)
+            raise ConfigError(f"{study_event.path}.rotor", f"must be <= {vehicle.rotors}, the number of rotors")
+        numbers = tuple(number.under(f"events.{len(components)}", study_event.path) for number in part.numbers)
+        components.append(replace(part, numbers=numbers))
+    return tuple(components)
 
 
-def moved(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
+def with_moved_paths(numbers: tuple[Number, ...], place: str, destination: str) -> tuple[Number, ...]:
     """Numbers of a part whose parameters move from a place to another; numbers of other places stay."""
-    after = []
+    moved_numbers = []
     for number in numbers:
         paths = []
         for path in number.paths:
-            inside = path.removeprefix(f"{place}.")
-            paths.append(path if inside == path else f"{destination}.{inside}")
-        after.append(replace(number, paths=tuple(paths)))
-    return tuple(after)
+            inner_path = path.removeprefix(f"{place}.")
+            paths.append(path if inner_path == path else f"{destination}.{inner_path}")
+        moved_numbers.append(replace(number, paths=tuple(paths)))
+    return tuple(moved_numbers)
 
 
 def behind_first(part: Component, place: str) -> Component:
     """Unmodelled dynamics as the elements of a chain behind its first one, which is yet to be added."""
     if not part.elements:
-        numbers = moved(part.numbers, place, f"{place}.1")
+        numbers = with_moved_paths(part.numbers, place, f"{place}.1")
         return replace(part, params=(part.params,), numbers=numbers, elements=(Element(part.kind, part.model),))
     numbers = part.numbers
     for index in reversed(range(len(part.elements))):
-        numbers = moved(numbers, f"{place}.{index}", f"{place}.{index + 1}")
+        numbers = with_moved_paths(numbers, f"{place}.{index}", f"{place}.{index + 1}")
     return replace(part, numbers=numbers)
 
 
-def with_sensor_events(column: list[Component], events: list[Happening], channels: tuple[str, ...]) -> list[Component]:
+def with_sensor_events(column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]) -> list[Component]:
     """The sensor of each channel, with the events that it has."""
     column = list(column)
-    for happening in events:
-        event = happening.part.model
+    for study_event in events:
+        event = study_event.part.model
         if not isinstance(event, SensorEvent):
             continue
         for index, channel in enumerate(channels):
-            if happening.channel not in ("", channel):
+            if study_event.channel not in ("", channel):
                 continue
             inner = column[index]
             place = f"sensor.{index}"
-            event_numbers = tuple(number.under(f"{place}.event", happening.path) for number in happening.part.numbers)
+            event_numbers = tuple(
+                number.under(f"{place}.event", study_event.path) for number in study_event.part.numbers
+            )
             column[index] = Component(
-                f"{inner.kind} with {happening.part.kind}",
+                f"{inner.kind} with {study_event.part.kind}",
                 event.wrap(inner.model),
-                Wrapped(inner.params, happening.part.params),
-                (*moved(inner.numbers, place, f"{place}.inner"), *event_numbers),
+                Wrapped(inner.params, study_event.part.params),
+                (*with_moved_paths(inner.numbers, place, f"{place}.inner"), *event_numbers),
             )
     return column
 
 
-def with_command_events(column: list[Component], events: list[Happening], channels: tuple[str, ...]) -> list[Component]:
+def with_command_events(
+    column: list[Component], events: list[StudyEvent], channels: tuple[str, ...]
+) -> list[Component]:
     """The unmodelled dynamics of each channel, with the events of its command before them."""
     column = list(column)
-    for happening in events:
-        event = happening.part.model
+    for study_event in events:
+        event = study_event.part.model
         if not isinstance(event, CommandEvent):
             continue
         for index, channel in enumerate(channels):
-            if happening.channel not in ("", channel):
+            if study_event.channel not in ("", channel):
                 continue
             inner = column[index]
             place = f"unmodelled.{index}"
             if inner.kind == "none":
-                event_numbers = tuple(number.under(place, happening.path) for number in happening.part.numbers)
-                column[index] = Component(happening.part.kind, event.model, happening.part.params, event_numbers)
+                event_numbers = tuple(number.under(place, study_event.path) for number in study_event.part.numbers)
+                column[index] = Component(study_event.part.kind, event.model, study_event.part.params, event_numbers)
                 continue
             actuators = behind_first(inner, place)
-            event_numbers = tuple(number.under(f"{place}.0", happening.path) for number in happening.part.numbers)
-            elements = (Element(happening.part.kind, event.model), *actuators.elements)
+            event_numbers = tuple(number.under(f"{place}.0", study_event.path) for number in study_event.part.numbers)
+            elements = (Element(study_event.part.kind, event.model), *actuators.elements)
             column[index] = Component(
-                f"{happening.part.kind} + {actuators.kind}",
+                f"{study_event.part.kind} + {actuators.kind}",
                 chain(elements),
-                (happening.part.params, *actuators.params),
+                (study_event.part.params, *actuators.params),
                 (*event_numbers, *actuators.numbers),
                 elements,
             )

@@ -19,7 +19,7 @@ from dssc_jax.study.components import Component
 from dssc_jax.study.laws import Uncertain
 from dssc_jax.study.numbers import dotted
 
-MATCHED = "disturbance"
+COMMAND_DISTURBANCE = "disturbance"
 """Name of the disturbance beside the command."""
 
 
@@ -29,7 +29,7 @@ def nominal_params(params: Params) -> Params:
 
 
 def setting_of(plant: Plant, params: Params, sample_time: float, measures: Sequence[NamedSignal]) -> LoopSetting:
-    """What a controller of this loop is fitted to.
+    """The setting to which a controller of this loop is fitted.
 
     Args:
         plant: The plant.
@@ -70,7 +70,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
         rows[0],
         rows[1:],
         feedthrough[1:],
-        (MATCHED, *(signal.name for signal in inputs)),
+        (COMMAND_DISTURBANCE, *(signal.name for signal in inputs)),
     )
 
 
@@ -89,10 +89,10 @@ def fitted(
     if all(component.model.fit is None for component in controllers):
         return list(controllers)
     setting = setting_of(plant.model, nominal_params(plant.params), sample_time, measures)
-    found = []
+    fitted_controllers = []
     for name, component in zip(channels, controllers, strict=True):
         if component.model.fit is not None:
             with errors_under(dotted("controller", name)):
                 component = replace(component, params=component.model.fit(component.params, setting))
-        found.append(component)
-    return found
+        fitted_controllers.append(component)
+    return fitted_controllers

@@ -77,17 +77,17 @@ def formula_requirement(
         return parameters(f"={name}", place_of_text)
 
     try:
-        parsed = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parse()
+        parsed_formula = FormulaParser(text, signals, parameter, config.loop.sample_time, config.loop.steps).parse()
     except ValueError as error:
         raise ConfigError(place_of_text, str(error)) from None
-    size = memory_size(parsed.formula)
+    size = memory_size(parsed_formula.formula)
     if size > MOST_MEMORY:
         rule = f"needs a memory of {size} samples, and {MOST_MEMORY} are the most"
         remedy = "an operator within another one keeps the samples of its interval: shorten that, or lengthen T_s"
         raise ConfigError(place_of_text, f"{rule}; {remedy}")
-    width = SMOOTHING * (parsed.size or 1.0) if table.smoothing is None else table.smoothing
+    width = SMOOTHING * (parsed_formula.size or 1.0) if table.smoothing is None else table.smoothing
     number = int(place.rpartition(".")[2]) + 1
     name = table.name or f"formula_{number}"
-    metric = formula_metric(parsed.formula, parsed.unit, f"robustness of {text}", width)
+    metric = formula_metric(parsed_formula.formula, parsed_formula.unit, f"robustness of {text}", width)
     measure = Measure(name, name, WHOLE_RUN, None, metric, channel_name="")
-    return Requirement(measure, minimum=0.0, typical_slack=parsed.size, formula=text)
+    return Requirement(measure, minimum=0.0, typical_slack=parsed_formula.size, formula=text)

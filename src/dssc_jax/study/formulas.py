@@ -69,11 +69,11 @@ class Margin:
 
     def __call__(self, instant: Instant) -> Scalar:
         """The difference of the two expressions."""
-        known: dict[str, Scalar] = dict(self.numbers)
+        values: dict[str, Scalar] = dict(self.numbers)
         for name, signal in self.signals:
-            known[name] = signal.value(instant)
-        upper = evaluate_numbers(parse_expression(self.upper), known.__getitem__)
-        lower = evaluate_numbers(parse_expression(self.lower), known.__getitem__)
+            values[name] = signal.value(instant)
+        upper = evaluate_numbers(parse_expression(self.upper), values.__getitem__)
+        lower = evaluate_numbers(parse_expression(self.lower), values.__getitem__)
         return jnp.subtract(upper, lower)
 
 
@@ -84,11 +84,11 @@ def unit_of(node: ast.expr, units: Mapping[str, str]) -> str | None:
             return units.get(name)
         case ast.UnaryOp(operand=operand) | ast.Call(func=ast.Name(id="abs"), args=[operand]):
             return unit_of(operand, units)
-    parts = {unit_of(part, units) for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)} - {None}
+    part_units = {unit_of(part, units) for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)} - {None}
     match node:
-        case ast.BinOp(op=ast.Add() | ast.Sub()) | ast.Call(func=ast.Name(id="min" | "max")) if len(parts) == 1:
-            return parts.pop()
-    return UNCLEAR if parts else None
+        case ast.BinOp(op=ast.Add() | ast.Sub()) | ast.Call(func=ast.Name(id="min" | "max")) if len(part_units) == 1:
+            return part_units.pop()
+    return UNCLEAR if part_units else None
 
 
 class ParsedFormula(NamedTuple):
@@ -141,14 +141,15 @@ class FormulaParser:
         if self.token:
             raise ValueError(f"{self.place()}: expected the end, got '{self.token}'")
         formula = with_intervals(formula, self.steps, outermost=True)
-        needed = horizon(formula)
-        if needed >= self.steps:
-            last = (self.steps - 1) * self.sample_time
-            missing = (needed - self.steps + 1) * self.sample_time
-            longer = (needed + 1) * self.sample_time
+        required_steps = horizon(formula)
+        if required_steps >= self.steps:
+            last_time = (self.steps - 1) * self.sample_time
+            excess = (required_steps - self.steps + 1) * self.sample_time
+            sufficient_duration = (required_steps + 1) * self.sample_time
+            duration = required_steps * self.sample_time
             raise ValueError(
-                f"needs {needed * self.sample_time:g} s of flight, and the last sample is at {last:g} s, one sample "
-                f"before the end; shorten its intervals by {missing:g} s, or set loop.duration = {longer:g}"
+                f"needs {duration:g} s of flight, and the last sample is at {last_time:g} s, one sample "
+                f"before the end; shorten its intervals by {excess:g} s, or set loop.duration = {sufficient_duration:g}"
             )
         unit = next(iter(self.units)) if len(self.units) == 1 else UNCLEAR
         return ParsedFormula(formula, unit, min(self.sizes, default=None))
@@ -187,13 +188,13 @@ class FormulaParser:
         self.depth += 1
         if self.depth > DEEPEST_FORMULA:
             raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
-        first = self.joined("or", Or, lambda: self.joined("and", And, self.until))
+        antecedent = self.joined_operands("or", Or, lambda: self.joined_operands("and", And, self.until))
         if self.take("implies") or self.take("->"):
-            first = Or((Not(first), self.formula()))
+            antecedent = Or((Not(antecedent), self.formula()))
         self.depth -= 1
-        return first
+        return antecedent
 
-    def joined(self, word: str, kind: type[And] | type[Or], part: Callable[[], Formula]) -> Formula:
+    def joined_operands(self, word: str, kind: type[And] | type[Or], part: Callable[[], Formula]) -> Formula:
         """One or more parts, joined by a word."""
         parts = [part()]
         while self.take(word):
@@ -254,14 +255,14 @@ class FormulaParser:
         texts[1] = self.expression(("]",))
         self.expect("]")
         begin, end = (self.seconds(text) for text in texts)
-        shown = f"{operator}[{texts[0]},{texts[1]}]"
+        interval_text = f"{operator}[{texts[0]},{texts[1]}]"
         if not 0.0 <= begin <= end < math.inf:
-            raise ValueError(f"{shown} needs 0 <= begin <= end in seconds")
-        first = math.ceil(begin / self.sample_time - ROUNDING)
-        final = math.floor(end / self.sample_time + ROUNDING)
-        if final < first:
-            raise ValueError(f"{shown} holds no sample: T_s is {self.sample_time:g} s")
-        return first, final
+            raise ValueError(f"{interval_text} needs 0 <= begin <= end in seconds")
+        first_sample = math.ceil(begin / self.sample_time - ROUNDING)
+        last_sample = math.floor(end / self.sample_time + ROUNDING)
+        if last_sample < first_sample:
+            raise ValueError(f"{interval_text} holds no sample: T_s is {self.sample_time:g} s")
+        return first_sample, last_sample
 
     def seconds(self, text: str) -> float:
         """The value of a time that is written with numbers and parameters [s]."""
@@ -277,7 +278,7 @@ class FormulaParser:
             self.position += 1
             sides.append(self.expression(COMPARISONS))
             lower, upper = sides[-2:] if sign in ("<", "<=") else sides[:-3:-1]
-            parts.append(self.compared(upper, lower))
+            parts.append(self.comparison_of(upper, lower))
         if not parts:
             rule = "compare with <, <=, > or >=; equality of real numbers has no robustness"
             raise ValueError(f"{self.place()}: expected a comparison, got {self.token or 'the end'!r}; {rule}")
@@ -286,20 +287,20 @@ class FormulaParser:
     def expression(self, ends: tuple[str, ...]) -> str:
         """The text of the expression here, up to one of some tokens, a word of formulas or a closing parenthesis."""
         open_parentheses = 0
-        first = self.position
-        stops = (*ends, ")", "->", "]", "==", "!=")
+        start = self.position
+        end_tokens = (*ends, ")", "->", "]", "==", "!=")
         while self.token and self.token not in WORDS:
-            if not open_parentheses and self.token in stops:
+            if not open_parentheses and self.token in end_tokens:
                 break
             open_parentheses += (self.token == "(") - (self.token == ")")
             self.position += 1
-        taken = self.tokens[first : self.position]
-        if not taken:
+        tokens = self.tokens[start : self.position]
+        if not tokens:
             raise ValueError(f"{self.place()}: expected an expression, got {self.token or 'the end'!r}")
-        final = taken[-1]
-        return self.text[taken[0].start : final.start + len(final.text)]
+        last_token = tokens[-1]
+        return self.text[tokens[0].start : last_token.start + len(last_token.text)]
 
-    def compared(self, upper: str, lower: str) -> Comparison:
+    def comparison_of(self, upper: str, lower: str) -> Comparison:
         """A comparison of two expressions."""
         trees = [parse_expression(text) for text in (upper, lower)]
         names = dict.fromkeys(name for tree in trees for name in names_of(tree))
@@ -308,15 +309,15 @@ class FormulaParser:
         if not signals:
             raise ValueError(f"'{lower} < {upper}' compares no signal; the signals are {', '.join(self.signals)}")
         for tree in trees:
-            named = names_of(tree)
-            if not set(named) & self.signals.keys():
+            names_in_tree = names_of(tree)
+            if not set(names_in_tree) & self.signals.keys():
                 size = abs(float(evaluate_numbers(tree, dict(numbers).__getitem__)))
                 if not math.isfinite(size):
                     raise ValueError(f"a side of '{lower} < {upper}' has no finite value")
                 self.sizes += [size] if size else []
         units = {name: signal.unit for name, signal in signals}
-        of_sides = {unit_of(tree, units) for tree in trees} - {None}
-        self.units.setdefault(str(of_sides.pop()) if len(of_sides) == 1 else UNCLEAR)
+        side_units = {unit_of(tree, units) for tree in trees} - {None}
+        self.units.setdefault(str(side_units.pop()) if len(side_units) == 1 else UNCLEAR)
         return Comparison(Margin(upper, lower, signals, numbers))
 
     def parameter_of(self, name: str) -> float:
@@ -330,8 +331,8 @@ class FormulaParser:
         except ValueError as error:
             if "is no parameter" not in str(error):
                 raise
-            known = nearest(name, self.signals)
-            raise ValueError(f"'{name}' is neither a signal nor a parameter; {known}") from None
+            hint = nearest(name, self.signals)
+            raise ValueError(f"'{name}' is neither a signal nor a parameter; {hint}") from None
 
 
 def with_intervals(formula: Formula, steps: int, outermost: bool) -> Formula:
@@ -377,12 +378,12 @@ def tokens_of(text: str) -> list[Token]:
     tokens: list[Token] = []
     position = 0
     while text[position:].strip():
-        found = TOKEN.match(text, position)
-        if found is None:
+        match = TOKEN.match(text, position)
+        if match is None:
             raise ValueError(f"{text[position:].strip()[0]!r} is not admissible in a formula; {LANGUAGE}")
-        token = found.group(0).strip()
-        tokens.append(Token(token, found.end() - len(token)))
-        position = found.end()
+        token = match.group(0).strip()
+        tokens.append(Token(token, match.end() - len(token)))
+        position = match.end()
     return tokens
 
 

@@ -39,9 +39,9 @@ def imported(name: str, place: str) -> Any:
     except (Exception, SystemExit) as error:  # a module's own code may raise anything
         raise ConfigError(place, f"cannot import '{name}': {import_failure(module_name, error)}") from error
     if not hasattr(module, attribute):
-        public = [known for known in vars(module) if not known.startswith("_")]
+        public_names = [public_name for public_name in vars(module) if not public_name.startswith("_")]
         raise ConfigError(
-            place, f"cannot import '{name}': the module has no '{attribute}'; {nearest(attribute, public)}"
+            place, f"cannot import '{name}': the module has no '{attribute}'; {nearest(attribute, public_names)}"
         )
     return getattr(module, attribute)
 

@@ -55,15 +55,15 @@ class LawKind:
 def truncated_quantile(a: Arguments, u: np.ndarray) -> np.ndarray:
     """Normal (mean a[0], deviation a[1]) truncated to [a[2], a[3]]; above the mean computed from the upper tail."""
     mean, std, low, high = a
-    left = (low - mean) / std
-    right = (high - mean) / std
-    if left > 0.0:
-        lower = scipy.special.ndtr(-right)
-        upper = scipy.special.ndtr(-left)
+    low_score = (low - mean) / std
+    high_score = (high - mean) / std
+    if low_score > 0.0:
+        lower = scipy.special.ndtr(-high_score)
+        upper = scipy.special.ndtr(-low_score)
         standard = -scipy.special.ndtri(upper - u * (upper - lower))
     else:
-        lower = scipy.special.ndtr(left)
-        upper = scipy.special.ndtr(right)
+        lower = scipy.special.ndtr(low_score)
+        upper = scipy.special.ndtr(high_score)
         standard = scipy.special.ndtri(lower + u * (upper - lower))
     return np.clip(mean + std * standard, low, high)
 
@@ -278,17 +278,17 @@ class Law(Uncertain):
         if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
         arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
-        old = self.median
-        new = median
+        old_center = self.median
+        new_center = median
         values = np.asarray(arguments, dtype=float)
         if self.logarithmic:
-            old = math.log(old)
-            new = math.log(new)
+            old_center = math.log(old_center)
+            new_center = math.log(new_center)
         if self.kind == "loguniform":
             values = np.log(values)
-        rules = {"l": new + share * (values - old), "s": share * values, ".": values}
-        moved = [float(rules[rule][i]) for i, rule in enumerate(LAWS[self.kind].roles)]
-        return Law(self.kind, tuple(np.exp(moved).tolist() if self.kind == "loguniform" else moved))
+        rules = {"l": new_center + share * (values - old_center), "s": share * values, ".": values}
+        new_arguments = [float(rules[rule][i]) for i, rule in enumerate(LAWS[self.kind].roles)]
+        return Law(self.kind, tuple(np.exp(new_arguments).tolist() if self.kind == "loguniform" else new_arguments))
 
     def __str__(self) -> str:
         return f"{self.kind}({', '.join(f'{value:g}' for value in self.arguments)})"
@@ -357,21 +357,21 @@ def parse_law(table: TomlTable) -> Law:
     ((kind, arguments),) = table.items()
     if kind not in LAWS:
         raise ValueError(f"'{kind}' is not a law; {nearest(kind, LAWS)}")
-    spec = LAWS[kind]
+    law_kind = LAWS[kind]
     if not isinstance(arguments, list) or not all(is_number(value) or is_range(value) for value in arguments):
-        raise ValueError(f"{kind} takes finite numbers {spec.signature}, got {arguments}")
-    ranged = any(is_range(value) for value in arguments)
-    if ranged and spec.log_density is None:
+        raise ValueError(f"{kind} takes finite numbers {law_kind.signature}, got {arguments}")
+    has_ranges = any(is_range(value) for value in arguments)
+    if has_ranges and law_kind.log_density is None:
         raise ValueError(f"the arguments of a {kind} may not be ranges, got {arguments}; give numbers")
-    if spec.counts is not None and len(arguments) not in spec.counts:
-        raise ValueError(f"{kind} takes {spec.signature}, got {len(arguments)} arguments {arguments}")
-    rule, holds = spec.rule
+    if law_kind.counts is not None and len(arguments) not in law_kind.counts:
+        raise ValueError(f"{kind} takes {law_kind.signature}, got {len(arguments)} arguments {arguments}")
+    rule, holds = law_kind.rule
     ranges = tuple(ends_of_range(value) for value in arguments)
     corners = product(*(dict.fromkeys(ends) for ends in ranges))  # the rules are linear, so that they hold in between
     if not all(holds(corner) for corner in corners):
-        raise ValueError(f"{kind} {spec.signature}: {rule}, got {arguments}")
+        raise ValueError(f"{kind} {law_kind.signature}: {rule}, got {arguments}")
     middles = tuple(0.5 * low + 0.5 * high for low, high in ranges)
-    return RangedLaw(kind, middles, ranges) if ranged else Law(kind, middles)
+    return RangedLaw(kind, middles, ranges) if has_ranges else Law(kind, middles)
 
 
 def is_range(value: object) -> TypeGuard[list[int | float]]:

@@ -14,7 +14,7 @@ def study_folders() -> list[Path]:
     """Folders with studies, nearest first."""
     existing: list[Path] = []
     for folder in (Path.cwd() / "studies", PACKAGED, CHECKOUT):
-        if folder.is_dir() and folder.resolve() not in [found.resolve() for found in existing]:
+        if folder.is_dir() and folder.resolve() not in [path.resolve() for path in existing]:
             existing.append(folder)
     return existing
 
@@ -37,17 +37,17 @@ def find(name: str) -> Path:
     path = Path(name)
     if len(path.name) > LONGEST_NAME:
         raise ConfigError(f"{name[:40]}...", f"is longer than a file's name can be ({LONGEST_NAME} characters)")
-    known = available_studies()
-    shadows = path.is_dir() and name in known  # a results folder may have its study's name
-    if not shadows and (path.exists() or path.suffix == ".toml" or path.parent != Path()):
+    studies = available_studies()
+    is_results_folder = path.is_dir() and name in studies  # a results folder may have its study's name
+    if not is_results_folder and (path.exists() or path.suffix == ".toml" or path.parent != Path()):
         return path
-    if name in known:
-        return known[name]
-    if name.replace("-", "_") in known:
-        return known[name.replace("-", "_")]
-    local = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
-    similar = difflib.get_close_matches(name, local.values(), n=1, cutoff=0.6)
+    if name in studies:
+        return studies[name]
+    if name.replace("-", "_") in studies:
+        return studies[name.replace("-", "_")]
+    local_stems = {str(file): file.stem for file in sorted(Path.cwd().glob("*.toml"))}
+    similar = difflib.get_close_matches(name, local_stems.values(), n=1, cutoff=0.6)
     if similar:
-        file = next(path for path, stem in local.items() if stem == similar[0])
+        file = next(path for path, stem in local_stems.items() if stem == similar[0])
         raise ConfigError(name, f"is no file; did you mean '{Path(file).name}'?")
-    raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, known)}")
+    raise ConfigError(name, f"is neither a file nor the name of a study; {nearest(name, studies)}")

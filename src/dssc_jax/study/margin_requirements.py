@@ -28,54 +28,54 @@ def margin_requirement(table: RequirementTable, place: str, channels: tuple[str,
     if name not in MARGIN_KINDS:
         raise ConfigError(f"{place}.margin", f"unknown margin '{name}'; {nearest(name, MARGIN_KINDS)}")
     kind = MARGIN_KINDS[name]
-    known = place_names(channels)
-    usual = BreakPoint.INPUT if channels == ("",) else ""
-    at = table.at if table.at is not None else usual
-    if at not in known:
-        rule = f"names where the loop is broken, and must be one of {', '.join(known)}"
-        raise ConfigError(f"{place}.at", f"{rule}; got {at!r}" if at else rule)
-    measure = margin_measure(LoopMargin(kind, at), usual)
+    valid_places = place_names(channels)
+    default_place = BreakPoint.INPUT if channels == ("",) else ""
+    place_of_break = table.at if table.at is not None else default_place
+    if place_of_break not in valid_places:
+        rule = f"names where the loop is broken, and must be one of {', '.join(valid_places)}"
+        raise ConfigError(f"{place}.at", f"{rule}; got {place_of_break!r}" if place_of_break else rule)
+    measure = margin_measure(LoopMargin(kind, place_of_break), default_place)
     side = "max" if table.max is not None else "min"
-    stated = table.max if table.max is not None else table.min
-    assert stated is not None  # held by the table
-    value = bound_value(kind, stated, f"{place}.{side}")
-    require_attainable(kind, value, stated, f"{place}.{side}")
+    bound = table.max if table.max is not None else table.min
+    assert bound is not None  # held by the table
+    value = bound_value(kind, bound, f"{place}.{side}")
+    require_attainable(kind, value, bound, f"{place}.{side}")
     require_stable(kind, value, side, f"{place}.{side}")
-    written = number_text(stated)
+    bound_text = number_text(bound)
     if side == "max":
-        return Requirement(measure, maximum=value, written=written)
-    return Requirement(measure, minimum=value, written=written)
+        return Requirement(measure, maximum=value, written=bound_text)
+    return Requirement(measure, minimum=value, written=bound_text)
 
 
-def number_text(stated: float | str) -> str:
+def number_text(bound: float | str) -> str:
     """A bound as text, if it was written with a unit; empty otherwise."""
-    return " ".join(stated.split()) if isinstance(stated, str) else ""
+    return " ".join(bound.split()) if isinstance(bound, str) else ""
 
 
-def bound_value(kind: MarginKind, stated: float | str, place: str) -> float:
+def bound_value(kind: MarginKind, bound: float | str, place: str) -> float:
     """A bound in the margin's unit.
 
     Raises:
         ConfigError: it is no number with one of the margin's units.
     """
-    if not isinstance(stated, str):
-        return stated
+    if not isinstance(bound, str):
+        return bound
     units = ", ".join(unit for unit in kind.units if unit != "1")
-    match = QUANTITY.fullmatch(stated)
+    match = QUANTITY.fullmatch(bound)
     unit = match["unit"] or kind.unit if match else ""
     if match is None or unit not in kind.units:
         rule = f"must be a number [{kind.unit}], or a text of a number and one of {units}"
-        raise ConfigError(place, f"{rule}; got {stated!r}")
+        raise ConfigError(place, f"{rule}; got {bound!r}")
     return kind.units[unit](float(match["number"]))
 
 
-def require_attainable(kind: MarginKind, value: float, stated: float | str, place: str) -> None:
+def require_attainable(kind: MarginKind, value: float, bound: float | str, place: str) -> None:
     """Require that a loop can have the bound as its margin.
 
     Args:
         kind: The margin.
         value: The bound in its unit.
-        stated: The bound as the study has it.
+        bound: The bound as the study has it.
         place: Its place.
 
     Raises:
@@ -83,16 +83,16 @@ def require_attainable(kind: MarginKind, value: float, stated: float | str, plac
     """
     if not math.isfinite(value):
         raise ConfigError(place, f"must be a finite number [{kind.unit}], got {value:g}")
-    written = number_text(stated) or f"{value:g}"
+    bound_text = number_text(bound) or f"{value:g}"
     if value < 0.0:
-        raise ConfigError(place, f"must be >= 0 {kind.unit}, as every {kind.meaning} is; got {written}")
+        raise ConfigError(place, f"must be >= 0 {kind.unit}, as every {kind.meaning} is; got {bound_text}")
     if value <= kind.most:
         return
-    rule = f"must be <= {kind.most:.6g} {kind.unit}, the largest {kind.meaning} there is; got {written}"
-    if not isinstance(stated, str):
-        for unit, converted in kind.units.items():
-            if converted(stated) <= kind.most:
-                rule += f'; did you mean "{stated:g} {unit}"?'
+    rule = f"must be <= {kind.most:.6g} {kind.unit}, the largest {kind.meaning} there is; got {bound_text}"
+    if not isinstance(bound, str):
+        for unit, to_kind_unit in kind.units.items():
+            if to_kind_unit(bound) <= kind.most:
+                rule += f'; did you mean "{bound:g} {unit}"?'
     raise ConfigError(place, rule)
 
 

@@ -44,59 +44,64 @@ def measurable(
     Raises:
         ConfigError: An output has the name of a state.
     """
-    found = {}
+    signals = {}
     if plant.linear is not None:
         for i in range(1, len(plant.linear(params).a) + 1):
-            found[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
-    for channel, named in zip(channels, units, strict=True):
+            signals[f"{STATE}{i}"] = NamedSignal(f"{STATE}{i}", "", f"state {i} of the plant")
+    for channel, channel_units in zip(channels, units, strict=True):
         prefix = f"{channel}_" if channel else ""
-        found[f"{prefix}y"] = NamedSignal(f"{prefix}y", named.output, named.output_meaning)
-        rate = named.of("y/s")
-        found[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {named.output_meaning}")
+        signals[f"{prefix}y"] = NamedSignal(f"{prefix}y", channel_units.output, channel_units.output_meaning)
+        rate = channel_units.of("y/s")
+        signals[f"{prefix}y_dot"] = NamedSignal(f"{prefix}y_dot", rate, f"derivative of {channel_units.output_meaning}")
     for signal in outputs:
-        if signal.name in found:
+        if signal.name in signals:
             raise ConfigError(
-                f"plant.outputs.{signal.name}", f"has the name of the {found[signal.name].meaning}; give it another one"
+                f"plant.outputs.{signal.name}",
+                f"has the name of the {signals[signal.name].meaning}; give it another one",
             )
-        found[signal.name] = signal
-    return found
+        signals[signal.name] = signal
+    return signals
 
 
-def sensor_tables(table: TomlTable, known: Mapping[str, NamedSignal]) -> SensorTables:
+def sensor_tables(table: TomlTable, measurable_signals: Mapping[str, NamedSignal]) -> SensorTables:
     """Split ``[sensor]``.
 
     Args:
         table: The section.
-        known: The signals that can be measured.
+        measurable_signals: The signals that can be measured.
 
     Raises:
         ConfigError: ``measures`` is neither a list of such signals nor the word for the whole state, or does not list
             a signal that has a sensor.
     """
-    named = table.get(MEASURES, [])
-    if named == WHOLE_STATE:
-        named = [name for name, signal in known.items() if signal.meaning.startswith(f"{WHOLE_STATE} ")]
-        if not named:
+    measured_names = table.get(MEASURES, [])
+    if measured_names == WHOLE_STATE:
+        measured_names = [
+            name for name, signal in measurable_signals.items() if signal.meaning.startswith(f"{WHOLE_STATE} ")
+        ]
+        if not measured_names:
             raise ConfigError(f"sensor.{MEASURES}", "the plant has no linear part, so its state has no names")
-    if not isinstance(named, list | tuple) or not all(isinstance(name, str) for name in named):
-        raise ConfigError(f"sensor.{MEASURES}", f"must be a list of signals, or '{WHOLE_STATE}', got {named!r}")
-    for index, name in enumerate(named):
-        if name not in known:
-            raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' cannot be measured; {nearest(name, known)}")
-        if name in named[:index]:
+    if not isinstance(measured_names, list | tuple) or not all(isinstance(name, str) for name in measured_names):
+        rule = f"must be a list of signals, or '{WHOLE_STATE}', got {measured_names!r}"
+        raise ConfigError(f"sensor.{MEASURES}", rule)
+    for index, name in enumerate(measured_names):
+        if name not in measurable_signals:
+            rule = f"'{name}' cannot be measured; {nearest(name, measurable_signals)}"
+            raise ConfigError(f"sensor.{MEASURES}.{index}", rule)
+        if name in measured_names[:index]:
             raise ConfigError(f"sensor.{MEASURES}.{index}", f"'{name}' is measured already")
-    signals = {name: as_table(table[name], f"sensor.{name}") for name in named if name in table}
+    signals = {name: as_table(table[name], f"sensor.{name}") for name in measured_names if name in table}
     channels = {name: value for name, value in table.items() if name != MEASURES and name not in signals}
     for name, value in channels.items():
-        is_channel = f"{name}_y" in known
-        if name in known and not is_channel and isinstance(value, Mapping):
+        is_channel = f"{name}_y" in measurable_signals
+        if name in measurable_signals and not is_channel and isinstance(value, Mapping):
             rule = f"is the sensor of a signal that is not measured; list it in {MEASURES}"
             raise ConfigError(f"sensor.{name}", rule)
-    default = {"kind": USUAL_SENSOR} if named else {}
-    return SensorTables(default | channels, tuple(named), signals)
+    default = {"kind": USUAL_SENSOR} if measured_names else {}
+    return SensorTables(default | channels, tuple(measured_names), signals)
 
 
-def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal]) -> list[Component]:
+def parse_signal_sensors(tables: SensorTables, measurable_signals: Mapping[str, NamedSignal]) -> list[Component]:
     """The sensor of each measured signal; one without a table shows it exactly.
 
     Raises:
@@ -111,7 +116,7 @@ def parse_signal_sensors(tables: SensorTables, known: Mapping[str, NamedSignal])
             if field.startswith(OF_RATE):
                 rule = "needs the signal's derivative, which is measured of y alone; leave it out"
                 raise ConfigError(f"{path}.{field}", rule)
-        units = ChannelUnits(output=known[name].unit or "1")
+        units = ChannelUnits(output=measurable_signals[name].unit or "1")
         numbers = []
         for number in component.numbers:
             if not number.name.startswith(OF_RATE):
@@ -137,20 +142,20 @@ def require_signals(controller: Controller, gains: Params, measures: Sequence[Na
         raise ConfigError("controller", f"{rule} {MEASURES}")
 
 
-def require_named_signals(taken: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
+def require_named_signals(required_signals: Sequence[NamedSignal], measures: Sequence[NamedSignal]) -> None:
     """Require that signals are measured, in the unit in which they are taken.
 
     Raises:
         ConfigError: One is not, or in another unit.
     """
-    known = {signal.name: signal for signal in measures}
-    for signal in taken:
-        if signal.name not in known:
+    measured_signals = {signal.name: signal for signal in measures}
+    for signal in required_signals:
+        if signal.name not in measured_signals:
             rule = f"takes the measured signal '{signal.name}', which is not in [sensor] {MEASURES}: list it there"
-            if known:
-                rule += f", or name it in the code as the study does; {nearest(signal.name, known)}"
+            if measured_signals:
+                rule += f", or name it in the code as the study does; {nearest(signal.name, measured_signals)}"
             raise ConfigError("controller", rule)
-        unit = known[signal.name].unit
+        unit = measured_signals[signal.name].unit
         if unit and signal.unit != unit:
             rule = f"takes '{signal.name}' in {signal.unit}, and the study measures it in {unit}"
             raise ConfigError("controller", rule)

@@ -39,9 +39,11 @@ def kinds_of(config: StudyTable) -> dict[str, Metric]:
         ConfigError: One cannot be imported, is not a metric, or has the name of another.
     """
     metrics = dict(KNOWN)
-    named = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
-    named += [(f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric]
-    for place, name in named:
+    named_metrics = [(f"metrics.names.{i}", name) for i, name in enumerate(config.metrics.names or ())]
+    named_metrics += [
+        (f"requirement.{i}.metric", table.metric) for i, table in enumerate(config.requirement) if table.metric
+    ]
+    for place, name in named_metrics:
         if ":" not in name:
             continue
         metric = imported(name, place)
@@ -73,10 +75,10 @@ def available_metrics(
     return kinds
 
 
-def measured(
+def parse_measures(
     config: StudyTable,
     names: dict[str, tuple[str, int | None]],
-    known: Mapping[str, Metric],
+    metrics: Mapping[str, Metric],
     channels: tuple[str, ...],
     units: tuple[ChannelUnits, ...],
     signals: Mapping[str, SampledSignal],
@@ -87,7 +89,7 @@ def measured(
     Args:
         config: The study's tables.
         names: Metrics that the loop can have: name -> kind and channel.
-        known: All kinds of metric.
+        metrics: All kinds of metric.
         channels: Names of the channels; one empty name for a plant with one channel.
         units: Their units and meanings.
         signals: Every signal of the loop by name.
@@ -97,9 +99,9 @@ def measured(
         ConfigError: A metric is unknown or not available here, there is none, or a window contains no sample.
     """
     has_several_channels = len(channels) > 1
-    of_signals = signal_metrics_of(config, signals)
-    known = {**known, **of_signals}
-    names = names | {name: (name, None) for name in of_signals}
+    signal_metrics = signal_metrics_of(config, signals)
+    metrics = {**metrics, **signal_metrics}
+    names = names | {name: (name, None) for name in signal_metrics}
 
     def measure(name: str, of: str, window: Window) -> Measure:
         kind, channel = names[of]
@@ -109,20 +111,22 @@ def measured(
             kind,
             window,
             channel,
-            custom=None if kind in METRICS else known[kind],
+            custom=None if kind in METRICS else metrics[kind],
             units=UNNAMED_UNITS if channel is None else units[channel],
             channel_name=channel_name,
             default_window=config.metrics.window,
         )
 
-    base = config.metrics.window
-    require_samples(config, base, "metrics.after")
-    named = config.metrics.names
-    kinds = default_kinds(has_several_channels) if named is None else [short(name) for name in named]
-    for index, kind in enumerate(kinds):
-        if kind not in known:
-            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, known)}")
-    measures = {name: measure(name, name, base) for name, (kind, _) in names.items() if kind in kinds}
+    usual_window = config.metrics.window
+    require_samples(config, usual_window, "metrics.after")
+    listed_names = config.metrics.names
+    reported_kinds = (
+        default_kinds(has_several_channels) if listed_names is None else [short(name) for name in listed_names]
+    )
+    for index, kind in enumerate(reported_kinds):
+        if kind not in metrics:
+            raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, metrics)}")
+    measures = {name: measure(name, name, usual_window) for name, (kind, _) in names.items() if kind in reported_kinds}
     formula_terms = formula_signals(signals)
     requirements = []
     for index, table in enumerate(config.requirement):
@@ -146,19 +150,19 @@ def measured(
                 kind = metric.removesuffix("_margin")
                 rule = f"'{metric}' belongs to the linearised loop"
                 raise ConfigError(f"{place}.metric", f'{rule}; write margin = "{kind}" in place of the metric')
-            if metric in known and not has_several_channels:
-                needs = ", ".join(known[metric].needs)
+            if metric in metrics and not has_several_channels:
+                needs = ", ".join(metrics[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{metric}'; {nearest(metric, names)}")
-        window = table.window(base)
+        window = table.window(usual_window)
         require_samples(config, window, f"{place}.after")
-        name = metric + window.suffix(base)
+        name = metric + window.suffix(usual_window)
         measures.setdefault(name, measure(name, metric, window))
         requirement = Requirement(measures[name], *table.bounds)
         require_meaningful(requirement, place)
         require_new(requirement, requirements, place)
         requirements.append(requirement)
-    for requirement in enveloped(config, channels, units):
+    for requirement in envelope_requirements(config, channels, units):
         measures[requirement.measure.name] = requirement.measure
         requirements.append(requirement)
     if not measures:
@@ -177,10 +181,10 @@ def require_meaningful(requirement: Requirement, place: str) -> None:
         ConfigError: every draw would violate the bound, or none.
     """
     measure = requirement.measure
-    for side, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
+    for bound_name, bound in (("max", requirement.maximum), ("min", requirement.minimum)):
         if bound is not None and bound < measure.metric.least:
             rule = f"must be >= {measure.metric.least:g} {measure.unit}, as every {measure.kind} is; got {bound:g}"
-            raise ConfigError(f"{place}.{side}", rule)
+            raise ConfigError(f"{place}.{bound_name}", rule)
 
 
 def require_new(requirement: Requirement, requirements: Sequence[Requirement], place: str) -> None:
@@ -189,7 +193,7 @@ def require_new(requirement: Requirement, requirements: Sequence[Requirement], p
     Raises:
         ConfigError: the same measure is.
     """
-    if any(requirement.name == bounded.name for bounded in requirements):
+    if any(requirement.name == earlier.name for earlier in requirements):
         rule = f"'{requirement.measure.label}' is bounded on this side already; keep the stricter one"
         raise ConfigError(place, rule)
 
@@ -214,11 +218,13 @@ def signal_metrics_of(config: StudyTable, signals: Mapping[str, SampledSignal]) 
         if table.signal is not None and metric not in SIGNAL_METRICS:
             rule = f"'{metric}' is no metric of a signal; {nearest(metric, SIGNAL_METRICS)}"
             raise ConfigError(f"requirement.{index}.metric", rule)
-    required = [required_metric(table) for table in config.requirement if table.metric is not None]
-    return metrics_of_signals([*required, *(config.metrics.names or ())], signals)
+    required_names = [required_metric(table) for table in config.requirement if table.metric is not None]
+    return metrics_of_signals([*required_names, *(config.metrics.names or ())], signals)
 
 
-def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]) -> list[Requirement]:
+def envelope_requirements(
+    config: StudyTable, channels: tuple[str, ...], units: tuple[ChannelUnits, ...]
+) -> list[Requirement]:
     """The requirement of each envelope: that the signal's smallest distance from its bounds is not negative.
 
     Raises:
@@ -230,14 +236,16 @@ def enveloped(config: StudyTable, channels: tuple[str, ...], units: tuple[Channe
         if channel not in channels:
             valid = ", ".join(filter(None, channels)) or "none, since the plant has a single one"
             raise ConfigError(f"envelope.{index}.channel", f"must be one of the channels, {valid}; got {channel!r}")
-        number = channels.index(channel)
+        channel_index = channels.index(channel)
         kind = f"envelope_{table.signal}"
         unit, meaning, signal = ENVELOPE_SIGNALS[table.signal]
-        metric = envelope_metric(signal, unit, units[number].named(meaning), table.lower, table.upper)
-        earlier = sum(r.measure.kind == kind and r.measure.channel == number for r in requirements)
-        name = suffixed(kind, channel) + (f"_{earlier + 1}" if earlier else "")
+        metric = envelope_metric(signal, unit, units[channel_index].named(meaning), table.lower, table.upper)
+        earlier_count = sum(r.measure.kind == kind and r.measure.channel == channel_index for r in requirements)
+        name = suffixed(kind, channel) + (f"_{earlier_count + 1}" if earlier_count else "")
         window = replace(config.metrics.window, after=0.0, until=math.inf)
-        measure = Measure(name, kind, window, number, metric, units[number], channel, config.metrics.window)
+        measure = Measure(
+            name, kind, window, channel_index, metric, units[channel_index], channel, config.metrics.window
+        )
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements
 
@@ -249,17 +257,17 @@ def require_samples(config: StudyTable, window: Window, place: str) -> None:
         ConfigError: none does, or it ends later.
     """
     clock = config.loop
-    first = first_sample(window, clock.sample_time)
-    if first >= clock.steps:
+    first_index = first_sample(window, clock.sample_time)
+    if first_index >= clock.steps:
         end = (clock.steps - 1) * clock.sample_time
         raise ConfigError(place, f"must be <= the time of the last sample {end:g} s, got {window.after:g}")
-    to_end = place.removesuffix("after") + "until"
+    end_place = place.removesuffix("after") + "until"
     if math.isfinite(window.until) and window.until > clock.duration * (1.0 + ROUNDING):
         rule = f"must be <= the duration {clock.duration:g} s, got {window.until:g}"
-        raise ConfigError(to_end, f"{rule}; leave it out for a window up to the end, or set loop.duration")
-    if samples_before_end(window, clock.sample_time, clock.steps) <= first:
+        raise ConfigError(end_place, f"{rule}; leave it out for a window up to the end, or set loop.duration")
+    if samples_before_end(window, clock.sample_time, clock.steps) <= first_index:
         rule = f"no sample lies in the window from after = {window.after:g} s to until = {window.until:g} s"
-        raise ConfigError(to_end, f"{rule}; T_s is {clock.sample_time:g} s")
+        raise ConfigError(end_place, f"{rule}; T_s is {clock.sample_time:g} s")
 
 
 def default_kinds(has_several_channels: bool) -> tuple[str, ...]:

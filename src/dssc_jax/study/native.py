@@ -77,30 +77,30 @@ def with_digests(table: Mapping[str, object], folder: Path) -> TomlTable:
     Raises:
         ConfigError: A file cannot be read.
     """
-    naming = list(native_tables(table))
-    if not naming:
+    native_parts = list(native_tables(table))
+    if not native_parts:
         return dict(table)
-    return {name: digested(value, naming, folder) if name in SLOTS else value for name, value in table.items()}
+    return {name: with_digest(value, native_parts, folder) if name in SLOTS else value for name, value in table.items()}
 
 
-def digested(node: object, naming: Sequence[Mapping[str, object]], folder: Path) -> object:
+def with_digest(node: object, native_parts: Sequence[Mapping[str, object]], folder: Path) -> object:
     """A part of a study's table, in which the tables that name native code have its digest."""
     if not isinstance(node, Mapping):
         return node
-    inside = {name: digested(value, naming, folder) for name, value in node.items()}
-    if any(part is node for part in naming) and not node.get("sha256"):
-        inside["sha256"] = native_digest(folder / str(node["file"]))
-    return inside
+    content = {name: with_digest(value, native_parts, folder) for name, value in node.items()}
+    if any(part is node for part in native_parts) and not node.get("sha256"):
+        content["sha256"] = native_digest(folder / str(node["file"]))
+    return content
 
 
 def without_old_digests(changes: Mapping[str, object]) -> dict[str, object]:
     """Changes of a study by dotted name; a change of native code's file also clears the digest of the old file."""
-    cleared: dict[str, object] = {}
+    empty_digests: dict[str, object] = {}
     for name in changes:
         slot, _, field = name.partition(".")
         if slot in SLOTS and field.rpartition(".")[2] == "file":
-            cleared[f"{name.removesuffix('file')}sha256"] = ""
-    return {**cleared, **changes}
+            empty_digests[f"{name.removesuffix('file')}sha256"] = ""
+    return {**empty_digests, **changes}
 
 
 def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: object = None) -> None:
@@ -119,8 +119,8 @@ def load_native(table: Mapping[str, object], folders: Sequence[Path], recorded: 
             continue
         places = [folder / native.file for folder in folders]
         entry = recorded.get(native.file) if isinstance(recorded, Mapping) else None
-        earlier = entry.get("file") if isinstance(entry, Mapping) else None
-        places += [Path(earlier)] if isinstance(earlier, str) else []
+        recorded_file = entry.get("file") if isinstance(entry, Mapping) else None
+        places += [Path(recorded_file)] if isinstance(recorded_file, str) else []
         for place in places:
             if place.is_file():
                 allow_native(place, native.sha256)

@@ -66,33 +66,33 @@ def parse_number(value: object, quantity: Quantity) -> float | Law | Expression:
     Raises:
         ValueError: the rule that is broken, and the value found.
     """
-    parsed: float | Law | Expression
+    content: float | Law | Expression
     if isinstance(value, Expression):
         if quantity.data:
             raise ValueError(f"must be a plain number in a record, got {value!r}")
         if not quantity.law:
             require_plain(value)
-        parsed = value
+        content = value
         low, high = value.support
     elif isinstance(value, Law):
-        parsed = value
+        content = value
         low, high = value.support
     elif isinstance(value, dict):
         if not quantity.law:
             raise ValueError(f"must be a plain number here, got the law {value}")
-        parsed = parse_law(value)
-        low, high = parsed.support
+        content = parse_law(value)
+        low, high = content.support
     elif is_number(value):
-        parsed = float(value)
-        low = high = parsed
+        content = float(value)
+        low = high = content
     else:
         law = " or a law" if quantity.law else ""
         raise ValueError(f"must be a finite number ({quantity.meaning} [{quantity.unit}]){law}, got {value!r}")
-    broken = quantity.violated_by(low, high)
-    if broken:
-        found = f"{value!r}" if is_number(value) else f"{parsed}, whose support is [{low:g}, {high:g}]"
-        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {broken}, got {found}")
-    return parsed
+    violation = quantity.violated_by(low, high)
+    if violation:
+        value_text = f"{value!r}" if is_number(value) else f"{content}, whose support is [{low:g}, {high:g}]"
+        raise ValueError(f"{quantity.meaning} [{quantity.unit}] {violation}, got {value_text}")
+    return content
 
 
 def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
@@ -100,8 +100,8 @@ def parse_numbers(value: object, quantity: Quantity, depth: int = 1) -> Any:
     if depth == 0:
         return parse_number(value, quantity)
     if not isinstance(value, list | tuple):
-        items = "rows of numbers" if depth > 1 else "numbers"
-        raise ValueError(f"must be a list of {items} ({quantity.meaning} [{quantity.unit}]), got {value!r}")
+        item_text = "rows of numbers" if depth > 1 else "numbers"
+        raise ValueError(f"must be a list of {item_text} ({quantity.meaning} [{quantity.unit}]), got {value!r}")
     return tuple(parse_numbers(item, quantity, depth - 1) for item in value)
 
 
@@ -128,7 +128,7 @@ def parameter_numbers(parameters: ParameterTable, parts: Iterable[Number]) -> li
     """
     for number in parts:
         if number.expression and not number.quantity.law:
-            parameters.need(number.expression, number.name)
+            parameters.note_plain(number.expression, number.name)
     numbers = []
     for name, content in parameters.contents.items():
         quantity = replace(parameters.quantities[name], law=name not in parameters.plain)

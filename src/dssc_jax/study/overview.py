@@ -36,18 +36,20 @@ def overview(study: "Study") -> str:
 
 def section(title: str, rows: Iterable[tuple[str, ...]]) -> str:
     """Rows under a title, in columns; empty without rows."""
-    shown = list(rows)
-    if not shown:
+    visible_rows = list(rows)
+    if not visible_rows:
         return ""
-    hidden = len(shown) - MOST_ROWS
-    shown = shown[:MOST_ROWS]
-    widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in shown]
-    lines += [f"... and {hidden} more"] if hidden > 0 else []
-    return "\n".join([title, *(f"  {shortened(line)}" for line in lines)])
+    hidden_count = len(visible_rows) - MOST_ROWS
+    visible_rows = visible_rows[:MOST_ROWS]
+    widths = [max(len(row[column]) for row in visible_rows) for column in range(len(visible_rows[0]))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in visible_rows
+    ]
+    lines += [f"... and {hidden_count} more"] if hidden_count > 0 else []
+    return "\n".join([title, *(f"  {clipped_line(line)}" for line in lines)])
 
 
-def shortened(line: str) -> str:
+def clipped_line(line: str) -> str:
     """The beginning of a line that is too long."""
     return line if len(line) <= WIDTH else f"{line[: WIDTH - 4]} ..."
 

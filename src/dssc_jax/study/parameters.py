@@ -94,15 +94,15 @@ class Expression(Uncertain):
 
     def _evaluated(self, values: Mapping[str, T], evaluate: Evaluation[T], exact: Callable[[float], T]) -> T:
         """The expression in numbers or in intervals, after the parameters that it depends on."""
-        known: dict[str, T] = {}
+        operands: dict[str, T] = {}
         for parameter in self.parameters:
             if parameter.dotted in values:
-                known[parameter.name] = values[parameter.dotted]
+                operands[parameter.name] = values[parameter.dotted]
             elif isinstance(parameter.content, str):
-                known[parameter.name] = evaluate(parse_expression(parameter.content), known.__getitem__)
+                operands[parameter.name] = evaluate(parse_expression(parameter.content), operands.__getitem__)
             elif isinstance(parameter.content, float):
-                known[parameter.name] = exact(parameter.content)
-        return evaluate(parse_expression(self.text), known.__getitem__)
+                operands[parameter.name] = exact(parameter.content)
+        return evaluate(parse_expression(self.text), operands.__getitem__)
 
     @property
     def median(self) -> float:
@@ -129,8 +129,8 @@ class Expression(Uncertain):
         values |= {p.dotted: p.content for p in self.parameters if isinstance(p.content, float)}
         if not values:
             return ""
-        listed = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
-        return f" near {listed}; the laws must exclude that" if point else f" at {listed}"
+        value_text = ", ".join(f"{name} = {value:.4g}" for name, value in values.items())
+        return f" near {value_text}; the laws must exclude that" if point else f" at {value_text}"
 
     @property
     def leaf(self) -> "float | Expression":
@@ -149,16 +149,16 @@ def support_of(expression: Expression) -> tuple[float, float]:
         return value, value
     names = list(expression.laws)
 
-    def values(*sides: Interval) -> Interval:
-        return expression.between(dict(zip(names, sides, strict=True)))
+    def values(*intervals: Interval) -> Interval:
+        return expression.between(dict(zip(names, intervals, strict=True)))
 
-    found = range_of(values, [law.support for law in expression.laws.values()])
-    bounded = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
-    if found.undefined is not None:
-        raise ValueError(f"{text} has no finite value{expression.place_of(found.undefined)}")
-    if bounded and not math.isfinite(found.low - found.high):
+    value_range = range_of(values, [law.support for law in expression.laws.values()])
+    has_finite_support = all(math.isfinite(end) for law in expression.laws.values() for end in law.support)
+    if value_range.undefined is not None:
+        raise ValueError(f"{text} has no finite value{expression.place_of(value_range.undefined)}")
+    if has_finite_support and not math.isfinite(value_range.low - value_range.high):
         raise ValueError(f"{text} exceeds the largest number within the laws of {', '.join(names)}")
-    return found.low, found.high
+    return value_range.low, value_range.high
 
 
 @dataclass
@@ -184,13 +184,13 @@ class ParameterTable:
         """
         if len(table) > MOST_PARAMETERS:
             raise ConfigError(PARAMETERS, f"holds at most {MOST_PARAMETERS} parameters, got {len(table)}")
-        raw = {}
+        entries = {}
         parameters = cls({}, {})
         for name, value in table.items():
             check_name(name)
-            raw[name], parameters.quantities[name] = described(name, value)
-        for name in in_order(raw):
-            parameters.contents[name] = parameters.content(name, raw[name])
+            entries[name], parameters.quantities[name] = described_content(name, value)
+        for name in in_order(entries):
+            parameters.contents[name] = parameters.content(name, entries[name])
         return parameters
 
     def content(self, name: str, value: Any) -> Content:
@@ -204,7 +204,7 @@ class ParameterTable:
             if is_expression(value):
                 return self.expression(value).text
             if isinstance(value, dict):
-                return parse_law(self.replaced(value, place, self.expression))
+                return parse_law(self.substitute(value, place, self.expression))
         except ConfigError:
             raise
         except ValueError as error:
@@ -219,19 +219,19 @@ class ParameterTable:
         Raises:
             ValueError: it is not valid.
         """
-        needed: set[str] = set()
-        waiting = list(names_of(parse_expression(text)))
-        for name in waiting:
+        needed_names: set[str] = set()
+        pending_names = list(names_of(parse_expression(text)))
+        for name in pending_names:
             if name not in self.contents:
-                known = nearest(name, self.contents) if self.contents else "name numbers in [parameters]"
-                raise ValueError(f"{text!r} names '{name}', which is no parameter; {known}")
-        while waiting:
-            name = waiting.pop()
+                hint = nearest(name, self.contents) if self.contents else "name numbers in [parameters]"
+                raise ValueError(f"{text!r} names '{name}', which is no parameter; {hint}")
+        while pending_names:
+            name = pending_names.pop()
             content = self.contents[name]
-            if name not in needed and isinstance(content, str):
-                waiting += names_of(parse_expression(content))
-            needed.add(name)
-        parameters = tuple(Parameter(name, content) for name, content in self.contents.items() if name in needed)
+            if name not in needed_names and isinstance(content, str):
+                pending_names += names_of(parse_expression(content))
+            needed_names.add(name)
+        parameters = tuple(Parameter(name, content) for name, content in self.contents.items() if name in needed_names)
         expression = Expression(text, parameters)
         _ = expression.support  # raises where it has no finite value
         return expression
@@ -244,12 +244,12 @@ class ParameterTable:
         """
         expression = self.expression(text)
         require_plain(expression)
-        self.need(expression, place)
+        self.note_plain(expression, place)
         value = expression.support[0]
         return int(value) if value.is_integer() and abs(value) < 2.0**53 else value
 
-    def need(self, expression: Expression, place: str) -> None:
-        """Take down that something needs the value of an expression before tracing."""
+    def note_plain(self, expression: Expression, place: str) -> None:
+        """Note that a place needs the value of an expression before tracing."""
         for parameter in expression.parameters:
             self.plain.setdefault(parameter.name, place)
 
@@ -259,7 +259,7 @@ class ParameterTable:
         Raises:
             ConfigError: one is not valid.
         """
-        return self.replaced(value, place, self.expression)
+        return self.substitute(value, place, self.expression)
 
     def constants(self, value: object, place: str) -> Any:
         """A part of a study's table with a number in place of each expression.
@@ -267,10 +267,10 @@ class ParameterTable:
         Raises:
             ConfigError: one is not valid, or depends on a law.
         """
-        return self.replaced(value, place, lambda text: self.constant(text, place))
+        return self.substitute(value, place, lambda text: self.constant(text, place))
 
-    def replaced(self, value: object, place: str, read: Callable[[str], object]) -> Any:
-        """A part of a study's table with something else in place of each expression; laws get plain numbers.
+    def substitute(self, value: object, place: str, value_of: Callable[[str], object]) -> Any:
+        """Replace each expression in a part of a study's table; arguments of laws become plain numbers.
 
         Raises:
             ConfigError: one is not valid.
@@ -278,15 +278,15 @@ class ParameterTable:
         if is_law(value):
             return {kind: self.constants(arguments, place) for kind, arguments in value.items()}
         if isinstance(value, dict):
-            return {key: self.replaced(item, f"{place}.{key}", read) for key, item in value.items()}
+            return {key: self.substitute(item, f"{place}.{key}", value_of) for key, item in value.items()}
         if isinstance(value, list | tuple):
             if not any(isinstance(item, str | dict | list | tuple) for item in value):
                 return value
-            return [self.replaced(item, f"{place}.{index}", read) for index, item in enumerate(value)]
+            return [self.substitute(item, f"{place}.{index}", value_of) for index, item in enumerate(value)]
         if not is_expression(value):
             return value
         try:
-            return read(value)
+            return value_of(value)
         except ValueError as error:
             raise ConfigError(place, str(error)) from None
 
@@ -319,7 +319,7 @@ def check_name(name: str) -> None:
         raise ConfigError(place, f"'{name}' is a word of Python; take another name, such as '{name}_0'") from None
 
 
-def described(name: str, value: object) -> tuple[object, Quantity]:
+def described_content(name: str, value: object) -> tuple[object, Quantity]:
     """The content of a parameter as in the file, with its unit and meaning.
 
     Raises:
@@ -346,18 +346,20 @@ def described(name: str, value: object) -> tuple[object, Quantity]:
     return content.get("value", content), Quantity(unit, meaning)
 
 
-def in_order(raw: Mapping[str, object]) -> list[str]:
+def in_order(entries: Mapping[str, object]) -> list[str]:
     """The parameters, each after those that it depends on.
 
     Raises:
         ConfigError: an expression is not valid, or parameters depend on one another.
     """
     order: list[str] = []
-    for first in raw:
-        path: list[str] = [first]
+    for root in entries:
+        path: list[str] = [root]
         while path:
             name = path[-1]
-            missing = [parent for parent in dependencies(name, raw[name]) if parent in raw and parent not in order]
+            missing = [
+                parent for parent in dependencies(name, entries[name]) if parent in entries and parent not in order
+            ]
             if name in order or not missing:
                 path.pop()
                 if name not in order:
@@ -365,8 +367,8 @@ def in_order(raw: Mapping[str, object]) -> list[str]:
                 continue
             parent = missing[0]
             if parent in path:
-                circle = [*path[path.index(parent) :], parent]
-                raise ConfigError(f"{PARAMETERS}.{parent}", f"depends on itself: {' -> '.join(circle)}")
+                cycle = [*path[path.index(parent) :], parent]
+                raise ConfigError(f"{PARAMETERS}.{parent}", f"depends on itself: {' -> '.join(cycle)}")
             path.append(parent)
     return order
 
@@ -378,12 +380,12 @@ def dependencies(name: str, value: object) -> Iterator[str]:
         ConfigError: an expression is not valid.
     """
     try:
-        yield from named_in(value)
+        yield from names_within(value)
     except ValueError as error:
         raise ConfigError(f"{PARAMETERS}.{name}", str(error)) from None
 
 
-def named_in(value: object) -> Iterator[str]:
+def names_within(value: object) -> Iterator[str]:
     """The names in the expressions of a part of a study's table.
 
     Raises:
@@ -393,6 +395,6 @@ def named_in(value: object) -> Iterator[str]:
         value = list(value.values())
     if isinstance(value, list | tuple):
         for item in value:
-            yield from named_in(item)
+            yield from names_within(item)
     elif is_expression(value):
         yield from names_of(parse_expression(value))

@@ -48,15 +48,15 @@ def with_records(table: Mapping[str, object], folder: Path) -> TomlTable:
 def recorded_slot(value: object, folder: Path, slot: str) -> Any:
     """A slot's table, each of its channels' tables, or each table of a list, with records in place of files."""
     if isinstance(value, list):
-        return [recorded_slot(part, folder, f"{slot}.{index}") for index, part in enumerate(value)]
+        return [recorded_slot(item, folder, f"{slot}.{index}") for index, item in enumerate(value)]
     if not isinstance(value, Mapping):
         return value
     with errors_under(slot):
         channels = {}
-        for name, part in value.items():
-            if isinstance(part, Mapping) and "file" in part:
+        for name, item in value.items():
+            if isinstance(item, Mapping) and "file" in item:
                 with errors_under(name):
-                    channels[name] = inlined(part, folder, slot)
+                    channels[name] = inlined(item, folder, slot)
         inlined_table = inlined(value, folder, slot) if "file" in value else dict(value)
     return inlined_table | channels
 
@@ -80,8 +80,8 @@ def inlined(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
     else:
         raise ConfigError("column", "is required and missing: the column with the values")
     columns = recorded_columns(folder / part["file"], [part.get("time_column", TIME), *names])
-    kept = {name: value for name, value in part.items() if name not in FIELDS}
-    return kept | dict(zip(("time", *targets), columns, strict=True)) | inlined_rate(part, folder, slot)
+    other_entries = {name: value for name, value in part.items() if name not in FIELDS}
+    return other_entries | dict(zip(("time", *targets), columns, strict=True)) | inlined_rate(part, folder, slot)
 
 
 def inlined_rate(part: Mapping[str, Any], folder: Path, slot: str) -> TomlTable:
@@ -124,19 +124,21 @@ def recorded_columns(path: Path, names: list[str], label: str = "column") -> lis
     table = np.array(list(columns.values()))
     missing = np.flatnonzero(np.any(np.isnan(table), axis=0))
     require_empty(path, [list(frame.columns).index(name) for name in names], missing, len(frame))
-    kept = np.setdiff1d(np.arange(len(frame)), missing)
-    if not kept.size:
+    complete_rows = np.setdiff1d(np.arange(len(frame)), missing)
+    if not complete_rows.size:
         raise ConfigError("file", f"'{path.name}' has no row with numbers in {', '.join(map(repr, names))}")
-    faulty = kept[np.any(np.isinf(table[:, kept]), axis=0)]
-    if faulty.size:
-        raise ConfigError(label, f"'{path.name}' must hold finite numbers; {place_of(path, int(faulty[0]))} does not")
-    times = table[0, kept]
-    falls = np.flatnonzero(np.diff(times) <= 0.0)
-    if falls.size:
-        first = int(falls[0])
-        rule = f"{times[first + 1]:g} s comes after {times[first]:g} s in {place_of(path, int(kept[first + 1]))}"
+    infinite_rows = complete_rows[np.any(np.isinf(table[:, complete_rows]), axis=0)]
+    if infinite_rows.size:
+        place = place_of(path, int(infinite_rows[0]))
+        raise ConfigError(label, f"'{path.name}' must hold finite numbers; {place} does not")
+    times = table[0, complete_rows]
+    decreasing = np.flatnonzero(np.diff(times) <= 0.0)
+    if decreasing.size:
+        before, after = times[decreasing[0] : decreasing[0] + 2]
+        place = place_of(path, int(complete_rows[decreasing[0] + 1]))
+        rule = f"{after:g} s comes after {before:g} s in {place}"
         raise ConfigError("time_column", f"'{path.name}' must have rising times; {rule}")
-    return table[:, kept].tolist()
+    return table[:, complete_rows].tolist()
 
 
 def numbers_of(column: Any, path: Path, field: str) -> list[float]:
@@ -184,10 +186,10 @@ def require_empty(path: Path, places: list[int], rows: np.ndarray, count: int) -
         return
     for row in rows:
         texts = lines[row].text.decode(errors="replace").split(form.separator)
-        found = [text.strip().strip('"').replace(form.decimal, ".") for text in texts]
+        cells = [text.strip().strip('"').replace(form.decimal, ".") for text in texts]
         for place in places:
-            if place < len(found) and found[place] and not is_number(found[place]):
-                text = f"'{path.name}' must hold numbers or empty cells; line {lines[row].number} has {found[place]!r}"
+            if place < len(cells) and cells[place] and not is_number(cells[place]):
+                text = f"'{path.name}' must hold numbers or empty cells; line {lines[row].number} has {cells[place]!r}"
                 raise ConfigError("column", text)
 
 

@@ -77,16 +77,16 @@ class LoopTable(BaseModel):
 def window_fields(absent: bool) -> dict[str, Any]:
     """Fields of a table for the entries of a window; with ``absent`` they may be left to ``[metrics]``."""
     defaults = window_defaults()
-    described = {}
+    fields = {}
     for entry in window_entries().values():
         bounds: dict[str, Any] = dict(entry.bounds)
         if absent or entry.absent:
             meaning = f"{entry.meaning}; absent: {'that of `[metrics]`' if absent else entry.absent}"
-            described[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
+            fields[entry.key] = (OptionalFinite, Field(default=None, description=meaning, **bounds))
         else:
             default = defaults[entry.key]
-            described[entry.key] = (Finite, Field(default=default, description=entry.meaning, **bounds))
-    return described
+            fields[entry.key] = (Finite, Field(default=default, description=entry.meaning, **bounds))
+    return fields
 
 
 def bound(value: object) -> float | str:
@@ -100,7 +100,7 @@ Bound = Annotated[float | str, BeforeValidator(bound)]
 
 
 class BoundedMetric(BaseModel):
-    """What a requirement is about."""
+    """The subject of a requirement: a metric, a margin or a formula."""
 
     model_config = STRICT
     metric: str | None = Field(default=None, description="the bounded metric")
@@ -161,12 +161,12 @@ class RequirementTable(RequiredWindow):
             raise ValueError("needs a metric, a margin or a formula, and only one of them")
         (subject,) = subjects
         entries, reason = SUBJECTS[subject]
-        foreign = self.model_fields_set - entries
-        if foreign:
-            first = min(foreign)
-            owner = next(name for name, (owned, _) in SUBJECTS.items() if first in owned)
-            told = reason or f"only a {owner} has these entries"
-            raise ValueError(f"{told}; take out {', '.join(sorted(foreign))}")
+        foreign_entries = self.model_fields_set - entries
+        if foreign_entries:
+            foreign = min(foreign_entries)
+            owner = next(name for name, (owned, _) in SUBJECTS.items() if foreign in owned)
+            explanation = reason or f"only a {owner} has these entries"
+            raise ValueError(f"{explanation}; take out {', '.join(sorted(foreign_entries))}")
         if subject != "formula" and (self.max is None) == (self.min is None):
             raise ValueError("needs exactly one of max and min")
         for name in ("max", "min"):

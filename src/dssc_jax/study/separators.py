@@ -22,8 +22,8 @@ def separated(text: str, parts: int) -> str:
         values = values[:-1]
         ending = ":log"
     numeric = all(re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", value) for value in values)
-    corrected = f"{name}={':'.join(values)}{ending}"
-    return f"; did you mean '{corrected}'?" if numeric and len(values) == parts and corrected != text else ""
+    corrected_text = f"{name}={':'.join(values)}{ending}"
+    return f"; did you mean '{corrected_text}'?" if numeric and len(values) == parts and corrected_text != text else ""
 
 
 def toml_hint(text: str, complaint: str) -> str:
@@ -33,12 +33,12 @@ def toml_hint(text: str, complaint: str) -> str:
     if match is None or int(match.group(1)) > len(lines):
         return ""
     line = lines[int(match.group(1)) - 1].strip()
-    shown = f"; the line is: {line[:60]}"
+    line_text = f"; the line is: {line[:60]}"
     if re.match(r"[\w.\"-]+\s*:", line):
-        return f"{shown}; '=' separates a name from its value"
-    bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
-    if ";" in bare:
-        return f"{shown}; ',' separates the items of a list"
-    if re.search(r"\d,\d", bare) and "[" not in bare:
-        return f"{shown}; '.' is the decimal point"
-    return shown
+        return f"{line_text}; '=' separates a name from its value"
+    unquoted_line = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+    if ";" in unquoted_line:
+        return f"{line_text}; ',' separates the items of a list"
+    if re.search(r"\d,\d", unquoted_line) and "[" not in unquoted_line:
+        return f"{line_text}; '.' is the decimal point"
+    return line_text

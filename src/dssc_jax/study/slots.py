@@ -82,10 +82,12 @@ def parse_reference(table: TomlTable, channels: tuple[str, ...], units: tuple[Ch
         return with_units(parse_whole(table, slot), units[0])
     common = {name: value for name, value in table.items() if name not in channels}
     joint = parse_component(common, REGISTRIES["trajectory"], slot, default="zero")
-    named = [channel for channel in channels if channel in table]
-    if not named:
+    replaced_channels = [channel for channel in channels if channel in table]
+    if not replaced_channels:
         return replace(joint, numbers=tuple(number.under(slot, slot) for number in joint.numbers))
-    replacements = {channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in named}
+    replacements = {
+        channel: parse_component(table[channel], REFERENCES, dotted(slot, channel)) for channel in replaced_channels
+    }
     numbers = [number.under(f"{slot}.joint", slot) for number in joint.numbers]
     for place, (channel, part) in enumerate(replacements.items()):
         numbers_of_part = with_units(part, units[channels.index(channel)]).numbers
@@ -129,11 +131,11 @@ def place_of(table: TomlTable, path: str, channels: Sequence[str], inputs: Seque
         ConfigError: the plant has no such place.
     """
     places = {channel or COMMAND: channel for channel in channels} | {name: name for name in inputs}
-    chosen = table.get("input", COMMAND if channels == ("",) else None)
-    if chosen not in places:
-        rule = f"must be a place of the plant at which a disturbance acts, got {chosen!r}"
-        raise ConfigError(f"{path}.input", f"{rule}; {nearest(str(chosen), places)}")
-    return places[chosen]
+    input_name = table.get("input", COMMAND if channels == ("",) else None)
+    if input_name not in places:
+        rule = f"must be a place of the plant at which a disturbance acts, got {input_name!r}"
+        raise ConfigError(f"{path}.input", f"{rule}; {nearest(str(input_name), places)}")
+    return places[input_name]
 
 
 def placed_disturbances(
@@ -145,26 +147,28 @@ def placed_disturbances(
         ConfigError: one is not valid.
     """
     parts = {"disturbance": table} if isinstance(table, dict) else {f"disturbance.{i}": t for i, t in enumerate(table)}
-    placed: dict[str, list[Component]] = {place: [] for place in (*channels, *inputs)}
+    disturbances_by_place: dict[str, list[Component]] = {place: [] for place in (*channels, *inputs)}
     for path, part in parts.items():
         entries = as_table(part, path)
         place = place_of(entries, path, channels, inputs)
         entries.pop("input", None)
-        placed[place].append(parse_component(entries, DISTURBANCES, path))
-        component = placed[place][-1]
+        disturbances_by_place[place].append(parse_component(entries, DISTURBANCES, path))
+        component = disturbances_by_place[place][-1]
         numbers = tuple(number.under("", path) for number in component.numbers)
-        placed[place][-1] = replace(component, numbers=numbers)
-    return placed
+        disturbances_by_place[place][-1] = replace(component, numbers=numbers)
+    return disturbances_by_place
 
 
-def summed(parts: Sequence[Component], path: str) -> Component:
+def disturbance_sum(parts: Sequence[Component], path: str) -> Component:
     """The sum of the disturbances at one place, whose parameters are at a path."""
     if not parts:
         return parse_component({"kind": "none"}, DISTURBANCES)
     numbers = []
     for index, part in enumerate(parts):
-        inside = path if len(parts) == 1 else f"{path}.{index}"
-        numbers += [replace(n, paths=tuple(dotted(inside, inner) for inner in n.paths)) for n in part.numbers]
+        parent_path = path if len(parts) == 1 else f"{path}.{index}"
+        numbers += [
+            replace(n, paths=tuple(dotted(parent_path, inner_path) for inner_path in n.paths)) for n in part.numbers
+        ]
     params = parts[0].params if len(parts) == 1 else tuple(part.params for part in parts)
     kind = " + ".join(part.kind for part in parts)
     return Component(kind, sum_of_disturbances(tuple(part.model for part in parts)), params, tuple(numbers))
@@ -180,8 +184,11 @@ def parse_disturbances(
     """
     if isinstance(table, dict) and "input" not in table:
         return parse_channels(table, "disturbance", channels)
-    placed = placed_disturbances(table, channels, inputs)
-    return [summed(placed[channel], f"disturbance.{index}") for index, channel in enumerate(channels)]
+    disturbances_by_place = placed_disturbances(table, channels, inputs)
+    return [
+        disturbance_sum(disturbances_by_place[channel], f"disturbance.{index}")
+        for index, channel in enumerate(channels)
+    ]
 
 
 def parse_inputs(
@@ -189,6 +196,6 @@ def parse_inputs(
 ) -> list[Component]:
     """The disturbance at each input that the plant names; see :func:`parse_disturbances`."""
     if isinstance(table, dict) and "input" not in table:
-        return [summed([], "") for _ in inputs]
-    placed = placed_disturbances(table, channels, inputs)
-    return [summed(placed[name], f"inputs.{index}") for index, name in enumerate(inputs)]
+        return [disturbance_sum([], "") for _ in inputs]
+    disturbances_by_place = placed_disturbances(table, channels, inputs)
+    return [disturbance_sum(disturbances_by_place[name], f"inputs.{index}") for index, name in enumerate(inputs)]

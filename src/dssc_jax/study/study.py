@@ -27,7 +27,7 @@ from dssc_jax.study.library import find
 from dssc_jax.study.native import with_digests, without_old_digests
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.overview import overview
-from dssc_jax.study.parameters import TEXTS, named_in
+from dssc_jax.study.parameters import TEXTS, names_within
 from dssc_jax.study.recorded import with_records
 from dssc_jax.study.schema import StudyTable
 from dssc_jax.study.tables import PARAMETERS, changed, read_toml
@@ -216,8 +216,8 @@ class Study:
         """Dotted names of the loop's numbers that a number decides: itself, or those that follow from a parameter."""
         if name not in self.parameter_names:
             return (name,)
-        found = (number.name for number in self.numbers.values() if name in number.sources)
-        return tuple(follower for follower in found if follower not in self.parameter_names)
+        follower_names = (number.name for number in self.numbers.values() if name in number.sources)
+        return tuple(follower for follower in follower_names if follower not in self.parameter_names)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -228,8 +228,8 @@ class Study:
         """Dotted names of the parameters that nothing in the study names."""
         content = [value for name, value in self.table.items() if name not in TEXTS]
         words = {token.text for table in self.config.requirement for token in tokens_of(table.formula or "")}
-        named = {f"{PARAMETERS}.{name}" for name in {*named_in(content), *words}}
-        return tuple(name for name in self.parameter_names if name not in named)
+        named_parameters = {f"{PARAMETERS}.{name}" for name in {*names_within(content), *words}}
+        return tuple(name for name in self.parameter_names if name not in named_parameters)
 
     def require_free(self, name: str) -> None:
         """Require that a number has a value of its own, and does not follow from parameters.
@@ -242,36 +242,36 @@ class Study:
             raise ConfigError(name, number.follows)
         slot, _, field = name.partition(".")
         table = self.table.get(slot)
-        written = table.get(field) if isinstance(table, Mapping) else None
-        if is_expression(written):
-            raise ConfigError(name, f"is the expression {written!r} in this study; give it a number of its own first")
+        entry = table.get(field) if isinstance(table, Mapping) else None
+        if is_expression(entry):
+            raise ConfigError(name, f"is the expression {entry!r} in this study; give it a number of its own first")
 
     def derived(self, values: Mapping[str, Numeric]) -> dict[str, Numeric]:
         """The numbers that follow from parameters with the given values, by dotted name; an array for arrays.
 
         A number that follows from a law without a value is left out.
         """
-        found = {}
+        values_by_name = {}
         for name, number in self.numbers.items():
             expression = number.expression
             if expression and values.keys() & set(expression.names) and values.keys() >= expression.laws.keys():
-                found[name] = expression.at(values)
-        return found
+                values_by_name[name] = expression.at(values)
+        return values_by_name
 
     def violations(self, values: Mapping[str, Numeric]) -> dict[str, str]:
         """The numbers outside of their intervals at the given values, by dotted name: the rule and the values found.
 
         Numbers that follow from the given ones are among them.
         """
-        broken = {}
+        rules_by_name = {}
         for name, column in (dict(values) | self.derived(values)).items():
             low, high = float(np.min(column)), float(np.max(column))
             rule = self.numbers[name].quantity.violated_by(low, high)
             if rule is None and not np.all(np.isfinite(column)):
                 rule = "must be finite"
             if rule:
-                broken[name] = f"{rule}, got [{low:.4g}, {high:.4g}]"
-        return broken
+                rules_by_name[name] = f"{rule}, got [{low:.4g}, {high:.4g}]"
+        return rules_by_name
 
     def leaves(self) -> dict[str, float | Uncertain]:
         """Value or law of each number by dotted name; of one that follows from laws, its expression."""
@@ -283,9 +283,11 @@ class Study:
         What follows from parameters is computed from their values. A leaf that is not a number of the study, but is
         computed from such numbers, is given by its own dotted path.
         """
-        known = self.derived(values) | dict(values)
+        known_values = self.derived(values) | dict(values)
         leaves, tree = tree_flatten(self.template)
-        return tree.unflatten(known.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True))
+        return tree.unflatten(
+            known_values.get(name, leaf) for name, leaf in zip(self.leaf_names(), leaves, strict=True)
+        )
 
     def leaf_names(self) -> list[str]:
         """The name of the number at each leaf of the template; of one that is no number, its dotted path."""

@@ -57,7 +57,7 @@ def nearest_number(name: str, config: StudyTable, numbers: Mapping[str, Number])
     """Return the end of the message about an unknown number: its part has no numbers, or the nearest name."""
     slot = name.partition(".")[0]
     table = getattr(config, slot) if slot in REGISTRIES.keys() & StudyTable.model_fields.keys() else None
-    if isinstance(table, Mapping) and not any(known.startswith(f"{slot}.") for known in numbers):
+    if isinstance(table, Mapping) and not any(number_name.startswith(f"{slot}.") for number_name in numbers):
         field = name.rpartition(".")[2]
         kinds = [kind for kind, entry in REGISTRIES[slot].items() if field in field_specs(params_of(entry))]
         remedy = f"; for '{kinds[0]}' set {slot}.kind = '{kinds[0]}' and {name}" if kinds else ""
@@ -69,7 +69,7 @@ def check_swept_parts(
     table: TomlTable,
     config: StudyTable,
     loop: Loop,
-    known: Mapping[str, NamedSignal],
+    measurable_signals: Mapping[str, NamedSignal],
     numbers: Mapping[str, Number],
 ) -> None:
     """Require that the rules spanning several fields of a part hold for all swept values.
@@ -91,24 +91,24 @@ def check_swept_parts(
     try:
         parameters = ParameterTable.of(table.get(PARAMETERS, {}))
         for slot in sorted(slots):
-            part = parameters.resolved(table[slot], slot)
+            resolved_table = parameters.resolved(table[slot], slot)
             if slot == "disturbance":
-                parse_disturbances(part, channels, loop.input_names)
-                parse_inputs(part, channels, loop.input_names)
+                parse_disturbances(resolved_table, channels, loop.input_names)
+                parse_inputs(resolved_table, channels, loop.input_names)
             elif slot == "sensor":
-                sensors = sensor_tables(part, known)
+                sensors = sensor_tables(resolved_table, measurable_signals)
                 parse_channels(sensors.channels, slot, channels)
-                parse_signal_sensors(sensors, known)
+                parse_signal_sensors(sensors, measurable_signals)
             elif slot in (*PER_CHANNEL, ACTUATOR):
-                parse_channels(part, slot, channels)
+                parse_channels(resolved_table, slot, channels)
             elif slot == "reference":
-                parse_reference(part, channels, (UNNAMED_UNITS,) * len(channels))
+                parse_reference(resolved_table, channels, (UNNAMED_UNITS,) * len(channels))
             elif slot == EVENT:
-                parse_events(part, channels)
+                parse_events(resolved_table, channels)
             elif slot == "wind":
-                parse_winds(part)
+                parse_winds(resolved_table)
             else:
-                parse_whole(part, slot)
+                parse_whole(resolved_table, slot)
         check_expressions(parameters, config, numbers)
     except ConfigError as error:
         raise error.within("sweep") from None

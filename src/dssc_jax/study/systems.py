@@ -33,8 +33,8 @@ def plant_table(system: Any) -> TomlTable:
     name = type(system).__name__
     if getattr(system, "dt", None) not in (None, 0):
         raise ConfigError("plant", f"must be a system in continuous time, got {name} with dt = {system.dt}")
-    if all(hasattr(system, part) for part in "ABCD"):
-        a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, part), float)) for part in "ABCD")
+    if all(hasattr(system, matrix_name) for matrix_name in "ABCD"):
+        a, b, c, d = (np.atleast_2d(np.asarray(getattr(system, matrix_name), float)) for matrix_name in "ABCD")
         if b.shape[1] != 1 or c.shape[0] != 1:
             raise ConfigError("plant", f"must have one input and one output, got {b.shape[1]} and {c.shape[0]}")
         if np.any(d):

@@ -25,29 +25,29 @@ def explain(error: ValidationError, names: Iterable[str], computed: Collection[s
         computed: Names of what its part computes, which a table must not set.
     """
     errors = error.errors()
-    missing = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
-    unknown = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt = [problem for problem in unknown if close_names(str(problem["loc"][-1]), missing)]
-    first = misspelt[0] if misspelt else errors[0]
-    places = [str(part) for part in first["loc"]]  # none of a rule on several entries of the study
-    path = ".".join(places)
-    value = first.get("input")
-    hint = quotes_hint(".".join(places[:-1]), places[-1], value) if places else ""
+    missing_names = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
+    unknown_names = [problem for problem in errors if problem["type"] == "extra_forbidden"]
+    misspelt_names = [problem for problem in unknown_names if close_names(str(problem["loc"][-1]), missing_names)]
+    first_error = misspelt_names[0] if misspelt_names else errors[0]
+    path_parts = [str(part) for part in first_error["loc"]]  # none of a rule on several entries of the study
+    path = ".".join(path_parts)
+    value = first_error.get("input")
+    hint = quotes_hint(".".join(path_parts[:-1]), path_parts[-1], value) if path_parts else ""
     if hint:
         return ConfigError(path, f"has no valid value{hint}")
-    match first["type"]:
-        case "extra_forbidden" if places[-1] in computed:
+    match first_error["type"]:
+        case "extra_forbidden" if path_parts[-1] in computed:
             return ConfigError(path, NOT_SET)
         case "extra_forbidden":
-            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(places[-1], names)}")
+            return ConfigError(path, f"{UNKNOWN_NAME}; {nearest(path_parts[-1], names)}")
         case "missing":
             return ConfigError(path, "is required and missing")
         case "value_error":
-            return ConfigError(path, str(first.get("ctx", {}).get("error")))
+            return ConfigError(path, str(first_error.get("ctx", {}).get("error")))
         case "list_type" if isinstance(value, dict):
             return ConfigError(path, f"is a list of tables: write [[{path}]] instead of [{path}]")
         case "literal_error":
-            expected = str(first.get("ctx", {}).get("expected")).replace("'", "")
+            expected = str(first_error.get("ctx", {}).get("expected")).replace("'", "")
             return ConfigError(path, f"'{value}' is none of {expected}")
         case _:
-            return ConfigError(path, f"{first['msg'][0].lower()}{first['msg'][1:]}, got {value!r}")
+            return ConfigError(path, f"{first_error['msg'][0].lower()}{first_error['msg'][1:]}, got {value!r}")

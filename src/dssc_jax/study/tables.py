@@ -62,15 +62,15 @@ def require_shallow(table: Mapping[str, object]) -> None:
     Raises:
         ConfigError: They are.
     """
-    level: list[Any] = [table]
+    values: list[Any] = [table]
     for _ in range(DEEPEST):
-        level = [
+        values = [
             inner
-            for value in level
+            for value in values
             if isinstance(value, Mapping | list | tuple)
             for inner in (value.values() if isinstance(value, Mapping) else value)
         ]
-        if not level:
+        if not values:
             return
     raise ConfigError("", f"is nested too deeply, at most {DEEPEST} levels are taken")
 
@@ -130,31 +130,31 @@ def set_dotted(table: TomlTable, name: str, value: object) -> None:
     """
     for section in KEYED_BY_NAMES:
         if name.startswith(f"{section}."):
-            inner: Any = table
+            inner_table: Any = table
             for part in section.split("."):
-                inner = inner.setdefault(part, {})
-                if not isinstance(inner, dict):
-                    raise ConfigError(section, f"must be a table, got {inner!r}")
-            inner[name.removeprefix(f"{section}.").strip("\"'")] = value
+                inner_table = inner_table.setdefault(part, {})
+                if not isinstance(inner_table, dict):
+                    raise ConfigError(section, f"must be a table, got {inner_table!r}")
+            inner_table[name.removeprefix(f"{section}.").strip("\"'")] = value
             return
-    first, _, remainder = name.partition(".")
-    if first == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first), dict):
-        value = described_like(value, table[first].get(remainder))
+    first_part, _, remainder = name.partition(".")
+    if first_part == PARAMETERS and remainder and "." not in remainder and isinstance(table.get(first_part), dict):
+        value = described_like(value, table[first_part].get(remainder))
     *parents, key = name.split(".")
     container: Any = table
     for part in parents:
-        place = index_in(container, part)
-        if place is not None:
-            container = container[place]
+        index = index_in(container, part)
+        if index is not None:
+            container = container[index]
         elif isinstance(container, dict):
             if isinstance(container.get(part), str):  # the name of a kind alone, in place of its table
                 container[part] = {"kind": container[part]}
             container = container.setdefault(part, {})
         else:
             raise ConfigError(name, f"leads nowhere: '{part}' is not in a table")
-    place = index_in(container, key)
-    if place is not None:
-        container[place] = value
+    index = index_in(container, key)
+    if index is not None:
+        container[index] = value
     elif isinstance(container, dict):
         container[key] = value
     else:
@@ -183,12 +183,16 @@ def quotes_hint(section: str, key: str, value: object) -> str:
     return f"; a name with a dot needs quotes: {toml_entry('.'.join(parts), value)}"
 
 
-def described_like(value: object, earlier: object) -> object:
+def described_like(value: object, former_content: object) -> object:
     """A new content of a parameter with the unit and the meaning of the earlier one, if it has none of its own."""
-    kept = {key: earlier[key] for key in DESCRIPTION if key in earlier} if isinstance(earlier, dict) else {}
-    if not kept or (isinstance(value, dict) and not is_law(value)):
+    description = (
+        {key: former_content[key] for key in DESCRIPTION if key in former_content}
+        if isinstance(former_content, dict)
+        else {}
+    )
+    if not description or (isinstance(value, dict) and not is_law(value)):
         return value
-    return (dict(value) if isinstance(value, dict) else {"value": value}) | kept
+    return (dict(value) if isinstance(value, dict) else {"value": value}) | description
 
 
 def changed(table: Mapping[str, object], changes: Mapping[str, object], source: str) -> TomlTable:
@@ -199,12 +203,12 @@ def changed(table: Mapping[str, object], changes: Mapping[str, object], source: 
     """
     try:
         require_shallow(table)
-        copied = copy.deepcopy(dict(table))
+        new_table = copy.deepcopy(dict(table))
         for name, value in changes.items():
-            set_dotted(copied, name, copy.deepcopy(value))  # a later name may lead into it
+            set_dotted(new_table, name, copy.deepcopy(value))  # a later name may lead into it
     except ConfigError as error:
         raise error.within(source) from None
-    return copied
+    return new_table
 
 
 def merged(common: TomlTable, override: TomlTable) -> TomlTable:
@@ -222,22 +226,22 @@ def merged(common: TomlTable, override: TomlTable) -> TomlTable:
 
 def has_dotted(table: TomlTable, name: str) -> bool:
     """Whether a table contains the dotted name, or a part of it that is not a table."""
-    inner: Any = table
+    node: Any = table
     for part in name.split("."):
-        if not isinstance(inner, dict):
+        if not isinstance(node, dict):
             return True
-        if part not in inner:
+        if part not in node:
             return False
-        inner = inner[part]
+        node = node[part]
     return True
 
 
 def enclosing_list(table: Mapping[str, object], name: str) -> tuple[str, list[Any]] | None:
     """Dotted name and content of the outermost list that contains the dotted name; None if there is none."""
-    inner: Any = table
+    node: Any = table
     parts = name.split(".")
-    for place, part in enumerate(parts):
-        if isinstance(inner, list):
-            return ".".join(parts[:place]), inner
-        inner = inner.get(part) if isinstance(inner, Mapping) else None
+    for depth, part in enumerate(parts):
+        if isinstance(node, list):
+            return ".".join(parts[:depth]), node
+        node = node.get(part) if isinstance(node, Mapping) else None
     return None

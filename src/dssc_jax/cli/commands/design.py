@@ -67,7 +67,7 @@ def print_first_gains(options: Design) -> int:
         content |= {
             "settling": gains.settling,
             "sensitivity_peak": gains.sensitivity_peak,
-            "actuators": gains.taken,
+            "actuators": gains.linear_kinds,
             "left_out": gains.left_out,
         }
         content |= {"margins": margins, "controller": gains.table}
@@ -78,7 +78,7 @@ def print_first_gains(options: Design) -> int:
     print(f"\nfor {study.name} at {gains.bandwidth:.4g} rad/s, {sampled}, at the nominal plant")
     for line in point_lines(gains):
         print(line)
-    actuators = f" behind its linear actuators ({' + '.join(gains.taken)})" if gains.taken else ""
+    actuators = f" behind its linear actuators ({' + '.join(gains.linear_kinds)})" if gains.linear_kinds else ""
     sliding = " while it slides" if gains.table["kind"] == FirstController.SSC else ""
     decay = study.loop.sample_time / -math.log(gains.radius) if gains.radius > 0.0 else 0.0
     print(f"largest pole of the sampled loop{actuators}{sliding} {gains.radius:.6g}, below 1: stable")
@@ -95,7 +95,7 @@ def print_first_gains(options: Design) -> int:
 def point_lines(gains: FirstGains) -> list[str]:
     """Lines on the point at which the plant was linearised; none if it is the origin."""
     resting = gains.plant.resting
-    if not gains.plant.held:
+    if not gains.plant.is_held:
         rule = "no command holds the plant at its start, so these are gains of a point that it leaves"
         return [f"{rule}; state an output at which it rests, --at Y, or start it at an equilibrium"]
     if resting is None or not (resting.output or resting.command or any(resting.signals)):

@@ -65,16 +65,16 @@ def prove_box(problem: ProofProblem, box: Box) -> Proof | Failure:
     """Search a proof for every plant of a box: bounds that imply themselves, or else sets to begin with."""
     if problem.rho is not None and problem.rho <= signal_sizes(problem, box).offset:
         return Failure(box, "sliding")
-    first = from_start(problem, box)
-    if not isinstance(first, str):
-        stage, allowed = first
+    start_result = from_start(problem, box)
+    if not isinstance(start_result, str):
+        stage, allowed_problem = start_result
         limits = StageRegion(*(stage.bounds[i] for i in (fixed_point.SIGMA, fixed_point.ERROR, fixed_point.CHANGE)))
-        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed)])
+        proof = Proof(box, [stage, *towards_residual(problem, box, limits, limits.e, allowed_problem)])
         return tighter_start(problem, proof)
     if any(problem.by_state):  # of which the sets know no bound
-        return Failure(box, "sliding" if first == "sliding" else "gain")
+        return Failure(box, "sliding" if start_result == "sliding" else "gain")
     result = proof_by_sets(problem, box)
-    if isinstance(result, Failure) and first == "sliding":  # bounds imply themselves, but exceed rho
+    if isinstance(result, Failure) and start_result == "sliding":  # bounds imply themselves, but exceed rho
         return Failure(box, "sliding")
     return result
 
@@ -83,13 +83,13 @@ def tighter_start(problem: ProofProblem, proof: Proof) -> Proof:
     """A proof that begins with a set instead, where bounds of signals are loose on the way and a set does better."""
     if any(problem.by_state) or (setting := setting_of(problem, proof.box)) is None:
         return proof
-    first = reached_error(proof.stages[0], setting)
-    if first <= LOOSE * excursion(setting.origin, setting.programs.starts, E):
+    start_error = reached_error(proof.stages[0], setting)
+    if start_error <= LOOSE * excursion(setting.origin, setting.programs.starts, E):
         return proof
-    by_sets = proof_by_sets(problem, proof.box)
-    if isinstance(by_sets, Failure) or reached_error(by_sets.stages[0], setting) >= first:
+    set_proof = proof_by_sets(problem, proof.box)
+    if isinstance(set_proof, Failure) or reached_error(set_proof.stages[0], setting) >= start_error:
         return proof
-    return by_sets if smallest_error(by_sets, setting) <= smallest_error(proof, setting) / ENOUGH else proof
+    return set_proof if smallest_error(set_proof, setting) <= smallest_error(proof, setting) / ENOUGH else proof
 
 
 def reached_error(stage: SetStage | BoundsStage, setting: Setting) -> float:
@@ -111,26 +111,27 @@ def proof_by_sets(problem: ProofProblem, box: Box) -> Proof | Failure:
     other one where that does not lead to a proof.
     """
     if problem.form == "implicit":
-        return proof_in_coordinate(problem, box, integrated=False)
-    wide = False
+        return proof_in_coordinate(problem, box, is_integrated=False)
+    is_wide = False
     if (setting := setting_of(problem, box)) is not None:
-        first = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
-        wide = bool(np.all(np.isfinite(first))) and len(region_of(problem, first[0], first[1]).pieces) > 1
-    result = proof_in_coordinate(problem, box, integrated=wide)
+        excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
+        is_finite = bool(np.all(np.isfinite(excursions)))
+        is_wide = is_finite and len(region_of(problem, excursions[0], excursions[1]).pieces) > 1
+    result = proof_in_coordinate(problem, box, is_integrated=is_wide)
     if isinstance(result, Failure) and result.reason != "origin":
-        alternative = proof_in_coordinate(problem, box, integrated=not wide)
+        alternative = proof_in_coordinate(problem, box, is_integrated=not is_wide)
         return result if isinstance(alternative, Failure) else alternative
     return result
 
 
-def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) -> Proof | Failure:
+def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool) -> Proof | Failure:
     """Sets from the start to a region in which bounds imply themselves."""
-    if (setting := setting_of(problem, box, integrated=integrated)) is None:
+    if (setting := setting_of(problem, box, is_integrated=is_integrated)) is None:
         return Failure(box, "origin")
-    first = first_set(setting)
-    if isinstance(first, str):
-        return Failure(box, first)
-    stages = [first]
+    start_stage = first_set(setting)
+    if isinstance(start_stage, str):
+        return Failure(box, start_stage)
+    stages = [start_stage]
     for _ in range(SHRINKING):
         p = np.array(stages[-1].p)
         sigma = INFLATION * largest_in_set(p, setting.origin.rows[SIGMA])
@@ -139,9 +140,9 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, integrated: bool) ->
         if residual_stages := towards_residual(problem, box, StageRegion(sigma, e, change), e, problem):
             return Proof(box, [*stages, *residual_stages])
         shares = RATES if len(stages) == 1 else (stages[-1].rate / setting.speed,)
-        if (smaller := smaller_set(setting, sigma, e, shares)) is None:
+        if (next_stage := smaller_set(setting, sigma, e, shares)) is None:
             break
-        stages.append(smaller)
+        stages.append(next_stage)
     return Proof(box, stages)
 
 
@@ -158,8 +159,8 @@ def halves(box: Box, problem: ProofProblem) -> list[Box]:
 
     name = max(box, key=effect)
     low, high = box[name]
-    cut = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
-    return [box | {name: (low, cut)}, box | {name: (cut, high)}]
+    split = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
+    return [box | {name: (low, split)}, box | {name: (split, high)}]
 
 
 def volume(box: Box, problem: ProofProblem) -> float:
@@ -167,6 +168,6 @@ def volume(box: Box, problem: ProofProblem) -> float:
     share = 1.0
     for name, (low, high) in problem.box.items():
         if low < high:
-            measure = np.log if name == "rate" else float
-            share *= (measure(box[name][1]) - measure(box[name][0])) / (measure(high) - measure(low))
+            scale = np.log if name == "rate" else float
+            share *= (scale(box[name][1]) - scale(box[name][0])) / (scale(high) - scale(low))
     return float(share)

@@ -104,7 +104,7 @@ class Responses(NamedTuple):
     peaks: np.ndarray
 
 
-class Map(NamedTuple):
+class BoundsMap(NamedTuple):
     """The map of bounds to bounds of one region: origin + matrix times bounds.
 
     Args:
@@ -136,30 +136,31 @@ def responses(a: np.ndarray, rows: np.ndarray, inputs: np.ndarray, starts: np.nd
     block_jump = jump @ long[-1]
     short_rows = np.concatenate(short)
     long_jumps = np.concatenate(long)
-    forgotten = 1.0 - np.max(np.abs(np.linalg.eigvals(block_jump)))
+    decay_share = 1.0 - np.max(np.abs(np.linalg.eigvals(block_jump)))
     z = np.concatenate([inputs, starts], axis=1)
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.shape[1]))
     for _ in range(MOST_SAMPLES // SIDE**2):
         block = short_rows @ (long_jumps @ z).reshape(SIDE, n, -1)
         block = np.abs(block, out=block).reshape(SIDE**2, m, -1)
-        added = block.sum(axis=0)[:, :q]  # of all columns, which lie together
-        sums = sums + added
+        block_sums = block.sum(axis=0)[:, :q]  # of all columns, which lie together
+        sums = sums + block_sums
         peaks = np.maximum(peaks, block[..., q:].max(axis=0))
-        if not np.all(np.isfinite(added)):
+        if not np.all(np.isfinite(block_sums)):
             return None
         z = block_jump @ z
         tails = np.abs(rows @ z[:, q:])
-        if np.all(added <= TAIL_LEFT_OUT * forgotten * sums) and np.all(tails <= np.maximum(1e-3 * peaks, 1e-300)):
+        sums_converge = np.all(block_sums <= TAIL_LEFT_OUT * decay_share * sums)
+        if sums_converge and np.all(tails <= np.maximum(1e-3 * peaks, 1e-300)):
             return Responses(sums, peaks.max(axis=1, initial=0.0))
     return None
 
 
-def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> Map | None:
+def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap | None:
     """The map of bounds to bounds for a law with such deviations; None if the middle loop is not stable."""
-    integrated = spread.integrated
+    is_integrated = spread.is_integrated
     point = box_middle(box, spread.gains)
-    step = step_of(problem, point, box, integrated=integrated)
+    step = step_of(problem, point, box, is_integrated=is_integrated)
     n = step.a.shape[0]
     t = problem.sample_time
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
@@ -167,29 +168,29 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> Map | None
     e, _, sigma, change = step.rows
     slide_p, slide_i = (middle(spread.gains[name]) for name in ("slide_p", "slide_i"))
     equivalent = np.eye(n)[n - 2] + slide_p * change + slide_i * sigma
-    if integrated:
+    if is_integrated:
         equivalent = equivalent + point.gains.k_p * np.eye(n)[n - 1]
     rows = np.concatenate([[change, sigma, e, step.command, equivalent], np.eye(n)])
     share = (box["k_p"][1] - point.k_p) / point.k_p
     by_v = np.eye(n)[n - 2] - step.push
     jump = t * signal_sizes(problem, box).slope * share * step.jump  # zeta's at other values of k_p
     inputs = np.concatenate([step.b, jump[:, None], by_v[:, None], step.push[:, None], np.eye(n)], axis=1)
-    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
+    starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
     result = responses(step.a, rows, inputs, np.stack(starts, axis=1))
     if result is None:
         return None
     m = rows.shape[0]
     w = step.b.shape[1] + 1
-    integral = deviation_row(spread.integral, m)
-    at_once = deviation_row(spread.command, m)
-    command = np.eye(m + 1)[COMMAND] + integral + at_once
+    integral_row = deviation_row(spread.integral, m)
+    command_row = deviation_row(spread.command, m)
+    command = np.eye(m + 1)[COMMAND] + integral_row + command_row
     sizes = np.zeros((2 + n, m + 1))
-    sizes[0] = integral
-    sizes[1] = at_once + share * command
+    sizes[0] = integral_row
+    sizes[1] = command_row + share * command
     sizes[2:] = held_deviations(problem, box, point.k_p, command)
-    reached = result.sums[:, w:] @ sizes
-    forced = result.sums[:, :w].sum(axis=1) + reached[:, m]
-    return Map(step, spread, forced, result.peaks, reached[:, :m], command)
+    effects = result.sums[:, w:] @ sizes
+    forced = result.sums[:, :w].sum(axis=1) + effects[:, m]
+    return BoundsMap(step, spread, forced, result.peaks, effects[:, :m], command)
 
 
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:
@@ -222,11 +223,11 @@ def fixed_point(origin: np.ndarray, matrix: np.ndarray) -> np.ndarray | None:
     return np.linalg.solve(np.eye(origin.size) - matrix, origin + SMALLEST_BOUND)
 
 
-def bounds_stage(problem: ProofProblem, region: StageRegion, by: Map, bounds: np.ndarray) -> BoundsStage:
+def bounds_stage(problem: ProofProblem, region: StageRegion, by: BoundsMap, bounds: np.ndarray) -> BoundsStage:
     """The stage of these bounds."""
-    falls, p = decay_of(by.step.a)
-    rate = falls / problem.sample_time
-    inflated = (INFLATION * bounds).tolist()
+    decay, p = decay_of(by.step.a)
+    rate = decay / problem.sample_time
+    inflated_bounds = (INFLATION * bounds).tolist()
     return BoundsStage(
         sigma=float(region.sigma),
         e=float(region.e),
@@ -235,9 +236,9 @@ def bounds_stage(problem: ProofProblem, region: StageRegion, by: Map, bounds: np
         slope=problem.slope,
         rate=rate,
         gains=middle_gains(by.spread),
-        bounds=inflated,
+        bounds=inflated_bounds,
         p=p.tolist(),
-        coordinate="phi_1" if by.spread.integrated else "u_av",
+        coordinate="phi_1" if by.spread.is_integrated else "u_av",
     )
 
 
@@ -245,74 +246,75 @@ def decay_of(a: np.ndarray) -> tuple[float, np.ndarray]:
     """A share, and P with which z'Pz falls by it in a sample of z+ = a z; half as fast as the slowest mode."""
     n = a.shape[0]
     radius = np.max(np.abs(np.linalg.eigvals(a)))
-    keep = 0.5 * (1.0 + radius)
-    gramian = solve_discrete_lyapunov(a / keep, np.eye(n))
+    contraction = 0.5 * (1.0 + radius)
+    gramian = solve_discrete_lyapunov(a / contraction, np.eye(n))
     scale = np.linalg.cholesky(0.5 * (gramian + gramian.T))
     inverse = np.linalg.inv(scale)
-    scaled = solve_discrete_lyapunov((inverse @ a @ scale / keep).T, np.eye(n))
-    p = inverse.T @ scaled @ inverse
-    return float(1.0 - keep**2), 0.5 * (p + p.T)
+    scaled_p = solve_discrete_lyapunov((inverse @ a @ scale / contraction).T, np.eye(n))
+    p = inverse.T @ scaled_p @ inverse
+    return float(1.0 - contraction**2), 0.5 * (p + p.T)
 
 
 def allowed_disturbance(
-    problem: ProofProblem, disturbed: ProofProblem, box: Box, by: Map, bounds: np.ndarray
+    problem: ProofProblem, current_problem: ProofProblem, box: Box, by: BoundsMap, bounds: np.ndarray
 ) -> ProofProblem:
     """The problem with the largest disturbance that bounds of the signals allow, with k_d1 to k_d5 of (30).
 
-    ``disturbed`` is the problem with the level and slope of the disturbance that led to the bounds, ``by`` the map that
+    ``current_problem`` has the level and slope of the disturbance that led to the bounds, and ``by`` is the map that
     did.
     """
     k_1, k_2, k_3, k_4, k_5 = problem.by_state
     if not any(problem.by_state):
         return problem
-    e, speed, bend = motion(disturbed, box, motion_sizes(by, bounds))
-    v, a, _ = problem.reference
+    e, speed, acceleration = motion(current_problem, box, motion_sizes(by, bounds))
+    reference_rate, reference_acceleration, _ = problem.reference
     y = e + problem.reference_size
-    y_dot = speed + v
-    y_ddot = bend + a
+    y_dot = speed + reference_rate
+    y_ddot = acceleration + reference_acceleration
     s = speed + problem.l0 * e
-    s_dot = bend + problem.l0 * speed
+    s_dot = acceleration + problem.l0 * speed
     growth = k_1 * y + k_2 * y_dot + k_3
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
     return replace(problem, level=float(problem.level + k_4 * y + growth * s), slope=float(problem.slope + slope))
 
 
-def motion_sizes(by: Map, bounds: np.ndarray) -> np.ndarray:
+def motion_sizes(by: BoundsMap, bounds: np.ndarray) -> np.ndarray:
     """Bounds of the true command and of each state, with room for enclosures."""
     return STATE_ROOM * np.array([by.command[:-1] @ bounds + by.command[-1], *bounds[STATES:]])
 
 
-def slide_slack(problem: ProofProblem, box: Box, by: Map, bounds: np.ndarray, region: StageRegion) -> float:
+def slide_slack(problem: ProofProblem, box: Box, by: BoundsMap, bounds: np.ndarray, region: StageRegion) -> float:
     """Bound of the difference between the equivalent control and that of the middle loop."""
     change, sigma, constant = by.spread.slide
     slack = change * bounds[CHANGE] + sigma * bounds[SIGMA] + constant
     if problem.form == "implicit":
         return slack
-    moved = 0.0
+    error_change = 0.0
     if by.spread.slide_e:
-        moved = problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
-    low, high = slide_hull(problem, region[:2], INFLATION * bounds[CHANGE], moved)
+        error_change = problem.sample_time * motion(problem, box, motion_sizes(by, bounds))[1]
+    low, high = slide_hull(problem, region[:2], INFLATION * bounds[CHANGE], error_change)
     centre = middle(by.spread.gains["slide_p"])
-    return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * moved
+    return slack + max(high - centre, centre - low) * bounds[CHANGE] + by.spread.slide_e * error_change
 
 
 def motion(problem: ProofProblem, box: Box, bounds: np.ndarray) -> tuple[float, float, float]:
     """Bounds of |e|, |e'| and |e''| at all times, from those of the command and the states at the samples."""
     command = bounds[0] * box["k_p"][1]
     states = bounds[1:]
-    reached = np.zeros(2)
-    bend = 0.0
+    motion_bounds = np.zeros(2)
+    acceleration = 0.0
     for a_p, rate in product(set(box["a_p"]), set(box.get("rate", (0.0, 0.0)))):
         generator = np.abs(held_matrix(problem, a_p, rate))
         chi = generator.shape[0] - 1
-        largest = np.zeros(chi)
-        for part in range(INNER_STEPS + 1):
-            phi, gamma = flow(problem, a_p, rate, problem.sample_time * part / INNER_STEPS)
-            largest = np.maximum(largest, np.abs(phi) @ states[:chi] + np.abs(gamma) * command)
-        pushed = signal_sizes(problem, box).slope * problem.sample_time * box["k_p"][1]
-        reached = np.maximum(reached, largest[:2] + 0.5 * problem.sample_time * pushed)
-        bend = max(bend, generator[1, :chi] @ largest + generator[1, chi] * command + pushed)
-    return float(reached[0]), float(reached[1]), float(bend)
+        state_bounds = np.zeros(chi)
+        for substep in range(INNER_STEPS + 1):
+            phi, gamma = flow(problem, a_p, rate, problem.sample_time * substep / INNER_STEPS)
+            state_bounds = np.maximum(state_bounds, np.abs(phi) @ states[:chi] + np.abs(gamma) * command)
+        disturbance_effect = signal_sizes(problem, box).slope * problem.sample_time * box["k_p"][1]
+        motion_bounds = np.maximum(motion_bounds, state_bounds[:2] + 0.5 * problem.sample_time * disturbance_effect)
+        corner_acceleration = generator[1, :chi] @ state_bounds + generator[1, chi] * command + disturbance_effect
+        acceleration = max(acceleration, corner_acceleration)
+    return float(motion_bounds[0]), float(motion_bounds[1]), float(acceleration)
 
 
 def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProblem] | str:
@@ -321,71 +323,71 @@ def from_start(problem: ProofProblem, box: Box) -> tuple[BoundsStage, ProofProbl
     The reasons are ``gain``, ``region`` and ``sliding``.
     """
     region = StageRegion(SMALLEST_REGION, SMALLEST_REGION, SMALLEST_REGION)
-    disturbed = problem
+    current_problem = problem
     for _ in range(ROUNDS):
-        started = implied(disturbed, box, region, SIGMA, started=True)
-        if started is None:
+        start_bounds = least_bounds(current_problem, box, region, SIGMA, with_start=True)
+        if start_bounds is None:
             return "gain"
-        result, bounds = started
-        allowed = allowed_disturbance(problem, disturbed, box, result, bounds)
-        within = allowed.level <= disturbed.level and allowed.slope <= disturbed.slope
-        if within and holds(problem, region, result, INFLATION * bounds):
-            room = np.inf if problem.rho is None else problem.rho - signal_sizes(disturbed, box).offset
-            slack = slide_slack(disturbed, box, result, bounds, region)
+        result, bounds = start_bounds
+        allowed_problem = allowed_disturbance(problem, current_problem, box, result, bounds)
+        is_within = allowed_problem.level <= current_problem.level and allowed_problem.slope <= current_problem.slope
+        if is_within and holds(problem, region, result, INFLATION * bounds):
+            room = np.inf if problem.rho is None else problem.rho - signal_sizes(current_problem, box).offset
+            slack = slide_slack(current_problem, box, result, bounds, region)
             if INFLATION * (bounds[EQUIVALENT] + slack) > room:
                 return "sliding"
             region = region._replace(change=max(region.change, INFLATION * float(bounds[CHANGE])))
-            return bounds_stage(disturbed, region, result, bounds), allowed
+            return bounds_stage(current_problem, region, result, bounds), allowed_problem
         sigma, e, change = (GROWTH * bounds[[SIGMA, ERROR, CHANGE]]).tolist()
         region = StageRegion(max(region.sigma, sigma), max(region.e, e), change)
-        if not within:
-            level = max(disturbed.level, GROWTH * allowed.level)
-            slope = max(disturbed.slope, GROWTH * allowed.slope)
-            disturbed = replace(disturbed, level=level, slope=slope)
+        if not is_within:
+            level = max(current_problem.level, GROWTH * allowed_problem.level)
+            slope = max(current_problem.slope, GROWTH * allowed_problem.slope)
+            current_problem = replace(current_problem, level=level, slope=slope)
     return "region"
 
 
-def holds(problem: ProofProblem, region: StageRegion, by: Map, bounds: np.ndarray) -> bool:
+def holds(problem: ProofProblem, region: StageRegion, by: BoundsMap, bounds: np.ndarray) -> bool:
     """Whether a region holds these bounds; that of the change of sigma matters where a deviation depends on it."""
-    within = bounds[SIGMA] <= region.sigma and bounds[ERROR] <= region.e
-    depends = problem.form == "implicit" and by.spread.integrated
-    return bool(within and not (depends and bounds[CHANGE] > region.change))
+    is_within = bounds[SIGMA] <= region.sigma and bounds[ERROR] <= region.e
+    depends_on_change = problem.form == "implicit" and by.spread.is_integrated
+    return bool(is_within and not (depends_on_change and bounds[CHANGE] > region.change))
 
 
-def implied(
-    problem: ProofProblem, box: Box, region: StageRegion, signal: int, *, started: bool
-) -> tuple[Map, np.ndarray] | None:
+def least_bounds(
+    problem: ProofProblem, box: Box, region: StageRegion, signal: int, *, with_start: bool
+) -> tuple[BoundsMap, np.ndarray] | None:
     """The bounds that imply themselves with the deviations of a region, as small as can be for one signal."""
     candidates = []
     for spread in law_spreads(problem, region):
         if (result := bounds_map(problem, box, spread)) is None:
             continue
-        origin = result.forced + result.peaks if started else result.forced
+        origin = result.forced + result.peaks if with_start else result.forced
         if (bounds := fixed_point(origin, result.matrix)) is not None:
             candidates.append((result, bounds))
     return min(candidates, key=lambda pair: float(pair[1][signal]), default=None)
 
 
 def towards_residual(
-    problem: ProofProblem, box: Box, limits: StageRegion, error: float, allowed: ProofProblem
+    problem: ProofProblem, box: Box, limits: StageRegion, error: float, allowed_problem: ProofProblem
 ) -> list[BoundsStage]:
     """Stages that follow, from upper limits, as long as the bound of |e| becomes smaller.
 
-    ``error`` is the bound of |e| so far, ``allowed`` the problem with the largest disturbance that the bounds so far
-    allow.
+    ``error`` is the bound of |e| so far, ``allowed_problem`` the problem with the largest disturbance that the bounds
+    so far allow.
     """
     stages: list[BoundsStage] = []
     for number in range(MOST_SHRINKINGS):
-        worth = WORTH if number < SHRINKINGS else FURTHER_WORTH
+        worthwhile_ratio = WORTH if number < SHRINKINGS else FURTHER_WORTH
         region = StageRegion(*np.maximum(ENTERED * INFLATION * np.array(limits), SMALLEST_REGION).tolist())
-        settled = implied(allowed, box, region, ERROR, started=False)
-        if settled is None:
+        residual_bounds = least_bounds(allowed_problem, box, region, ERROR, with_start=False)
+        if residual_bounds is None:
             break
-        result, bounds = settled
-        if not bounds[ERROR] < worth * error:
+        result, bounds = residual_bounds
+        if not bounds[ERROR] < worthwhile_ratio * error:
             break
-        stages.append(bounds_stage(allowed, region, result, bounds))
-        allowed = allowed_disturbance(problem, allowed, box, result, bounds)
+        stages.append(bounds_stage(allowed_problem, region, result, bounds))
+        allowed_problem = allowed_disturbance(problem, allowed_problem, box, result, bounds)
         limits = StageRegion(*bounds[[SIGMA, ERROR, CHANGE]].tolist())
         error = limits.e
     return stages

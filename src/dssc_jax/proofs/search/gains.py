@@ -107,8 +107,8 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
         slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), points.size)
     phi_1 = np.asarray(mean) * points
     inner = slope[0] * change - phi_1[1]
-    reached, earlier = np.split(phi_1[2:], 2)
-    outer = reached - earlier - slope[2 : 2 + size.size] * change
+    phi_at_end, phi_at_begin = np.split(phi_1[2:], 2)
+    outer = phi_at_end - phi_at_begin - slope[2 : 2 + size.size] * change
     return np.where(size < change, inner, outer)
 
 
@@ -136,11 +136,11 @@ def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t
     }
 
 
-def start_ratio(problem: ProofProblem, *, integrated: bool) -> Interval:
-    """What the start takes from u_av, over sigma_0.
+def start_ratio(problem: ProofProblem, *, is_integrated: bool) -> Interval:
+    """The interval of what the start takes from u_av, over sigma_0.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
-    q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. With ``is_integrated`` the
+    coordinate is q = v - phi_1(sigma_0).
     """
     if problem.start == "zero":
         return 0.0, 0.0
@@ -148,7 +148,7 @@ def start_ratio(problem: ProofProblem, *, integrated: bool) -> Interval:
     sigma_low, sigma_high = magnitudes_of((min(ends), max(ends)))
     e_low, e_high = magnitudes_of(problem.initial[0])
     hull = gain_hull(problem, max(sigma_high, 1e-9), max(e_high, 1e-9), sigma_low, e_low)
-    low, high = hull["mean"] if integrated else (0.0, 0.0)
+    low, high = hull["mean"] if is_integrated else (0.0, 0.0)
     if problem.start == "midpoint":
         low += 0.5 * problem.sample_time * hull["k_i"][0]
         high += 0.5 * problem.sample_time * hull["k_i"][1]

@@ -57,7 +57,7 @@ class LawSpread(NamedTuple):
     """The control law in a region: the gains of a linear middle loop, and how far the law deviates from it.
 
     Args:
-        integrated: Whether the coordinate is q = v - phi_1; otherwise it is v.
+        is_integrated: Whether the coordinate is q = v - phi_1; otherwise it is v.
         gains: Interval of each gain, by its name in :data:`GAIN_NAMES`. With the coordinate q, phi_1/sigma stands in
             place of K_P.
         integral: Deviation of the increment of the coordinate in a sample.
@@ -67,7 +67,7 @@ class LawSpread(NamedTuple):
         slide_e: Factor of the change of e in a sample, which e adds to the equivalent control.
     """
 
-    integrated: bool
+    is_integrated: bool
     gains: Hull
     integral: Deviation
     command: Deviation
@@ -98,11 +98,11 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
             return by_gains
     size = np.abs(points.sigma)
     errors = increment_errors(problem, size, region.change) if implicit else np.zeros(size.size)
-    falls = (1.0 + MARGIN) * float(errors.max()) / region.change
+    change_ratio = (1.0 + MARGIN) * float(errors.max()) / region.change
     by_ratio = LawSpread(
         True,
         {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(falls, t * half_width["k_i"], 0.0),
+        Deviation(change_ratio, t * half_width["k_i"], 0.0),
         Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
         Deviation(half_width["slide_p"] * implicit, half_width["mean"] + half_width["slide_i"], 0.0),
         0.0 if implicit else hull["slide_e"][1],
@@ -121,16 +121,16 @@ def function_spread(
     columns = points.columns
     slopes = {name: nearest_slope(size, columns[name]) for name in ("mean", "k_i", "k_n")}
     ratio_of_command = columns["mean"] + columns["k_n"]
-    first = largest_distance(size, columns["mean"], slopes["mean"])
-    second = largest_distance(size, columns["k_i"], slopes["k_i"], errors / t)
-    command = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
+    mean_distance = largest_distance(size, columns["mean"], slopes["mean"])
+    integral_distance = largest_distance(size, columns["k_i"], slopes["k_i"], errors / t)
+    command_distance = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
     gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
     return LawSpread(
         True,
         gains,
-        Deviation(0.0, 0.0, t * second),
-        Deviation(0.0, 0.0, command),
-        Deviation(by_ratio.slide.change, half_width["slide_i"], first),
+        Deviation(0.0, 0.0, t * integral_distance),
+        Deviation(0.0, 0.0, command_distance),
+        Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
         by_ratio.slide_e,
     )
 
@@ -139,9 +139,9 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 """The gain of the middle loop that each slope becomes."""
 
 
-def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, added: np.ndarray | float = 0.0) -> float:
+def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: np.ndarray | float = 0.0) -> float:
     """The largest |ratio - slope| |sigma| plus what is added, a little widened."""
-    distance = float(np.max(np.abs(ratio - slope) * size + added))
+    distance = float(np.max(np.abs(ratio - slope) * size + offset))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
     return (1.0 + MARGIN) * distance + rounding
 
@@ -151,12 +151,12 @@ def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
     low = float(ratio.min())
     high = float(ratio.max())
     for _ in range(SLOPE_STEPS):
-        left = low + (high - low) / 3.0
-        right = high - (high - low) / 3.0
-        if np.max(np.abs(ratio - left) * size) <= np.max(np.abs(ratio - right) * size):
-            high = right
+        lower_slope = low + (high - low) / 3.0
+        upper_slope = high - (high - low) / 3.0
+        if np.max(np.abs(ratio - lower_slope) * size) <= np.max(np.abs(ratio - upper_slope) * size):
+            high = upper_slope
         else:
-            low = left
+            low = lower_slope
     return 0.5 * (low + high)
 
 
@@ -165,7 +165,7 @@ def middle_gains(spread: LawSpread) -> list[float]:
     return [middle(spread.gains[name]) for name in GAIN_NAMES]
 
 
-def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, moved: float) -> Interval:
+def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
     """The gain of sigma - s in the equivalent control, where sigma and e change by so much in a sample.
 
     With a constant k_o, tau_av K_P is 1/k_o, times a ratio of slopes of phi_1 at points within a sample.
@@ -174,15 +174,15 @@ def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float
     functions = problem.functions
     if problem.form == "implicit" or "k_o" not in functions or functions["kind"] == "constant":
         return hull["slide_p"]
-    ratio = slope_ratio(problem, region, change, moved)
-    averaged = 1.0 / (functions["k_o"] * problem.sample_time)
-    low = hull["k_p"][0] + averaged / ratio
-    high = hull["k_p"][1] + averaged * ratio
+    ratio = slope_ratio(problem, region, change, error_change)
+    averaged_gain = 1.0 / (functions["k_o"] * problem.sample_time)
+    low = hull["k_p"][0] + averaged_gain / ratio
+    high = hull["k_p"][1] + averaged_gain * ratio
     widest = hull["slide_p"]
     return (low, high) if high - low < widest[1] - widest[0] else widest
 
 
-def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, moved: float) -> float:
+def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> float:
     """The largest ratio of slopes of phi_1 within a sample, on a grid of cells."""
     sigma, e = region
     size = sigma * np.linspace(0.0, 1.0, ROOT_CELLS + 1) ** 2
@@ -191,12 +191,12 @@ def slope_ratio(problem: ProofProblem, region: tuple[float, float], change: floa
         s, x = jnp.meshgrid(jnp.asarray(size), jnp.asarray(errors), indexing="ij")
         k_o, tau_av, _ = functions_of(problem).at(s, x, jnp.float64(problem.l0))
         slope = np.broadcast_to(np.asarray(1.0 / (k_o * tau_av)), s.shape)
-    cells = int(np.ceil(moved * ERROR_CELLS / e)) if e > 0.0 else 0
-    largest = 1.0
+    cells = int(np.ceil(error_change * ERROR_CELLS / e)) if e > 0.0 else 0
+    largest_ratio = 1.0
     for i in range(ROOT_CELLS):
         begin = max(int(np.searchsorted(size, size[i] - change, side="right")) - 1, 0)
         end = min(int(np.searchsorted(size, size[i + 1] + change)), ROOT_CELLS)
         for j in range(ERROR_CELLS):
-            reached = slope[begin : end + 1, max(j - cells, 0) : j + 2 + cells]
-            largest = max(largest, float(reached.max() / reached.min()))
-    return 1.0 + RATIO_ROOM * (largest - 1.0)
+            nearby_slopes = slope[begin : end + 1, max(j - cells, 0) : j + 2 + cells]
+            largest_ratio = max(largest_ratio, float(nearby_slopes.max() / nearby_slopes.min()))
+    return 1.0 + RATIO_ROOM * (largest_ratio - 1.0)

@@ -38,7 +38,7 @@ class Affine(NamedTuple):
     slopes: np.ndarray
 
 
-class Bounded(NamedTuple):
+class BoundedRow(NamedTuple):
     """A row whose |row z| is to stay below a bound in the set V <= 1.
 
     Args:
@@ -70,8 +70,8 @@ def scaling(step: Step, starts: Sequence[np.ndarray], decay: float) -> np.ndarra
     if np.max(np.abs(np.linalg.eigvals(step.a))) >= 1.0:
         return None
     columns = np.stack(starts, axis=1) * np.sqrt(decay)
-    spread = step.b @ step.b.T + columns @ columns.T
-    noise = spread + 1e-9 * np.trace(spread) * np.eye(n) if np.any(spread) else np.eye(n)
+    excitation = step.b @ step.b.T + columns @ columns.T
+    noise = excitation + 1e-9 * np.trace(excitation) * np.eye(n) if np.any(excitation) else np.eye(n)
     gramian = solve_discrete_lyapunov(step.a, noise)
     try:
         return cholesky(0.5 * (gramian + gramian.T), lower=True)
@@ -144,7 +144,7 @@ class SetPrograms(NamedTuple):
 
 
 def invariant_set(
-    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
     """Find V = z'Pz such that {V <= 1} holds every start, is invariant and attracts, with small |row z| in it.
 
@@ -157,7 +157,7 @@ def invariant_set(
         steps: The steps at every corner.
         rate: lambda [1/s].
         rows: Rows to bound.
-        started: Whether the set has to hold the starts.
+        holds_start: Whether the set has to hold the starts.
 
     Returns:
         None if the program has no solution.
@@ -168,18 +168,18 @@ def invariant_set(
         return None
     active = programs.active
     tries = 0
-    first = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
-    active[:] = [i for i in active if i < len(steps)] or first
+    first_steps = np.linspace(0, len(steps) - 1, min(FIRST_STEPS, len(steps))).astype(int).tolist()
+    active[:] = [i for i in active if i < len(steps)] or first_steps
     while tries < TRIES:
-        solution = solve_set(programs, [steps[i] for i in active], rate, rows, started=started)
+        solution = solve_set(programs, [steps[i] for i in active], rate, rows, holds_start=holds_start)
         if solution is None:
             return None
         slack = decrease_slack(a, b, programs.sample_time, solution)
         if np.all(slack > 0.0):
             return solution
-        missing = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active][:ADDED]
-        active += missing
-        if not missing:
+        violated_steps = [int(i) for i in np.argsort(slack) if slack[i] <= 0.0 and i not in active][:ADDED]
+        active += violated_steps
+        if not violated_steps:
             tries += 1
             programs = programs._replace(scale=np.linalg.inv(np.linalg.cholesky(solution.p)).T)
     return None
@@ -191,53 +191,53 @@ def decrease_slack(a: np.ndarray, b: np.ndarray, sample_time: float, solution: S
     ``a`` has the shape (steps, n, n) and ``b`` the shape (steps, n, inputs).
     """
     root = np.linalg.cholesky(solution.p)
-    live = solution.multipliers > 0.0
-    weights = np.sqrt(sample_time * solution.multipliers[live])
+    is_active = solution.multipliers > 0.0
+    weights = np.sqrt(sample_time * solution.multipliers[is_active])
     n = root.shape[0]
-    keep = 1.0 - sample_time * solution.rate
-    limit = np.diag([*(keep for _ in range(n)), *(1.0 for _ in weights)])
-    scaled = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, live] / weights], axis=2)
-    slack = np.linalg.eigvalsh(limit - scaled.transpose(0, 2, 1) @ scaled)[:, 0]
-    return np.where(np.any(b[:, :, ~live], axis=(1, 2)), -np.inf, slack)
+    contraction = 1.0 - sample_time * solution.rate
+    limit = np.diag([*(contraction for _ in range(n)), *(1.0 for _ in weights)])
+    scaled_step = root.T @ np.concatenate([a @ np.linalg.inv(root).T, b[:, :, is_active] / weights], axis=2)
+    slack = np.linalg.eigvalsh(limit - scaled_step.transpose(0, 2, 1) @ scaled_step)[:, 0]
+    return np.where(np.any(b[:, :, ~is_active], axis=(1, 2)), -np.inf, slack)
 
 
 def solve_set(
-    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[Bounded], *, started: bool
+    programs: SetPrograms, steps: Sequence[Step], rate: float, rows: Sequence[BoundedRow], *, holds_start: bool
 ) -> Solution | None:
     """One program of :func:`invariant_set`."""
     sample_time, starts, scale, spare, _ = programs
-    starts = starts if started else []
+    starts = starts if holds_start else []
     n = scale.shape[0]
     inputs = steps[0].b.shape[1]
     m = n * (n + 1) // 2
     inverse = np.linalg.inv(scale)
-    live = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
-    hard = [row for row in rows if row.weight is not None]
-    soft = [row for row in rows if row.weight is None]
-    first = m + len(live)
-    squares = range(first, first + len(hard) + bool(soft))  # of hard rows, and the largest of all soft ones
-    count = first + len(squares)
+    active_inputs = [j for j in range(inputs) if any(np.any(step.b[:, j]) for step in steps)]
+    weighted_rows = [row for row in rows if row.weight is not None]
+    minimax_rows = [row for row in rows if row.weight is None]
+    first_square = m + len(active_inputs)
+    count = first_square + len(weighted_rows) + bool(minimax_rows)
+    squares = range(first_square, count)  # of weighted rows, and the largest of all minimax ones
 
     basis = symmetric_basis(n)
 
     def decrease(step: Step) -> Affine:
         a = inverse @ step.a @ scale
         delta = (a - np.eye(n)) / sample_time
-        b = inverse @ step.b[:, live] / sample_time
-        size = n + len(live)
+        b = inverse @ step.b[:, active_inputs] / sample_time
+        size = n + len(active_inputs)
         slopes = np.zeros((count, size, size))
-        moved = basis @ delta
-        growth = moved + moved.transpose(0, 2, 1) + sample_time * delta.T @ moved
+        basis_by_delta = basis @ delta
+        growth = basis_by_delta + basis_by_delta.transpose(0, 2, 1) + sample_time * delta.T @ basis_by_delta
         slopes[:m, :n, :n] = -growth - (1.0 + spare) * rate * basis
         slopes[:m, :n, n:] = -a.T @ basis @ b
         slopes[:m, n:, :n] = slopes[:m, :n, n:].transpose(0, 2, 1)
         slopes[:m, n:, n:] = -sample_time * b.T @ basis @ b
-        for j in range(len(live)):
+        for j in range(len(active_inputs)):
             slopes[m + j, n + j, n + j] = 1.0 - spare
         return Affine(-SLACK * np.eye(size), slopes)
 
-    def bound_square(square: int, bounded: Bounded) -> Affine:
-        ratio = bounded.row @ scale / bounded.bound
+    def bound_square(square: int, bounded_row: BoundedRow) -> Affine:
+        ratio = bounded_row.row @ scale / bounded_row.bound
         origin = np.zeros((n + 1, n + 1))
         origin[:n, n] = ratio
         origin[n, :n] = ratio
@@ -247,10 +247,10 @@ def solve_set(
         return Affine(origin, slopes)
 
     matrices = [decrease(step) for step in steps]
-    matrices += [bound_square(square, bounded) for square, bounded in zip(squares, hard, strict=False)]
-    matrices += [bound_square(squares[-1], bounded) for bounded in soft]
-    linear = np.zeros((1 + len(starts) + len(live) + len(hard), count + 1))
-    linear[0, m:first] = -1.0
+    matrices += [bound_square(square, bounded_row) for square, bounded_row in zip(squares, weighted_rows, strict=False)]
+    matrices += [bound_square(squares[-1], bounded_row) for bounded_row in minimax_rows]
+    linear = np.zeros((1 + len(starts) + len(active_inputs) + len(weighted_rows), count + 1))
+    linear[0, m:first_square] = -1.0
     linear[0, -1] = rate * (1.0 - 1e-6)
     for i, start in enumerate(starts):
         x = inverse @ start
@@ -258,25 +258,25 @@ def solve_set(
         weights = 2.0 * weights - np.diag(np.diag(weights))
         linear[1 + i, :m] = -weights[np.triu_indices(n)]
         linear[1 + i, -1] = 1.0 - TIGHT
-    for j in range(len(live)):
+    for j in range(len(active_inputs)):
         linear[1 + len(starts) + j, m + j] = 1.0
     cost = np.zeros(count)
-    cost[first:] = 1.0
-    for j, bounded in enumerate(hard):  # the set stays within the bounds
-        place = 1 + len(starts) + len(live) + j
-        linear[place, first + j] = -1.0
+    cost[first_square:] = 1.0
+    for j, bounded_row in enumerate(weighted_rows):  # the set stays within the bounds
+        place = 1 + len(starts) + len(active_inputs) + j
+        linear[place, first_square + j] = -1.0
         linear[place, -1] = 1.0 - TIGHT
-        cost[first + j] = bounded.weight
+        cost[first_square + j] = bounded_row.weight
     x = minimiser(cost, matrices, linear)
     if x is None:
         return None
-    scaled = symmetric_of(x[:m], n)
-    p = inverse.T @ scaled @ inverse
-    exceeded = any(largest_in_set(p, bounded.row) > bounded.bound for bounded in hard)
-    if np.linalg.eigvalsh(scaled)[0] <= 0.0 or exceeded:
+    scaled_p = symmetric_of(x[:m], n)
+    p = inverse.T @ scaled_p @ inverse
+    is_exceeded = any(largest_in_set(p, bounded_row.row) > bounded_row.bound for bounded_row in weighted_rows)
+    if np.linalg.eigvalsh(scaled_p)[0] <= 0.0 or is_exceeded:
         return None  # solved, but not well enough
     multipliers = np.zeros(inputs)
-    multipliers[live] = np.maximum(x[m : m + len(live)], 0.0)
+    multipliers[active_inputs] = np.maximum(x[m : m + len(active_inputs)], 0.0)
     if (total := multipliers.sum()) > rate:  # by the solver's tolerance
         multipliers *= (1.0 - 1e-12) * rate / total
     return Solution(0.5 * (p + p.T), multipliers, rate)

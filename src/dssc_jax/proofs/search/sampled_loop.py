@@ -92,10 +92,10 @@ class SignalSizes(NamedTuple):
 
 def state_layout(problem: ProofProblem) -> StateLayout:
     """Where the states are."""
-    first = 2 + len(problem.zero_a)
-    memory = first + max(len(problem.denominator), len(problem.delay_weights)) - 1
+    zeta_start = 2 + len(problem.zero_a)
+    memory = zeta_start + max(len(problem.denominator), len(problem.delay_weights)) - 1
     end = memory + (2 if problem.sensor_lag else 0)
-    return StateLayout(slice(first, memory), slice(memory, end), end + 2)
+    return StateLayout(slice(zeta_start, memory), slice(memory, end), end + 2)
 
 
 def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
@@ -103,18 +103,18 @@ def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     speed, acceleration, jerk = problem.reference
     a_n, k_n, _ = problem.nominal or (0.0, np.inf, False)
     plants = list(product(box["k_p"], box["a_p"]))
-    fed = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n
+    feed_weights = (problem.nominal is not None) * np.array([1.0, abs(a_n)]) / k_n
     k_low = box["k_p"][0]
-    pushed = np.array([1.0, max(map(abs, box["a_p"]))]) / k_low
-    left = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
-    low = np.array([acceleration, speed])
-    high = np.array([jerk, acceleration])
+    disturbance_weights = np.array([1.0, max(map(abs, box["a_p"]))]) / k_low
+    offset_weights = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
+    rates = np.array([acceleration, speed])
+    accelerations = np.array([jerk, acceleration])
     return SignalSizes(
-        float(problem.level + pushed @ low),
-        float(problem.slope + pushed @ high),
-        float(fed @ high),
-        float(problem.level + left @ low),
-        float(problem.slope + left @ high),
+        float(problem.level + disturbance_weights @ rates),
+        float(problem.slope + disturbance_weights @ accelerations),
+        float(feed_weights @ accelerations),
+        float(problem.level + offset_weights @ rates),
+        float(problem.slope + offset_weights @ accelerations),
     )
 
 
@@ -181,23 +181,23 @@ def sensor_weights(problem: ProofProblem) -> tuple[float, float]:
 
 def held_matrices(problem: ProofProblem, a_p: float, rate: float) -> HeldSample:
     """Phi and Gamma of one sample; the delay's memory moves on, and the sensor's."""
-    return memories_moved(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
+    return with_next_memories(problem, HeldSample(*map(np.copy, flow(problem, a_p, rate, problem.sample_time))))
 
 
-def memories_moved(problem: ProofProblem, held: HeldSample) -> HeldSample:
+def with_next_memories(problem: ProofProblem, sample: HeldSample) -> HeldSample:
     """With the rows of the delay's memory and of the sensor's, which move on at the samples."""
-    phi, gamma = held
+    phi, gamma = sample
     zeta, memory, _ = state_layout(problem)
     if not problem.denominator:
         for i in range(zeta.start, zeta.stop):
             phi[i] = np.eye(phi.shape[0])[i - 1] * (i > zeta.start)
             gamma[i] = i == zeta.start
-    kappa, keeps = sensor_weights(problem)
+    kappa, memory_decay = sensor_weights(problem)
     for i in range(memory.start, memory.stop):
         phi[i] = 0.0
-        phi[i, i] = keeps
-        phi[i, i - memory.start] = kappa * (1.0 - keeps)
-    return held
+        phi[i, i] = memory_decay
+        phi[i, i - memory.start] = kappa * (1.0 - memory_decay)
+    return sample
 
 
 def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: int) -> list[HeldSample]:
@@ -218,7 +218,7 @@ def control_points(problem: ProofProblem, a_p: float, rates: Interval, degree: i
     result = []
     for i in range(degree + 1):
         point = np.sum([bernstein_weight(degree, i, k) * term for k, term in enumerate(terms)], axis=0)
-        result.append(memories_moved(problem, HeldSample(point[:-1, :-1].copy(), point[:-1, -1].copy())))
+        result.append(with_next_memories(problem, HeldSample(point[:-1, :-1].copy(), point[:-1, -1].copy())))
     return result
 
 
@@ -233,27 +233,27 @@ def step_of(
     point: LoopPoint,
     box: Box,
     *,
-    integrated: bool = False,
-    held: HeldSample | None = None,
+    is_integrated: bool = False,
+    held_sample: HeldSample | None = None,
 ) -> Step:
     """The matrices of one sample, with inputs scaled by their bounds over a box.
 
-    With ``integrated``, the coordinate is q = v - phi_1(s), and the first gain is phi_1/sigma. ``held`` takes the place
-    of the point's Phi and Gamma.
+    With ``is_integrated``, the coordinate is q = v - phi_1(s), and the first gain is phi_1/sigma. ``held_sample`` takes
+    the place of the point's Phi and Gamma.
     """
     zeta, memory, n = state_layout(problem)
     t = problem.sample_time
     chi = n - 2
     unit = np.eye(n)
     sizes = signal_sizes(problem, box)
-    phi, gamma = held or held_matrices(problem, point.a_p, point.rate)
+    phi, gamma = held_sample or held_matrices(problem, point.a_p, point.rate)
     kappa, _ = sensor_weights(problem)
     e, speed, *_, v, s = unit
     if problem.sensor_lag:
         e, speed = (1.0 - kappa) * e + unit[memory.start], (1.0 - kappa) * speed + unit[memory.start + 1]
     sigma = speed + problem.l0 * e
-    v_row = v + t * point.gains.k_i * sigma + (0.0 if integrated else point.gains.k_p) * (sigma - s)
-    command = -v_row - (point.gains.k_p if integrated else 0.0) * sigma
+    v_row = v + t * point.gains.k_i * sigma + (0.0 if is_integrated else point.gains.k_p) * (sigma - s)
+    command = -v_row - (point.gains.k_p if is_integrated else 0.0) * sigma
     if problem.nominal:
         a_n, k_n, _ = problem.nominal
         command = command - ((a_n - problem.l0) * problem.l0 * e + (problem.l0 - a_n) * sigma) / k_n
@@ -308,17 +308,17 @@ def box_steps(
     gains: dict[str, Interval],
     degree: int,
     *,
-    integrated: bool,
+    is_integrated: bool,
 ) -> Iterable[Step]:
     """One sample at every corner of plant and gains, and at the control points of 1/mu."""
-    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     rates = box.get("rate", (0.0, 0.0))
     for a_p in interval_ends(box["a_p"]):
-        for held in control_points(problem, a_p, rates, degree):
+        for held_sample in control_points(problem, a_p, rates, degree):
             for k_p in interval_ends(box["k_p"]):
                 for corner in product(*(interval_ends(gains[name]) for name in names)):
                     point = LoopPoint(k_p, a_p, middle(rates), LoopGains(*corner))
-                    yield step_of(problem, point, box, integrated=integrated, held=held)
+                    yield step_of(problem, point, box, is_integrated=is_integrated, held_sample=held_sample)
 
 
 def start_corners(problem: ProofProblem, box: Box, ratio: Interval = (0.0, 0.0)) -> list[np.ndarray]:

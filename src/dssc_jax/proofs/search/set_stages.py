@@ -14,7 +14,7 @@ from dssc_jax.proofs.search.gains import Hull, Region, gain_hull, region_of, sta
 from dssc_jax.proofs.search.law_spread import slide_hull
 from dssc_jax.proofs.search.programs import (
     TIGHT,
-    Bounded,
+    BoundedRow,
     SetPrograms,
     Solution,
     invariant_set,
@@ -109,7 +109,7 @@ class Setting(NamedTuple):
         box: The box.
         origin: One sample at the box's middle, with the gains at sigma = e = 0.
         speed: Decay of the slowest mode [1/s].
-        integrated: Whether z holds q = v - phi_1(s) in place of v.
+        is_integrated: Whether z holds q = v - phi_1(s) in place of v.
         programs: Starts, coordinates and precision of the programs.
     """
 
@@ -117,7 +117,7 @@ class Setting(NamedTuple):
     box: Box
     origin: Step
     speed: float
-    integrated: bool
+    is_integrated: bool
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
@@ -127,8 +127,8 @@ class Setting(NamedTuple):
         """
         steps: list[Step] = []
         for hull in region.pieces:
-            gains = hull if self.integrated else self.increments(region, hull)
-            steps += box_steps(self.problem, self.box, gains, self.degree, integrated=self.integrated)
+            gains = hull if self.is_integrated else self.increments(region, hull)
+            steps += box_steps(self.problem, self.box, gains, self.degree, is_integrated=self.is_integrated)
         return steps
 
     def increments(self, region: Region, hull: Hull) -> Hull:
@@ -141,12 +141,12 @@ class Setting(NamedTuple):
             return hull
         reach = hull["slide_p"][1] / hull["k_p"][1]
         t = self.problem.sample_time
-        joins = GAIN_ROOM * hull["by_e"][1] * self.moved(region)
-        k_i = hull["k_i"][0] - joins / t, hull["k_i"][1] + joins / t
-        slide_i = hull["slide_i"][0] - joins * reach, hull["slide_i"][1] + joins * reach
+        slope_change = GAIN_ROOM * hull["by_e"][1] * self.error_change(region)
+        k_i = hull["k_i"][0] - slope_change / t, hull["k_i"][1] + slope_change / t
+        slide_i = hull["slide_i"][0] - slope_change * reach, hull["slide_i"][1] + slope_change * reach
         return hull | {"k_p": region.hull["k_p"], "k_i": k_i, "slide_i": slide_i}
 
-    def moved(self, region: Region) -> float:
+    def error_change(self, region: Region) -> float:
         """Bound of the change of e in a sample, with room for the time between the samples."""
         return self.problem.sample_time * SPEED_ROOM * (region.sigma + self.problem.l0 * region.e)
 
@@ -161,16 +161,16 @@ class Setting(NamedTuple):
                 return degree
         return MOST_DEGREE
 
-    def solve(self, steps: list[Step], rows: list[Bounded], share: float, *, started: bool) -> Solution | None:
+    def solve(self, steps: list[Step], rows: list[BoundedRow], share: float, *, holds_start: bool) -> Solution | None:
         """The set for lambda as a share of the slowest decay."""
-        return invariant_set(self.programs, steps, share * self.speed, rows, started=started)
+        return invariant_set(self.programs, steps, share * self.speed, rows, holds_start=holds_start)
 
     def falls(self, steps: list[Step]) -> bool:
         """Whether any V falls at every step, slowly and without inputs' bounds or starts."""
-        return self.solve(steps, [], min(RATES), started=False) is not None
+        return self.solve(steps, [], min(RATES), holds_start=False) is not None
 
 
-def slide_rows(setting: Setting, region: Region) -> list[Bounded]:
+def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     """Rows of u_eq - d_r - f at every corner of the gains, with their bound; empty without a bound of the command.
 
     In the conservative form u_av = q + phi_1(s), of which phi_1(s) - mean s is bounded by itself, and so is what phi_1
@@ -185,24 +185,24 @@ def slide_rows(setting: Setting, region: Region) -> list[Bounded]:
     room = problem.rho - signal_sizes(problem, setting.box).offset
     change = step.rows[CHANGE]
     sigma = step.rows[SIGMA]
-    held = unit[-2]
+    command_row = unit[-2]
     slide_p = hull["slide_p"]
     rows = []
-    if setting.integrated:
+    if setting.is_integrated:
         mean = middle(hull["mean"])
         spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
         room -= max(spread * end for spread, end in zip(spreads, region.ends, strict=True))
-        held = held + mean * unit[-1]
-        room -= hull["slide_e"][1] * setting.moved(region)
+        command_row = command_row + mean * unit[-1]
+        room -= hull["slide_e"][1] * setting.error_change(region)
     else:
         hull = setting.increments(region, hull)
     if problem.form == "conservative":
-        moved = setting.moved(region)
+        error_change = setting.error_change(region)
         largest = CHANGE_ROOM * excursion(step, setting.programs.starts, CHANGE)
-        slide_p = slide_hull(problem, (region.sigma, region.e), largest, moved)
-        rows = [Bounded(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
+        slide_p = slide_hull(problem, (region.sigma, region.e), largest, error_change)
+        rows = [BoundedRow(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
     corners = product(set(slide_p), set(hull["slide_i"]))
-    return rows + [Bounded(held + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+    return rows + [BoundedRow(command_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
 def decay_rate(step: Step, sample_time: float) -> float:
@@ -210,17 +210,17 @@ def decay_rate(step: Step, sample_time: float) -> float:
     return float(-np.log(np.max(np.abs(np.linalg.eigvals(step.a)))) / sample_time)
 
 
-def setting_of(problem: ProofProblem, box: Box, *, integrated: bool = False) -> Setting | None:
+def setting_of(problem: ProofProblem, box: Box, *, is_integrated: bool = False) -> Setting | None:
     """The setting of a box; None if the loop is not stable at sigma = e = 0."""
     gains = gain_hull(problem, 1e-9, 1e-9)
-    origin = step_of(problem, box_middle(box, gains), box, integrated=integrated)
-    starts = start_corners(problem, box, start_ratio(problem, integrated=integrated))
+    origin = step_of(problem, box_middle(box, gains), box, is_integrated=is_integrated)
+    starts = start_corners(problem, box, start_ratio(problem, is_integrated=is_integrated))
     speed = decay_rate(origin, problem.sample_time)
     if speed <= 0.0 or (scale := scaling(origin, starts, speed * problem.sample_time)) is None:
         return None
     point = all(low == high for name, (low, high) in box.items() if name != "k_p")
     programs = SetPrograms(problem.sample_time, starts, scale, SPARE if point else SPARE_OF_BOXES, [])
-    return Setting(problem, box, origin, speed, integrated, programs)
+    return Setting(problem, box, origin, speed, is_integrated, programs)
 
 
 def first_set(setting: Setting) -> SetStage | str:
@@ -228,50 +228,54 @@ def first_set(setting: Setting) -> SetStage | str:
     excursions = [excursion(setting.origin, setting.programs.starts, row) for row in (SIGMA, E)]
     if not all(np.isfinite(excursions)):
         return "region"
-    first = [FIRST_REGION * max(size, 1e-9) for size in excursions]
-    if (solution := held_start(setting, first, slides=True)) is not None:
+    first_sizes = [FIRST_REGION * max(size, 1e-9) for size in excursions]
+    if (solution := set_from_start(setting, first_sizes, slides=True)) is not None:
         return solution
-    if not setting.falls(setting.steps(region_of(setting.problem, first[0], first[1]))):
+    if not setting.falls(setting.steps(region_of(setting.problem, first_sizes[0], first_sizes[1]))):
         return "decay"
-    return "region" if setting.problem.rho is None or held_start(setting, first, slides=False) is None else "sliding"
+    if setting.problem.rho is None or set_from_start(setting, first_sizes, slides=False) is None:
+        return "region"
+    return "sliding"
 
 
-def held_start(setting: Setting, first: Sequence[float], *, slides: bool) -> SetStage | None:
+def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
     """A set that holds the start, and stays in a region whose gains it allows.
 
     Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
 
-    ``first`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding, too.
+    ``first_sizes`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding.
     """
     rows = setting.origin.rows
-    by_e = setting.problem.functions["kind"] == "vgsta"
+    depends_on_e = setting.problem.functions["kind"] == "vgsta"
     shares = START_RATES if slides else START_RATES[:1]  # else it is about the reason of a failure
-    limits = np.array(first)
+    limits = np.array(first_sizes)
     for _ in range(MOST_REGIONS):
         region = region_of(setting.problem, float(limits[0]), float(limits[1]))
         steps = setting.steps(region)
-        within = [Bounded(rows[SIGMA], region.sigma, None)]
-        if by_e:
-            within.append(Bounded(rows[E], region.e, None))
-        sliding = slide_rows(setting, region) if slides else []
-        if not all(bounded.bound > 0.0 for bounded in sliding):
+        region_rows = [BoundedRow(rows[SIGMA], region.sigma, None)]
+        if depends_on_e:
+            region_rows.append(BoundedRow(rows[E], region.e, None))
+        sliding_rows = slide_rows(setting, region) if slides else []
+        if not all(bounded.bound > 0.0 for bounded in sliding_rows):
             return None
-        if (solution := started_set(setting, steps, [*within, *sliding], shares)) is None:
+        if (solution := set_with_start(setting, steps, [*region_rows, *sliding_rows], shares)) is None:
             return None
         sizes = np.array([largest_in_set(solution.p, rows[row]) for row in (SIGMA, E)])
-        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(within)]):
+        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(region_rows)]):
             return set_stage(solution, region, setting)
         limits = REGION_ROOM * sizes
-        if np.any(limits > LARGEST_REGION * np.array(first)):
+        if np.any(limits > LARGEST_REGION * np.array(first_sizes)):
             return None
         shares = [share for share in shares if share * setting.speed <= solution.rate * (1.0 + TIGHT)]
     return None
 
 
-def started_set(setting: Setting, steps: list[Step], rows: list[Bounded], shares: Sequence[float]) -> Solution | None:
+def set_with_start(
+    setting: Setting, steps: list[Step], rows: list[BoundedRow], shares: Sequence[float]
+) -> Solution | None:
     """A set that holds the start, with the first rate that allows one; its excursion hardly depends on the rate."""
     for number, share in enumerate(shares):
-        if (solution := setting.solve(steps, rows, share, started=True)) is not None:
+        if (solution := setting.solve(steps, rows, share, holds_start=True)) is not None:
             return solution
         if number == 0 and not setting.falls(steps):
             return None
@@ -283,17 +287,17 @@ def smaller_set(setting: Setting, sigma: float, e: float, shares: Sequence[float
     region = region_of(setting.problem, sigma, e)
     steps = setting.steps(region)
     e_row = setting.origin.rows[E]
-    rows = [Bounded(e_row, e, 1.0), Bounded(setting.origin.rows[SIGMA], sigma, 0.05)]
+    rows = [BoundedRow(e_row, e, 1.0), BoundedRow(setting.origin.rows[SIGMA], sigma, 0.05)]
     solutions: list[Solution] = []
     for share in shares:
-        if (solution := setting.solve(steps, rows, share, started=False)) is not None:
+        if (solution := setting.solve(steps, rows, share, holds_start=False)) is not None:
             solutions.append(solution)
         if len(solutions) == ENOUGH_RATES:
             break
-    best = min(solutions, key=lambda solution: largest_in_set(solution.p, e_row), default=None)
-    if best is None or largest_in_set(best.p, e_row) > ENOUGH * e:
+    best_solution = min(solutions, key=lambda solution: largest_in_set(solution.p, e_row), default=None)
+    if best_solution is None or largest_in_set(best_solution.p, e_row) > ENOUGH * e:
         return None
-    return set_stage(best, region, setting)
+    return set_stage(best_solution, region, setting)
 
 
 def excursion(step: Step, starts: Sequence[np.ndarray], row: int) -> float:
@@ -314,6 +318,6 @@ def set_stage(result: Solution, region: Region, setting: Setting) -> SetStage:
         rate=result.rate,
         multipliers=result.multipliers.tolist(),
         p=result.p.tolist(),
-        coordinate="phi_1" if setting.integrated else "u_av",
-        moved=setting.moved(region),
+        coordinate="phi_1" if setting.is_integrated else "u_av",
+        moved=setting.error_change(region),
     )

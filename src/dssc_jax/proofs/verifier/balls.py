@@ -85,7 +85,7 @@ def matrix_of_columns(columns: Sequence[Sequence[arb]]) -> arb_mat:
 def side_by_side(left: arb_mat, right: arb_mat) -> arb_mat:
     """Two matrices with the same number of rows, beside each other."""
     pairs = zip(left.tolist(), right.tolist(), strict=True)
-    return arb_mat([[*row, *added] for row, added in pairs])
+    return arb_mat([[*left_row, *right_row] for left_row, right_row in pairs])
 
 
 def quadratic_form(matrix: arb_mat, state: arb_mat) -> arb:
@@ -111,8 +111,8 @@ def approximate_root(matrix: arb_mat) -> arb_mat | None:
     root = [[arb(0)] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            known = total([root[i][k] * root[j][k] for k in range(j)])
-            difference = matrix[i, j].mid() - known
+            inner_sum = total([root[i][k] * root[j][k] for k in range(j)])
+            difference = matrix[i, j].mid() - inner_sum
             if i != j:
                 root[i][j] = (difference / root[j][j]).mid()
                 continue

@@ -50,7 +50,7 @@ def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
     if problem["nominal"]:
         a_n = arb(problem["nominal"][0])
         inverse_k_n = 1 / arb(problem["nominal"][1])
-    worst = [arb(0)] * 5
+    largest_bounds = [arb(0)] * 5
     for k_p, a_p in product(exact_ends(box["k_p"]), exact_ends(box["a_p"])):  # every bound is largest at a corner
         ratio = abs(a_p) / k_p
         by_acceleration = abs(inverse_k_n - 1 / k_p)
@@ -62,8 +62,10 @@ def signal_bounds(problem: Problem, box: Box) -> SignalBounds:
             level + by_acceleration * acceleration + by_speed * speed,
             slope + by_acceleration * jerk + by_speed * acceleration,
         )
-        worst = [maximum(bound.upper(), largest) for bound, largest in zip(bounds, worst, strict=True)]
-    return SignalBounds(*worst)
+        largest_bounds = [
+            maximum(bound.upper(), largest) for bound, largest in zip(bounds, largest_bounds, strict=True)
+        ]
+    return SignalBounds(*largest_bounds)
 
 
 def unit_rows(n: int) -> list[arb_mat]:
@@ -84,38 +86,40 @@ def signal_rows(problem: Problem) -> SignalRows:
 
 
 def sample_corners(
-    problem: Problem, box: Box, vertices: list[arb_mat], gains: Balls, *, integrated: bool
+    problem: Problem, box: Box, vertices: list[arb_mat], gains: Balls, *, is_integrated: bool
 ) -> list[Corner]:
     """Every corner of plant and gains, the plant's at the vertices that ``held_plant.held_vertices`` gives."""
     sizes = signal_bounds(problem, box)
     within_sample = inside_bounds(problem, box, arb(problem["sample_time"]))
-    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     corners = []
     for vertex, k_p in product(vertices, exact_ends(box["k_p"])):
         b = input_columns(problem, k_p, sizes, within_sample)
         for gain in product(*(ball_ends(gains[name]) for name in names)):
-            corners.append(Corner(sampled(problem, vertex, k_p, gain, integrated=integrated), b))
+            corners.append(Corner(sample_matrix(problem, vertex, k_p, gain, is_integrated=is_integrated), b))
     return corners
 
 
-def sampled(problem: Problem, held: arb_mat, k_p: arb, gain: Sequence[arb], *, integrated: bool = False) -> arb_mat:
+def sample_matrix(
+    problem: Problem, held_matrix: arb_mat, k_p: arb, gain: Sequence[arb], *, is_integrated: bool = False
+) -> arb_mat:
     """A at one corner; in the coordinate q = v - phi_1(s), the first gain is phi_1/sigma."""
     n = state_places(problem).n
     chi = n - 2
-    v_row, command = control_rows(problem, gain, integrated=integrated)
+    v_row, command = control_rows(problem, gain, is_integrated=is_integrated)
     rows = []
     for i in range(chi):
-        push = k_p * held[i, chi]
-        rows.append([(held[i, j] if j < chi else arb(0)) + push * command[0, j] for j in range(n)])
+        push = k_p * held_matrix[i, chi]
+        rows.append([(held_matrix[i, j] if j < chi else arb(0)) + push * command[0, j] for j in range(n)])
     return arb_mat([*rows, *v_row.tolist(), *signal_rows(problem).sigma.tolist()])
 
 
-def control_rows(problem: Problem, gain: Sequence[arb], *, integrated: bool) -> tuple[arb_mat, arb_mat]:
+def control_rows(problem: Problem, gain: Sequence[arb], *, is_integrated: bool) -> tuple[arb_mat, arb_mat]:
     """The rows of v+ or q+, without what d_r + f changes by, and of the command plus d_r."""
     rows = signal_rows(problem)
     proportional, k_i, k_n = gain
     v_row = rows.v + rows.sigma * (arb(problem["sample_time"]) * k_i)
-    if integrated:
+    if is_integrated:
         command = -v_row - rows.sigma * proportional
     else:
         v_row = v_row + rows.change * proportional
@@ -178,8 +182,8 @@ def start_columns(problem: Problem, box: Box, ratio: arb) -> arb_mat:
         s = arb(0)
         if problem["start"] != "zero":
             s = plant[1] + arb(problem["l0"]) * plant[0]
-        shown = [kappa * plant[i] for i, _ in enumerate(memory)]
+        memory_entries = [kappa * plant[i] for i, _ in enumerate(memory)]
         for (d, offset), k_p, share in product(pairs, exact_ends(box["k_p"]), ball_ends(ratio)):
             zeta = [k_p * d * entry for entry in jump]
-            columns.append([*plant, *zeta, *shown, -offset - share * s, s])
+            columns.append([*plant, *zeta, *memory_entries, -offset - share * s, s])
     return matrix_of_columns(columns)

@@ -65,24 +65,25 @@ def function_distances(
     while pieces:
         for low, high in pieces:
             for point in (middle_of((low, high)), high):
-                for name, reached in distances_at(problem, (point, point), centre, share, change).items():
-                    at_points[name] = maximum(at_points[name], reached.lower())
+                for name, distance in distances_at(problem, (point, point), centre, share, change).items():
+                    at_points[name] = maximum(at_points[name], distance.lower())
         remaining -= len(pieces)
         halves = []
         for low, high in pieces:
             try:
-                reached = distances_at(problem, (low, high), centre, share, change)
+                distances = distances_at(problem, (low, high), centre, share, change)
             except Rejected:  # too wide a ball, since every point was fine
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
-                reached = {}
-            close = all(
-                reached[name].upper() <= at_points[name] * (1 + rooms[name]) + least_rooms[name] for name in reached
+                distances = {}
+            is_close = all(
+                distance.upper() <= at_points[name] * (1 + rooms[name]) + least_rooms[name]
+                for name, distance in distances.items()
             )
-            if not reached or (remaining > 0 and not close):
+            if not distances or (remaining > 0 and not is_close):
                 middle = middle_of((low, high))
                 halves += [(low, middle), (middle, high)]
                 continue
-            for name, distance in reached.items():
+            for name, distance in distances.items():
                 result[name] = maximum(result[name], distance.upper())
         pieces = halves
     return result
@@ -129,18 +130,18 @@ def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) 
     remaining = MOST_CELLS
     while cells.sign.size:
         remaining -= cells.sign.size
-        for name, reached in cell_distances(problem, cells.middles(), slopes).items():
-            at_points[name] = max(at_points[name], float(np.max(reached.low)))
+        for name, interval in cell_distances(problem, cells.middles(), slopes).items():
+            at_points[name] = max(at_points[name], float(np.max(interval.low)))
         too_wide = np.zeros(cells.sign.shape, bool)
         distances = cell_distances(problem, cells, slopes)
-        for name, reached in distances.items():
-            too_wide |= ~(reached.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
+        for name, interval in distances.items():
+            too_wide |= ~(interval.high <= at_points[name] * (1.0 + DISTANCE_ROOM) + least_rooms[name])
         if remaining <= 0:
             too_wide[:] = False
-        for name, reached in distances.items():
-            kept = reached.high[~too_wide]
-            result[name] = float(np.maximum(result[name], np.max(kept, initial=0.0)))
-        cells = cells.quartered(too_wide)
+        for name, interval in distances.items():
+            accepted = interval.high[~too_wide]
+            result[name] = float(np.maximum(result[name], np.max(accepted, initial=0.0)))
+        cells = cells.quarters_of(too_wide)
     finite = bool(np.all(np.isfinite(list(result.values()))))
     require_premise(finite, "P2: the functions cannot be enclosed in the region")
     return {name: arb(value) for name, value in result.items()}

@@ -37,7 +37,7 @@ class PointHull:
             for name, (low, high) in self.ends.items()
         }
 
-    def exceeded(self, balls: Balls, rooms: dict[str, float]) -> bool:
+    def is_exceeded_by(self, balls: Balls, rooms: dict[str, float]) -> bool:
         """Whether balls widen the hull by too much."""
         for name, ball in balls.items():
             low, high = self.ends[name]
@@ -90,7 +90,7 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
                 require_premise(remaining > 0, "P2: the functions cannot be enclosed in the region")
                 halves += [(low, middle), (middle, high)]
                 continue
-            if remaining > 0 and points.exceeded(balls, rooms):
+            if remaining > 0 and points.is_exceeded_by(balls, rooms):
                 halves += [(low, middle), (middle, high)]
                 continue
             for name, ball in balls.items():
@@ -99,11 +99,11 @@ def gains_by_sigma(problem: Problem, sigma: float, sigma_from: float) -> Balls:
     return result
 
 
-def enclosed_start_ratio(problem: Problem, *, integrated: bool) -> arb:
+def enclosed_start_ratio(problem: Problem, *, is_integrated: bool) -> arb:
     """What the start takes from u_av, over sigma_0, as a ball that holds it for every start.
 
-    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. ``integrated``: the coordinate is
-    q = v - phi_1(sigma_0).
+    Seen from sigma_hat = sigma_0, the start ``midpoint`` halves the first T_s phi_2. With ``is_integrated`` the
+    coordinate is q = v - phi_1(sigma_0).
     """
     if problem["start"] == "zero":
         return arb(0)
@@ -111,7 +111,7 @@ def enclosed_start_ratio(problem: Problem, *, integrated: bool) -> arb:
     sigma_low, sigma_high = size_ends(speed + arb(problem["l0"]) * e)
     e_low, e_high = size_ends(e)
     gains = enclosed_gains(problem, sigma_high, e_high, sigma_low, e_low)
-    ratio = gains["mean"] if integrated else arb(0)
+    ratio = gains["mean"] if is_integrated else arb(0)
     if problem["start"] == "midpoint":
         ratio = ratio + arb(problem["sample_time"]) / 2 * gains["k_i"]
     return ratio
@@ -125,17 +125,17 @@ def size_ends(ball: arb) -> tuple[float, float]:
     return max(0.0, low), max(high, SMALLEST_REGION)
 
 
-def with_moving_error(problem: Problem, gains: Balls, moved: float) -> Balls:
-    """The gains of the increments of u_av, where e changes by at most ``moved`` in a sample.
+def with_moving_error(problem: Problem, gains: Balls, error_change: float) -> Balls:
+    """The gains of the increments of u_av, where e changes by at most ``error_change`` in a sample.
 
     In the conservative form phi_1(sigma_k, e_k) - phi_1(sigma_k, e_(k-1)) is sigma_k times a gain, which joins T_s K_I.
     """
     if not depends_on_error(problem):
         return gains
-    joins = interval_ball(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(moved)
+    slope_change = interval_ball(-1.0, 1.0) * abs(gains["by_e"]).upper() * arb(error_change)
     t = arb(problem["sample_time"])
     reach = 1 + gains["tau_av"] / t
-    return gains | {"k_i": gains["k_i"] + joins / t, "slide_i": gains["slide_i"] + joins * reach}
+    return gains | {"k_i": gains["k_i"] + slope_change / t, "slide_i": gains["slide_i"] + slope_change * reach}
 
 
 def depends_on_error(problem: Problem) -> bool:
@@ -154,7 +154,7 @@ def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
     k_o_tau_av, tau_m = functions_at(problem, constants, size)
     t = arb(problem["sample_time"])
     proportional = 1 / k_o_tau_av
-    filtered = 1 / constants["k_o"] if "k_o" in constants else constants["tau_av"] * proportional  # tau_av K_P
+    filtered_gain = 1 / constants["k_o"] if "k_o" in constants else constants["tau_av"] * proportional  # tau_av K_P
     integral = proportional / tau_m  # phi_2/sigma in the conservative form, too
     nominal = problem["nominal"]
     pole = 1 / (tau_m * arb(nominal[1])) if nominal and nominal[2] else arb(0)
@@ -163,8 +163,8 @@ def gains_at(problem: Problem, size: tuple[float, float]) -> Balls:
         "k_p": proportional,
         "k_i": integral,
         "k_n": pole,
-        "slide_p": proportional + filtered / t,
-        "slide_i": t * integral + filtered / tau_m,
+        "slide_p": proportional + filtered_gain / t,
+        "slide_i": t * integral + filtered_gain / tau_m,
         "tau_av": constants["tau_av"] if "tau_av" in constants else k_o_tau_av / constants["k_o"],
     }
 

@@ -41,11 +41,11 @@ class BoxSide(NamedTuple):
 
 def state_places(problem: Problem) -> StatePlaces:
     """Where the states are: e, e', eta, zeta, the sensor's memory, v or q, s."""
-    first = 2 + len(problem["zero_a"])
+    zeta_start = 2 + len(problem["zero_a"])
     order = max(len(problem["denominator"]) - 1, math.ceil(problem["delay"]))
-    memory = first + order
+    memory = zeta_start + order
     end = memory + (2 if problem["sensor_lag"] else 0)
-    return StatePlaces(range(first, memory), range(memory, end), end + 2)
+    return StatePlaces(range(zeta_start, memory), range(memory, end), end + 2)
 
 
 def rate_interval(box: Box) -> Interval:
@@ -127,20 +127,20 @@ def held_sample(problem: Problem, a_p: arb, rate: arb) -> arb_mat:
     return with_memories(problem, (held_generator(problem, a_p, rate) * arb(problem["sample_time"])).exp())
 
 
-def with_memories(problem: Problem, held: arb_mat) -> arb_mat:
+def with_memories(problem: Problem, held_matrix: arb_mat) -> arb_mat:
     """With the rows of the memories of delay and sensor, which rest between the samples and move on at them."""
     zeta, memory, n = state_places(problem)
-    rows = held.tolist()
+    rows = held_matrix.tolist()
     if not problem["denominator"]:
         for i in zeta:
             source = n - 2 if i == zeta[0] else i - 1
             rows[i] = [arb(int(j == source)) for j in range(n - 1)]
     if memory:
-        kappa, keeps = memory_weights(problem)
-        for measured, i in enumerate(memory):
+        kappa, memory_decay = memory_weights(problem)
+        for output_index, i in enumerate(memory):
             rows[i] = [arb(0)] * (n - 1)
-            rows[i][measured] = kappa * (1 - keeps)
-            rows[i][i] = keeps
+            rows[i][output_index] = kappa * (1 - memory_decay)
+            rows[i][i] = memory_decay
     return arb_mat(rows)
 
 
@@ -174,11 +174,11 @@ def bernstein_coefficients(problem: Problem, a_p: arb, rates: Interval, degree: 
     coefficients = []
     for i in range(degree + 1):
         signs = [1] * i + [-1] * (degree - i)
-        weighted = []
+        weighted_terms = []
         for k, term in enumerate(terms):
             products = sum(map(math.prod, combinations(signs, k)))
-            weighted.append(term * (arb(products) / math.comb(degree, k)))
-        coefficients.append(reduce(add, weighted))
+            weighted_terms.append(term * (arb(products) / math.comb(degree, k)))
+        coefficients.append(reduce(add, weighted_terms))
     return coefficients
 
 

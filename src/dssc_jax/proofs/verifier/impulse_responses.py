@@ -54,16 +54,16 @@ class Block(NamedTuple):
 
     Args:
         response: The samples, (samples, rows, columns).
-        error: Bound of the error of any one of them but for ``lost``, (rows, columns).
+        error: Bound of the error of any one of them but for ``radius_effect``, (rows, columns).
         error_sum: The same of the sum of their errors.
-        lost: Bound of what the states' radii, dropped so far, do to any sample from this block on.
-        tail: Bound of every sample after this block, with ``lost``.
+        radius_effect: Bound of what the states' radii, dropped so far, do to any sample from this block on.
+        tail: Bound of every sample after this block, with ``radius_effect``.
     """
 
     response: np.ndarray
     error: np.ndarray
     error_sum: np.ndarray
-    lost: np.ndarray
+    radius_effect: np.ndarray
     tail: np.ndarray
 
 
@@ -77,9 +77,9 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
         p: V = z'Pz, which falls.
     """
     n, m = a.nrows(), rows.nrows()
-    short = stacked(powers(rows, a))
+    short = stack_rows(powers(rows, a))
     jumps = powers(identity(n), a**SIDE)
-    long = stacked(jumps)
+    long = stack_rows(jumps)
     block_jump = jumps[-1] * a**SIDE
     short_middles = middles(short)
     long_middles = middles(long).reshape(SIDE, n, n)
@@ -91,21 +91,22 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
     reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
     largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
     count = z.ncols()
-    lost = [arb(0)] * count
+    dropped_radii = [arb(0)] * count
     for _ in range(MOST_BLOCKS):
         for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
-            lost[j] = lost[j] + largest_in_unit_cube * max((z[i, j].rad() for i in range(n)), key=float)
+            largest_radius = max((z[i, j].rad() for i in range(n)), key=float)
+            dropped_radii[j] = dropped_radii[j] + largest_in_unit_cube * largest_radius
         z = z.mid()
         state = middles(z)
         sizes = np.abs(state)
         response = (short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
         z = block_jump * z
-        ends = [(state_size(p, z, j) + lost[j]).upper() for j in range(count)]
+        ends = [(state_size(p, z, j) + dropped_radii[j]).upper() for j in range(count)]
         yield Block(
             response,
             error_peak @ sizes + UNDERFLOW,
             error_sum @ sizes + UNDERFLOW,
-            reach[:, None] * np.array([float(size.upper()) for size in lost]),
+            reach[:, None] * np.array([float(size.upper()) for size in dropped_radii]),
             reach[:, None] * np.array([float(end) for end in ends]),
         )
 
@@ -133,32 +134,32 @@ def response_bounds(
     m, q = rows.nrows(), inputs.ncols()
     sums = np.zeros((m, q))
     peaks = np.zeros((m, starts.ncols()))
-    added = np.zeros(peaks.shape) if offsets is None else middles(offsets)
-    added_error = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
-    summed_tail = float((2 / decay).upper())
+    offset_middles = np.zeros(peaks.shape) if offsets is None else middles(offsets)
+    offset_errors = np.zeros(peaks.shape) if offsets is None else ROUNDED * magnitudes(offsets)
+    tail_factor = float((2 / decay).upper())
     for block in response_blocks(a, rows, side_by_side(inputs, starts), p):
         sums += np.abs(block.response[..., :q]).sum(axis=0) + block.error_sum[:, :q]
-        largest = np.abs(block.response[..., q:] + added).max(axis=0) + block.error[:, q:]
-        peaks = np.maximum(peaks, largest + added_error)
-        tail_sums = block.tail[:, :q] * summed_tail
+        largest = np.abs(block.response[..., q:] + offset_middles).max(axis=0) + block.error[:, q:]
+        peaks = np.maximum(peaks, largest + offset_errors)
+        tail_sums = block.tail[:, :q] * tail_factor
         tail_peaks = block.tail[:, q:]
         if np.all(tail_sums <= TAIL_SHARE * sums) and np.all(tail_peaks <= np.maximum(peaks, UNDERFLOW)):
-            peaks = np.maximum(peaks + block.lost[:, q:], tail_peaks + np.abs(added) + added_error)
+            peaks = np.maximum(peaks + block.radius_effect[:, q:], tail_peaks + np.abs(offset_middles) + offset_errors)
             return ResponseBounds(SUMMED * (sums + tail_sums), SUMMED * peaks)
     return None
 
 
-def powers(first: arb_mat, a: arb_mat) -> list[arb_mat]:
+def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
     """The first ``SIDE`` of first, first a, first a^2, ..."""
-    result = [first]
+    result = [start]
     for _ in range(SIDE - 1):
         result.append(result[-1] * a)
     return result
 
 
-def stacked(parts: list[arb_mat]) -> arb_mat:
+def stack_rows(matrices: list[arb_mat]) -> arb_mat:
     """Matrices below one another."""
-    return arb_mat([row for part in parts for row in part.tolist()])
+    return arb_mat([row for matrix in matrices for row in matrix.tolist()])
 
 
 def state_size(p: arb_mat, z: arb_mat, j: int) -> arb:

@@ -48,7 +48,7 @@ PieceGains = list[tuple[float, Balls]]
 
 
 def invariant_bounds(
-    problem: Problem, box: Box, stage: InvariantStage, gains: Balls, started: bool, label: str
+    problem: Problem, box: Box, stage: InvariantStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
     """Show that the stage's set is invariant and attracts.
 
@@ -57,34 +57,34 @@ def invariant_bounds(
         box: Its box.
         stage: The stage, whose ``multipliers`` are those of the inputs.
         gains: Balls of the gains in the stage's region.
-        started: Whether the set has to hold every start and keep sliding.
+        from_start: Whether the set has to hold every start and keep sliding.
         label: The stage's place, for messages.
     """
     p = symmetric_matrix(stage["p"])
-    integrated = stage["coordinate"] == "phi_1"
-    if not integrated:
+    is_integrated = stage["coordinate"] == "phi_1"
+    if not is_integrated:
         gains = with_moving_error(problem, gains, stage["moved"])
     require_premise(positive_definite(p), f"P2: P is not positive definite in {label}")
     pieces = piece_gains(problem, stage)
-    if not integrated:
+    if not is_integrated:
         pieces = [(high, increment_gains(problem, stage, gains, piece)) for high, piece in pieces]
     vertices = held_vertices(problem, box, stage["degree"])
     for _, piece in pieces:
-        corners = sample_corners(problem, box, vertices, piece, integrated=integrated)
+        corners = sample_corners(problem, box, vertices, piece, is_integrated=is_integrated)
         check_invariance(arb(problem["sample_time"]), stage, p, corners, label)
     inverse = p.inv()
     largest_error = largest_between_samples(problem, box, stage, inverse, gains, ERROR)
     largest_speed = largest_between_samples(problem, box, stage, inverse, gains, SPEED)
-    moved = arb(problem["sample_time"]) * largest_speed if depends_on_error(problem) else arb(0)
-    if started:
-        check_start(problem, box, p, integrated, label)
-        check_sliding(problem, box, stage, inverse, gains, pieces, moved, label)
+    error_change = arb(problem["sample_time"]) * largest_speed if depends_on_error(problem) else arb(0)
+    if from_start:
+        check_start(problem, box, p, is_integrated, label)
+        check_sliding(problem, box, stage, inverse, gains, pieces, error_change, label)
     require_premise(not any(problem["by_state"]), f"P8: the set of {label} does not bound what the state adds to d")
     rows = signal_rows(problem)
     sigma = bound_in_set(inverse, rows.sigma)
     e = bound_in_set(inverse, rows.e)
     change = bound_in_set(inverse, rows.change)
-    return StageLimits(sigma, e, change, largest_error, arb(0), arb(0), moved)
+    return StageLimits(sigma, e, change, largest_error, arb(0), arb(0), error_change)
 
 
 def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:
@@ -100,9 +100,9 @@ def increment_gains(problem: Problem, stage: InvariantStage, gains: Balls, piece
     return increments | {"k_p": gains["k_p"]} if problem["form"] == "conservative" else increments
 
 
-def check_start(problem: Problem, box: Box, p: arb_mat, integrated: bool, label: str) -> None:
+def check_start(problem: Problem, box: Box, p: arb_mat, is_integrated: bool, label: str) -> None:
     """(P3) Every start lies in the set."""
-    starts = start_columns(problem, box, enclosed_start_ratio(problem, integrated=integrated))
+    starts = start_columns(problem, box, enclosed_start_ratio(problem, is_integrated=is_integrated))
     for j in range(starts.ncols()):
         require_premise(quadratic_form(p, column(starts, j)) <= 1, f"P3: a start lies outside of {label}")
 
@@ -114,33 +114,33 @@ def check_sliding(
     inverse: arb_mat,
     gains: Balls,
     pieces: PieceGains,
-    moved: arb,
+    error_change: arb,
     label: str,
 ) -> None:
     """(P5) |u_eq| <= rho, where u_eq - d_r - f is a row of z that is affine in its gains.
 
     In the coordinate q, u_av = q + phi_1(s): phi_1(s) is within |mean - middle| |s| of middle s in each piece. By e,
-    phi_1 changes in a sample at most by its slope in e times ``moved``, the bound of the change of e; in the coordinate
-    u_av, K_I holds this.
+    phi_1 changes in a sample at most by its slope in e times ``error_change``, the bound of the change of e; in the
+    coordinate u_av, K_I holds this.
     """
     if problem["rho"] is None:
         return
-    integrated = stage["coordinate"] == "phi_1"
+    is_integrated = stage["coordinate"] == "phi_1"
     rows = signal_rows(problem)
     room = arb(problem["rho"]) - signal_bounds(problem, box).offset
-    held = rows.v
+    command_row = rows.v
     slide_p = gains["slide_p"]
-    if integrated:
+    if is_integrated:
         middle = gains["mean"].mid()
-        held = held + rows.s * middle
+        command_row = command_row + rows.s * middle
         distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
         room = room - reduce(maximum, distances)
     if problem["form"] == "conservative":
-        if integrated:
-            room = room - abs(gains["slide_e"]).upper() * moved
-        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), moved)
+        if is_integrated:
+            room = room - abs(gains["slide_e"]).upper() * error_change
+        slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), error_change)
     for by_change, by_sigma in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
-        row = held + rows.change * by_change + rows.sigma * by_sigma
+        row = command_row + rows.change * by_change + rows.sigma * by_sigma
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {label}")
 
@@ -167,10 +167,12 @@ def check_invariance(t: arb, stage: InvariantStage, p: arb_mat, corners: list[Co
         decrease = (keep - transposed_a_p * a).tolist()
         cross = (transposed_a_p * b).tolist()
         inputs = b.transpose() * scaled_p * b
-        block = [[*kept, *(-mixed[j] for j in active)] for kept, mixed in zip(decrease, cross, strict=True)]
+        block = []
+        for decrease_row, cross_row in zip(decrease, cross, strict=True):
+            block.append([*decrease_row, *(-cross_row[j] for j in active)])
         for j in active:
             weights = [(t * multipliers[j] if i == j else arb(0)) - inputs[j, i] for i in active]
-            block.append([*(-mixed[j] for mixed in cross), *weights])
+            block.append([*(-cross_row[j] for cross_row in cross), *weights])
         require_premise(positive_definite(symmetric_part(block)), f"P6: the set is not invariant in {label}")
 
 
@@ -178,18 +180,18 @@ def largest_between_samples(
     problem: Problem, box: Box, stage: InvariantStage, inverse: arb_mat, gains: Balls, place: int
 ) -> arb:
     """Upper bound of |e(t)| or |e'(t)| at all times, while z at the samples is in the set."""
-    integrated = stage["coordinate"] == "phi_1"
-    names = ("mean" if integrated else "k_p", "k_i", "k_n")
+    is_integrated = stage["coordinate"] == "phi_1"
+    names = ("mean" if is_integrated else "k_p", "k_i", "k_n")
     t = arb(problem["sample_time"])
     k_p = interval_ball(*box["k_p"])
-    disturbed = inside_bounds(problem, box, t)[place]
+    disturbance_bound = inside_bounds(problem, box, t)[place]
     largest = arb(0)
     for flow in flows(generator_over(problem, box), t, SAMPLE_PIECES):
         *states, push = flow.tolist()[place]
-        forced = k_p * push
+        push_gain = k_p * push
         for gain in product(*(ball_ends(gains[name]) for name in names)):
-            _, command = control_rows(problem, gain, integrated=integrated)
+            _, command = control_rows(problem, gain, is_integrated=is_integrated)
             pairs = zip([*states, arb(0), arb(0)], command.tolist()[0], strict=True)
-            row = arb_mat([[state + forced * entry for state, entry in pairs]])
-            largest = maximum(largest, (bound_in_set(inverse, row) + disturbed).upper())
+            row = arb_mat([[state + push_gain * entry for state, entry in pairs]])
+            largest = maximum(largest, (bound_in_set(inverse, row) + disturbance_bound).upper())
     return largest

@@ -18,10 +18,10 @@ ERROR_CELLS = 16
 """Cells of |sigma|^(1/2) and of |e| in which the end of a sample may lie."""
 
 
-def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, moved: arb) -> arb:
+def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, error_change: arb) -> arb:
     """Ball of the gain of sigma - s in the equivalent control: K_P (1 + tau_av/T_s).
 
-    ``gains`` are those of the stage's region; ``change`` and ``moved`` bound the changes of sigma and e in a sample.
+    ``gains`` are those of the stage's region; ``change`` and ``error_change`` bound those of sigma and e in a sample.
     """
     kind = problem["functions"]["kind"]
     constants = constants_of(problem)
@@ -29,7 +29,7 @@ def slide_gain(problem: Problem, stage: Stage, gains: Balls, change: arb, moved:
         return gains["slide_p"]
     sigma_change = float(change.upper())
     if kind == "vgsta":
-        ratio = ratio_by_sigma_and_e(problem, stage["sigma"], stage["e"], sigma_change, float(moved.upper()))
+        ratio = ratio_by_sigma_and_e(problem, stage["sigma"], stage["e"], sigma_change, float(error_change.upper()))
     else:
         ratio = ratio_by_sigma(problem, stage["sigma"], sigma_change)
     ratios = (1 / ratio).union(ratio)
@@ -51,7 +51,7 @@ def ratio_by_sigma(problem: Problem, sigma: float, change: float) -> arb:
     return largest
 
 
-def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float, moved: float) -> arb:
+def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float, error_change: float) -> arb:
     """The largest ratio of the slopes d phi_1/d sigma at two points within one sample, for Table 1's functions.
 
     These depend on sigma and e. The computation is in float64, rounded outwards.
@@ -61,7 +61,7 @@ def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float
         sigma: Bound of |sigma|.
         e: Bound of |e|.
         change: How far sigma moves within a sample, at most.
-        moved: How far e moves within a sample, at most.
+        error_change: How far e moves within a sample, at most.
     """
     size = sigma * (np.arange(ROOT_CELLS + 1) / ROOT_CELLS) ** 2
     errors = e * np.arange(ERROR_CELLS + 1) / ERROR_CELLS
@@ -71,11 +71,11 @@ def ratio_by_sigma_and_e(problem: Problem, sigma: float, e: float, change: float
     size_high, error_high = np.meshgrid(size[1:], errors[1:], indexing="ij")
     sizes = outwards(size_low.ravel() - change, size_high.ravel() + change)
     root = outwards(np.sqrt(np.maximum(sizes.low, 0.0)), np.sqrt(np.minimum(sizes.high, sigma)))
-    reached = outwards(error_low.ravel() - moved, error_high.ravel() + moved)
+    error_intervals = outwards(error_low.ravel() - error_change, error_high.ravel() + error_change)
     cells = Cells(
         Intervals(np.maximum(root.low, 0.0), root.high),
         np.ones(root.low.size),
-        Intervals(np.maximum(reached.low, 0.0), np.minimum(reached.high, e)),
+        Intervals(np.maximum(error_intervals.low, 0.0), np.minimum(error_intervals.high, e)),
     )
     slope = gains_of(problem, cells)["k_p"]
     require_premise(bool(np.all(slope.low > 0.0)), "P2: the functions are not positive in the region")

@@ -32,7 +32,7 @@ from dssc_jax.proofs.verifier.enclosed_loop import (
     control_rows,
     input_columns,
     inside_bounds,
-    sampled,
+    sample_matrix,
     signal_bounds,
     signal_rows,
     start_columns,
@@ -69,7 +69,7 @@ class MiddleLoop(NamedTuple):
         w: Columns of the inputs, of magnitude at most 1.
         deviations: Columns b_v, b_u, and, unless plant and lag are one point, the unit columns.
         share: Half of k_p's width over its middle.
-        held: Half widths of Phi's entries and, last, of k_p Gamma's at fixed k_p; None for one point.
+        half_widths: Half widths of Phi's entries and, last, of k_p Gamma's at fixed k_p; None for one point.
     """
 
     a: arb_mat
@@ -77,7 +77,7 @@ class MiddleLoop(NamedTuple):
     w: arb_mat
     deviations: arb_mat
     share: arb
-    held: list[list[arb]] | None
+    half_widths: list[list[arb]] | None
 
 
 class LawDeviations(NamedTuple):
@@ -100,25 +100,25 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
     chi = n - 2
     t = arb(problem["sample_time"])
     rows = signal_rows(problem)
-    integrated = coordinate == "phi_1"
+    is_integrated = coordinate == "phi_1"
     middle = {name: ((arb(low) + arb(high)) / 2).mid() for name, (low, high) in box.items()}
     k_p = middle["k_p"]
     low, high = map(arb, box["k_p"])
     gain = [centre[name] for name in MIDDLE_GAINS[coordinate][:3]]
-    held = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
-    a = sampled(problem, held, k_p, gain, integrated=integrated)
-    _, command = control_rows(problem, gain, integrated=integrated)
+    held_matrix = held_sample(problem, middle["a_p"], middle.get("rate", arb(0)))
+    a = sample_matrix(problem, held_matrix, k_p, gain, is_integrated=is_integrated)
+    _, command = control_rows(problem, gain, is_integrated=is_integrated)
     equivalent = rows.v + rows.change * centre["slide_p"] + rows.sigma * centre["slide_i"]
-    if integrated:
+    if is_integrated:
         equivalent = equivalent + rows.s * centre["mean"]
     signals = [row.tolist()[0] for row in (rows.change, rows.sigma, rows.e, command, equivalent)]
     unit = identity(n).tolist()
-    by_command = [k_p * held[i, chi] if i < chi else arb(0) for i in range(n)]
+    by_command = [k_p * held_matrix[i, chi] if i < chi else arb(0) for i in range(n)]
     by_v = [-x for x in by_command[:chi]] + [arb(1), arb(0)]
     deviations = [by_v, by_command]
-    spread = None
+    half_widths = None
     if any(box[name][0] < box[name][1] for name in box if name != "k_p"):
-        spread = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
+        half_widths = [[*row[:chi], (row[chi] * high).upper()] for row in held_spread(problem, box)[:chi]]
         deviations += unit
     sizes = signal_bounds(problem, box)
     inputs = input_columns(problem, k_p, sizes, inside_bounds(problem, box, t))
@@ -132,12 +132,12 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
         side_by_side(inputs, matrix_of_columns([jump_distance])),
         matrix_of_columns(deviations),
         (k_p_distance / k_p).upper(),
-        spread,
+        half_widths,
     )
 
 
 def implied_bounds(
-    problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, started: bool, label: str
+    problem: Problem, box: Box, stage: SmallGainStage, gains: Balls, from_start: bool, label: str
 ) -> StageLimits:
     """Show that the stage's bounds imply themselves.
 
@@ -146,7 +146,7 @@ def implied_bounds(
         box: Its box.
         stage: The stage, whose ``bounds`` are those of the signals.
         gains: Balls of the gains in the stage's region; the stage has those of the middle loop.
-        started: Whether the bounds hold from the start on; otherwise of every upper limit.
+        from_start: Whether the bounds hold from the start on; otherwise of every upper limit.
         label: The stage's place, for messages.
     """
     t = arb(problem["sample_time"])
@@ -163,31 +163,33 @@ def implied_bounds(
     require_premise(positive_definite(decrease), f"P7: V does not fall in {label}")
     inputs = side_by_side(loop.w, loop.deviations)
     starts = arb_mat(p.nrows(), 0)
-    if started:
-        ratio = enclosed_start_ratio(problem, integrated=coordinate == "phi_1")
+    if from_start:
+        ratio = enclosed_start_ratio(problem, is_integrated=coordinate == "phi_1")
         starts = start_columns(problem, box, ratio)
     responses = response_bounds(loop.a, loop.rows, inputs, starts, p, t * rate)
     require_premise(responses is not None, f"P7: the responses decay too slowly in {label}")
     assert responses is not None
     law = law_deviations(problem, stage, gains, centre, bounds)
     command = bounds[COMMAND] + law.integral + law.command
-    moved = arb(0)
+    error_change = arb(0)
     if depends_on_error(problem):
-        moved = t * motion_bounds(problem, box, [command, *states])[1]
+        error_change = t * motion_bounds(problem, box, [command, *states])[1]
     sizes = [arb(1)] * loop.w.ncols() + deviation_sizes(loop, law, command, states)
     for i, bound in enumerate(bounds):
         response = total([arb(float(responses.sums[i, j])) * size for j, size in enumerate(sizes)])
-        peak = arb(float(responses.peaks[i].max(initial=0.0))) if started else arb(0)
+        peak = arb(float(responses.peaks[i].max(initial=0.0))) if from_start else arb(0)
         holds = response + peak < bound
         require_premise(holds, f"P7: the bound of signal {i} does not imply itself in {label}")
-    if started and problem["rho"] is not None:
+    if from_start and problem["rho"] is not None:
         room = arb(problem["rho"]) - signal_bounds(problem, box).offset
-        slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, moved)
+        slack = law.slide + slide_deviation(problem, stage, gains, centre, bounds, error_change)
         require_premise(bounds[EQUIVALENT] + slack <= room, f"P5: the equivalent control may exceed rho in {label}")
     bend = bend_between_samples(problem, box, states, command)
-    entered = [bound * arb(ENTERED) for bound in (command, *states)]
-    level, slope = disturbance_by_state(problem, box, entered)
-    return StageLimits(bounds[SIGMA], bounds[ERROR], bounds[CHANGE], (states[0] + bend).upper(), level, slope, moved)
+    entered_bounds = [bound * arb(ENTERED) for bound in (command, *states)]
+    level, slope = disturbance_by_state(problem, box, entered_bounds)
+    return StageLimits(
+        bounds[SIGMA], bounds[ERROR], bounds[CHANGE], (states[0] + bend).upper(), level, slope, error_change
+    )
 
 
 def law_deviations(
@@ -204,12 +206,12 @@ def law_deviations(
     t = arb(problem["sample_time"])
     change = bounds[CHANGE]
     sigma = bounds[SIGMA]
-    spread = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
-    slide = spread["slide_i"] * sigma
+    gain_distances = {name: abs(gains[name] - value).upper() for name, value in centre.items()}
+    slide = gain_distances["slide_i"] * sigma
     if stage["coordinate"] == "u_av":
-        by_v = spread["k_p"] * change + t * spread["k_i"] * sigma
-        return LawDeviations(by_v, spread["k_n"] * sigma, slide)
-    by_ratio = t * spread["k_i"] * sigma
+        by_v = gain_distances["k_p"] * change + t * gain_distances["k_i"] * sigma
+        return LawDeviations(by_v, gain_distances["k_n"] * sigma, slide)
+    by_ratio = t * gain_distances["k_i"] * sigma
     change_bound = None
     if problem["form"] == "implicit":
         change_bound = stage["change"]
@@ -217,18 +219,18 @@ def law_deviations(
     distances = function_distances(problem, stage["sigma"], stage["e"], centre, change=change_bound)
     return LawDeviations(
         minimum(t * distances["phi_2"], by_ratio),
-        minimum(distances["both"], (spread["mean"] + spread["k_n"]) * sigma),
-        slide + minimum(distances["phi_1"], spread["mean"] * sigma),
+        minimum(distances["both"], (gain_distances["mean"] + gain_distances["k_n"]) * sigma),
+        slide + minimum(distances["phi_1"], gain_distances["mean"] * sigma),
     )
 
 
 def slide_deviation(
-    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], moved: arb
+    problem: Problem, stage: SmallGainStage, gains: Balls, centre: Balls, bounds: list[arb], error_change: arb
 ) -> arb:
-    """Bound of the equivalent control's deviation, due to the changes of sigma and, by ``moved``, of e in a sample."""
+    """Bound of the equivalent control's deviation, due to the changes of sigma and of e in a sample."""
     by_e = abs(gains.get("slide_e", arb(0))).upper()
-    slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], moved)
-    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * moved
+    slide_p = slide_gain(problem, stage, gains, bounds[CHANGE], error_change)
+    return abs(slide_p - centre["slide_p"]).upper() * bounds[CHANGE] + by_e * error_change
 
 
 def minimum(a: arb, b: arb) -> arb:
@@ -240,9 +242,9 @@ def minimum(a: arb, b: arb) -> arb:
 def deviation_sizes(loop: MiddleLoop, law: LawDeviations, command: arb, states: list[arb]) -> list[arb]:
     """Bounds of omega_v, omega_u and, unless there is one point, of each omega_i; ``command`` bounds the true one."""
     sizes = [law.integral, law.command + loop.share * command]
-    if loop.held is not None:
-        chi = len(loop.held)
-        for row in loop.held:
+    if loop.half_widths is not None:
+        chi = len(loop.half_widths)
+        for row in loop.half_widths:
             by_states = total([row[j] * states[j] for j in range(chi)])
             sizes.append(row[chi] * command + by_states)
         sizes += [arb(0)] * (len(states) - chi)
@@ -258,5 +260,5 @@ def bend_between_samples(problem: Problem, box: Box, states: list[arb], command:
     (flow,) = flows(f, t, 1)
     second_derivative = (f * flow).tolist()[1]
     by_states = total([abs(second_derivative[j]) * states[j] for j in range(chi)])
-    disturbed = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(second_derivative[1]))
-    return t * t / 8 * (by_states + k_p * abs(second_derivative[chi]) * command + disturbed)
+    disturbance_effect = k_p * signal_bounds(problem, box).slope * t * (1 + t * abs(second_derivative[1]))
+    return t * t / 8 * (by_states + k_p * abs(second_derivative[chi]) * command + disturbance_effect)

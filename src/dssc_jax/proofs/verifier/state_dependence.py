@@ -27,14 +27,14 @@ def disturbance_by_state(problem: Problem, box: Box, bounds: list[arb]) -> tuple
     k_1, k_2, k_3, k_4, k_5 = map(arb, problem["by_state"])
     if not any(problem["by_state"]):
         return arb(0), arb(0)
-    e, speed, bend = motion_bounds(problem, box, bounds)
-    v, a, _ = map(arb, problem["reference"])
+    e, speed, acceleration = motion_bounds(problem, box, bounds)
+    reference_rate, reference_acceleration, _ = map(arb, problem["reference"])
     l0 = arb(problem["l0"])
     y = e + arb(problem["reference_size"])
-    y_dot = speed + v
-    y_ddot = bend + a
+    y_dot = speed + reference_rate
+    y_ddot = acceleration + reference_acceleration
     s = speed + l0 * e
-    s_dot = bend + l0 * speed
+    s_dot = acceleration + l0 * speed
     growth = k_1 * y + k_2 * y_dot + k_3
     level = k_4 * y + growth * s
     slope = k_5 * y + k_4 * y_dot + (k_1 * y_dot + k_2 * y_ddot) * s + growth * s_dot
@@ -48,13 +48,13 @@ def motion_bounds(problem: Problem, box: Box, bounds: list[arb]) -> tuple[arb, a
     t = arb(problem["sample_time"])
     k_p = arb(box["k_p"][1])
     generator = generator_over(problem, box)
-    disturbed = inside_bounds(problem, box, t)
+    disturbance_bounds = inside_bounds(problem, box, t)
     largest = [arb(0)] * chi
     for flow in flows(generator, t, PIECES):
         for i in range(chi):
-            forced = disturbed[i] + abs(flow[i, chi]) * k_p * command
-            reached = forced + total([abs(flow[i, j]) * states[j] for j in range(chi)])
-            largest[i] = maximum(largest[i], reached.upper())
-    forced = abs(generator[1, chi]) * k_p * command + signal_bounds(problem, box).slope * t * k_p
-    bend = forced + total([abs(generator[1, j]) * largest[j] for j in range(chi)])
-    return largest[0], largest[1], bend.upper()
+            input_bound = disturbance_bounds[i] + abs(flow[i, chi]) * k_p * command
+            state_bound = input_bound + total([abs(flow[i, j]) * states[j] for j in range(chi)])
+            largest[i] = maximum(largest[i], state_bound.upper())
+    input_bound = abs(generator[1, chi]) * k_p * command + signal_bounds(problem, box).slope * t * k_p
+    acceleration = input_bound + total([abs(generator[1, j]) * largest[j] for j in range(chi)])
+    return largest[0], largest[1], acceleration.upper()

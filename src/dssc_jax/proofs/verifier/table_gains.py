@@ -37,11 +37,11 @@ class Cells(NamedTuple):
         """A point of each cell."""
         return Cells(self.root.middle(), self.sign, self.e.middle())
 
-    def quartered(self, mask: np.ndarray) -> "Cells":
-        """The four quarters of each selected cell."""
+    def quarters_of(self, mask: np.ndarray) -> "Cells":
+        """The four quarters of each cell that a mask selects."""
         quarters = list(product(self.root.selected(mask).halves(), self.e.selected(mask).halves()))
         roots, errors = zip(*quarters, strict=True)
-        return Cells(concatenated(roots), np.tile(self.sign[mask], len(quarters)), concatenated(errors))
+        return Cells(concatenate(roots), np.tile(self.sign[mask], len(quarters)), concatenate(errors))
 
 
 def first_cells(roots: tuple[float, float], errors: tuple[float, float]) -> Cells:
@@ -68,7 +68,7 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
     while cells.sign.size:
         remaining -= cells.sign.size
         for name, gain in gains_of(problem, cells.middles()).items():
-            spans[name] = spanned(spans.get(name), gain)
+            spans[name] = hull_with(spans.get(name), gain)
         gains = gains_of(problem, cells)
         too_wide = np.zeros(cells.sign.shape, bool)
         for name, gain in gains.items():
@@ -79,8 +79,8 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
             too_wide[:] = False
         if not too_wide.all():
             for name, gain in gains.items():
-                result[name] = spanned(result.get(name), gain.selected(~too_wide))
-        cells = cells.quartered(too_wide)
+                result[name] = hull_with(result.get(name), gain.selected(~too_wide))
+        cells = cells.quarters_of(too_wide)
     positive = all(result[name][0] > 0.0 for name in ("k_p", "k_i"))
     require_premise(positive, "P2: the functions are not positive in the region")
     finite = bool(np.all(np.isfinite(list(result.values()))))
@@ -88,7 +88,7 @@ def table_gains(problem: Problem, sigma: float, e: float, sigma_from: float, e_f
     return {name: interval_ball(*ends) for name, ends in result.items()}
 
 
-def spanned(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
+def hull_with(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[float, float]:
     """The smallest interval with all of these; NaN if one has it."""
     low = float(np.min(intervals.low))
     high = float(np.max(intervals.high))
@@ -97,7 +97,7 @@ def spanned(ends: tuple[float, float] | None, intervals: Intervals) -> tuple[flo
     return float(np.minimum(ends[0], low)), float(np.maximum(ends[1], high))
 
 
-def concatenated(parts: Sequence[Intervals]) -> Intervals:
+def concatenate(parts: Sequence[Intervals]) -> Intervals:
     """The intervals of several arrays, as one."""
     return Intervals(np.concatenate([part.low for part in parts]), np.concatenate([part.high for part in parts]))
 
@@ -113,37 +113,37 @@ def gains_of(problem: Problem, cells: Cells) -> dict[str, Intervals]:
     r, sign, e = cells
     two = exactly(2.0)
     t = exactly(problem["sample_time"])
-    sides = Intervals(sign, sign)
+    sign_interval = Intervals(sign, sign)
     rd = r + c["delta"]
     size = r * r
     shrinks = exactly(1.0) - c["delta"] / rd
     ratio = c["phi_a"] / rd + c["phi_b"]
-    first = c["phi_a"] * r * shrinks + c["phi_b"] * size  # phi_1
+    phi_1 = c["phi_a"] * r * shrinks + c["phi_b"] * size
     slope = c["phi_a"] * (exactly(1.0) / rd + c["delta"] / (rd * rd)) / two + c["phi_b"]
     kappa = c["kappa_a"] * size + c["kappa_b"] * e + c["kappa_c"]
     kappa1 = kappa * kappa + c["kappa_d"]
     kappa2 = two * c["epsilon"] * kappa1 + c["gamma"]
-    proportional = two * kappa * c["kappa_a"] * first + kappa1 * slope
-    by_e = two * kappa * c["kappa_b"] * (sides * size - exactly(problem["l0"]) * e)
+    proportional = two * kappa * c["kappa_a"] * phi_1 + kappa1 * slope
+    by_e = two * kappa * c["kappa_b"] * (sign_interval * size - exactly(problem["l0"]) * e)
     pole = ratio * (by_e + kappa2 * slope) / proportional  # 1/tau_m
     conservative = problem["form"] == "conservative"  # where by_e belongs to phi_1, not to phi_2
     integral = ratio * kappa2 * slope if conservative else ratio * (by_e + kappa2 * slope)
     if "k_o" in c:
         tau_av = exactly(1.0) / (c["k_o"] * proportional)
-        filtered = exactly(1.0) / c["k_o"]
+        filtered_gain = exactly(1.0) / c["k_o"]
         by_pole = integral / (c["k_o"] * proportional)
     else:
         tau_av = c["tau_av"]
-        filtered = tau_av * proportional
+        filtered_gain = tau_av * proportional
         by_pole = tau_av * integral
     nominal = problem["nominal"]
     zeros = np.zeros(sign.shape)
     term = pole / exactly(nominal[1]) if nominal and nominal[2] else Intervals(zeros, zeros)
     gains = {"k_p": proportional, "k_i": integral, "k_n": term, "slide_i": t * integral + by_pole}
     if not conservative:
-        return gains | {"slide_p": proportional + filtered / t}
-    added = {"mean": kappa1 * ratio, "tau_av": tau_av}
+        return gains | {"slide_p": proportional + filtered_gain / t}
+    conservative_gains = {"mean": kappa1 * ratio, "tau_av": tau_av}
     if problem["functions"]["kappa_b"]:
         bends = two * kappa * c["kappa_b"]  # the size of d kappa_1/d e
-        added |= {"k_e": bends * first, "by_e": bends * ratio}
-    return gains | {name: Intervals(gain.low + zeros, gain.high + zeros) for name, gain in added.items()}
+        conservative_gains |= {"k_e": bends * phi_1, "by_e": bends * ratio}
+    return gains | {name: Intervals(gain.low + zeros, gain.high + zeros) for name, gain in conservative_gains.items()}

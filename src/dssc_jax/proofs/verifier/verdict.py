@@ -115,10 +115,10 @@ def require_cover(problem: Problem, boxes: Sequence[Box]) -> None:
     for name, (low, high) in intervals.items():
         ends = {end for box in boxes for end in box[name] if low < end < high}
         grids.append(list(pairwise(sorted({low, high} | ends))) or [(low, high)])
-    for sides in product(*grids):
-        cell = dict(zip(intervals, sides, strict=True))
-        covered = any(is_within(cell, box) for box in boxes)
-        require_premise(covered, f"P1: no box covers {cell}")
+    for cell_sides in product(*grids):
+        cell = dict(zip(intervals, cell_sides, strict=True))
+        is_covered = any(is_within(cell, box) for box in boxes)
+        require_premise(is_covered, f"P1: no box covers {cell}")
 
 
 def is_within(cell: Box, box: Box) -> bool:
@@ -132,27 +132,29 @@ def verified_stages(problem: Problem, proof: BoxProof) -> list[StageLimits]:
     limits: list[StageLimits] = []
     for number, stage in enumerate(proof["stages"], 1):
         label = f"stage {number} of the box {box}"
-        disturbed: Problem = {**problem, "level": stage["level"], "slope": stage["slope"]}
+        stage_problem: Problem = {**problem, "level": stage["level"], "slope": stage["slope"]}
         if limits:
             require_region(limits[-1], arb(ENTERED), stage, f"P4: the stage before {label}")
             require_disturbance(problem, limits[-1], stage, f"P8: the stage before {label}")
         elif problem["rho"] is not None:
-            exceeds = arb(problem["rho"]) > signal_bounds(disturbed, box).offset
+            exceeds = arb(problem["rho"]) > signal_bounds(stage_problem, box).offset
             require_premise(exceeds, "P5: rho does not exceed what disturbance and reference ask for")
         gains = enclosed_gains(problem, stage["sigma"], stage["e"])
-        limits.append(limits_of(disturbed, box, stage, gains, started=number == 1, label=label))
+        limits.append(limits_of(stage_problem, box, stage, gains, from_start=number == 1, label=label))
         if number == 1:
             require_region(limits[0], arb(1), stage, f"P4: {label}")
             require_disturbance(problem, limits[0], stage, f"P8: {label}")
     return limits
 
 
-def limits_of(problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, started: bool, label: str) -> StageLimits:
+def limits_of(
+    problem: Problem, box: Box, stage: AnyStage, gains: Balls, *, from_start: bool, label: str
+) -> StageLimits:
     """The bounds that a stage proves, by its method."""
     if stage["method"] == SMALL_GAIN:
-        return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, started, label)
+        return implied_bounds(problem, box, cast(SmallGainStage, stage), gains, from_start, label)
     require_premise(stage["method"] == INVARIANT_SET, "P0: the method is unknown")
-    return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, started, label)
+    return invariant_bounds(problem, box, cast(InvariantStage, stage), gains, from_start, label)
 
 
 def require_disturbance(problem: Problem, limits: StageLimits, stage: AnyStage, subject: str) -> None:
@@ -173,5 +175,5 @@ def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: s
         change = cast(SmallGainStage, stage)["change"]
         require_premise(limits.change * factor <= arb(change), f"{subject} lets sigma change by more in a sample")
     elif stage["coordinate"] == "u_av":
-        moved = cast(InvariantStage, stage)["moved"]
-        require_premise(limits.moved * factor <= arb(moved), f"{subject} lets e change by more in a sample")
+        error_change = cast(InvariantStage, stage)["moved"]
+        require_premise(limits.moved * factor <= arb(error_change), f"{subject} lets e change by more in a sample")

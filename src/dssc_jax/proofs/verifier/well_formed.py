@@ -135,16 +135,18 @@ def require_problem(content: object) -> Problem:
     require_unmodelled(problem)
     require_sizes(problem["by_state"], 5, "by_state")
     require_sizes(problem["reference"], 3, "reference")
-    by_state = any(problem["by_state"])
-    require_shape(by_state or problem["reference_size"] == 0, "reference_size", "acts on no disturbance")
+    depends_on_state = any(problem["by_state"])
+    require_shape(depends_on_state or problem["reference_size"] == 0, "reference_size", "acts on no disturbance")
     order = len(require_numbers(problem["zero_a"], None, "zero_a"))
     require_shape(order <= MOST_ORDER, "zero_a", f"has more than {MOST_ORDER} items")
     require_numbers(problem["zero_c"], order, "zero_c")
-    moves = any(problem["reference"])
-    require_shape(not moves or not (order or problem["sensor_lag"]), "reference", "moves, which is not covered")
+    reference_moves = any(problem["reference"])
+    require_shape(
+        not reference_moves or not (order or problem["sensor_lag"]), "reference", "moves, which is not covered"
+    )
     initial = require_list(problem["initial"], 2 + order, "initial")
-    wide = sum(low < high for low, high in [require_interval(interval, "initial") for interval in initial])
-    require_shape(wide <= MOST_WIDE, "initial", f"has more than {MOST_WIDE} intervals")
+    interval_count = sum(low < high for low, high in [require_interval(interval, "initial") for interval in initial])
+    require_shape(interval_count <= MOST_WIDE, "initial", f"has more than {MOST_WIDE} intervals")
     require_shape(problem["start"] in STARTS, "start", f"is none of {', '.join(STARTS)}")
     if problem["rho"] is not None:
         require_positive(problem["rho"], "rho")
@@ -197,8 +199,8 @@ def require_functions(content: object, form: object) -> None:
 def require_proof(problem: Problem, content: object) -> BoxProof:
     """A box and stages of the problem's shapes; reject anything else."""
     proof = require_entries(content, BoxProof.__required_keys__, "a proof")
-    sides = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
-    for name, interval in require_entries(proof["box"], sides, "box").items():
+    names = {"k_p", "a_p", "rate"} if problem["denominator"] else {"k_p", "a_p"}
+    for name, interval in require_entries(proof["box"], names, "box").items():
         low, _ = require_interval(interval, f"box.{name}")
         require_shape(name == "a_p" or low > 0, f"box.{name}", "is not positive")
     stages = require_list(proof["stages"], None, "stages")
@@ -226,11 +228,11 @@ def require_stage(problem: Problem, content: object) -> None:
     require_symmetric(stage["p"], n, "p")
     coordinate = stage["coordinate"]
     require_shape(coordinate in COORDINATES, "coordinate", f"is none of {', '.join(COORDINATES)}")
-    conservative = problem["form"] == "conservative"
+    is_conservative = problem["form"] == "conservative"
     if method == SMALL_GAIN:
-        known = problem["functions"]["kind"] in KNOWN_INTEGRALS
-        fits = conservative or known if coordinate == "phi_1" else not conservative
-        require_shape(fits, "coordinate", "does not belong to form and functions")
+        has_known_integral = problem["functions"]["kind"] in KNOWN_INTEGRALS
+        is_allowed = is_conservative or has_known_integral if coordinate == "phi_1" else not is_conservative
+        require_shape(is_allowed, "coordinate", "does not belong to form and functions")
         require_positive(stage["change"], "change")
         require_numbers(stage["gains"], MIDDLE_COUNT, "gains")
         bounds = require_numbers(stage["bounds"], SIGNALS + n, "bounds")
@@ -238,7 +240,7 @@ def require_stage(problem: Problem, content: object) -> None:
         return
     require_numbers(stage["multipliers"], 4 + eta, "multipliers")
     require_not_negative(stage["moved"], "moved")
-    require_shape(coordinate == "u_av" or conservative, "coordinate", "does not belong to the form")
+    require_shape(coordinate == "u_av" or is_conservative, "coordinate", "does not belong to the form")
     require_count(stage["pieces"], MOST_PIECES, "pieces", "is no number of pieces")
     require_count(stage["degree"], MOST_DEGREE, "degree", "is no degree of a polynomial")
 
@@ -251,5 +253,5 @@ def require_count(value: object, limit: int, place: str, rule: str) -> None:
 def require_symmetric(content: object, n: int, place: str) -> None:
     """Reject anything but a symmetric matrix of finite numbers, (n, n)."""
     rows = [require_numbers(row, n, place) for row in require_list(content, n, place)]
-    symmetric = all(rows[i][j] == rows[j][i] for i in range(n) for j in range(i))
-    require_shape(symmetric, place, "is not symmetric")
+    is_symmetric = all(rows[i][j] == rows[j][i] for i in range(n) for j in range(i))
+    require_shape(is_symmetric, place, "is not symmetric")

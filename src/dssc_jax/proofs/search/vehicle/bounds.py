@@ -7,7 +7,13 @@ import numpy as np
 
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.proofs.search.fixed_point import decay_of
-from dssc_jax.proofs.search.vehicle.channels import Linear, planar_channel, sampled, vertical_channel, yaw_channel
+from dssc_jax.proofs.search.vehicle.channels import (
+    LinearChannel,
+    planar_channel,
+    sampled_channel,
+    vertical_channel,
+    yaw_channel,
+)
 from dssc_jax.proofs.search.vehicle.deviations import (
     ChannelDeviations,
     Slopes,
@@ -30,7 +36,7 @@ from dssc_jax.proofs.search.vehicle.waves import derivative, reference_waves, si
 from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 
 INFLATION = 2e-3
-"""By how much a bound in Y is larger than F(Y), as a share, for what the verifier's balls and tails add."""
+"""Excess of a bound in Y over F(Y), as a share, for what the verifier's balls and tails add."""
 FAST = ("alpha_dot", "turn", "gamma", "behind")
 """Signals whose responses last a few samples only, so that sums over pieces of a sample are less exact."""
 FAST_INFLATION = 1.5e-2
@@ -88,7 +94,7 @@ def all_deviations(problem: VehicleProblem, y: Signals, slopes: dict[str, Slopes
     return {name: deviations_of(points_of(problem, name, y[name]["sigma"]), slopes[name]) for name in CHANNELS}
 
 
-def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, Linear]:
+def linear_channels(problem: VehicleProblem, damping: tuple[float, float]) -> dict[str, LinearChannel]:
     """The linear channels."""
     return {
         "x": planar_channel(problem, damping[0]),
@@ -112,15 +118,15 @@ def input_sizes(
 
 
 def with_slopes(
-    problem: VehicleProblem, response: ChannelResponse, seen: np.ndarray, slopes: dict[str, float]
+    problem: VehicleProblem, response: ChannelResponse, point_bounds: np.ndarray, slopes: dict[str, float]
 ) -> dict[str, float]:
     """Bounds at all times, from those at the points of a sample, (points, signals), and the slopes between them."""
-    largest = seen.max(axis=0)
+    largest = point_bounds.max(axis=0)
     eighth = problem.sample_time / 8.0
     return {key: float(largest[i]) + eighth * slopes[key] for i, key in enumerate(response.names)}
 
 
-def seen_bounds(
+def bounds_at_points(
     problem: VehicleProblem, name: str, response: ChannelResponse, deviations: ChannelDeviations, sizes: np.ndarray
 ) -> np.ndarray:
     """F of one channel at the points of a sample, (points, signals), for inputs of these sizes."""
@@ -129,11 +135,11 @@ def seen_bounds(
     bound = axes * (response.gains[..., :2] @ sizes[:2]) + response.gains[..., 2:] @ sizes[2:]
     bound = bound + problem.thrust_deviation * GRAVITY * response.constant + response.known
     by_start = response.starts[..., :2] @ np.array(channel.initial)
-    first = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)
-    return bound + by_start + axes * first * response.starts[..., 2]
+    start_deviation = deviations.of_start(channel.start, problem.first_sigma(name), problem.sample_time)
+    return bound + by_start + axes * start_deviation * response.starts[..., 2]
 
 
-def applied(
+def apply_map(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
     deviations: dict[str, ChannelDeviations],
@@ -146,16 +152,16 @@ def applied(
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
     """
-    totals, couplings = moving(nominal, y)
+    totals, couplings = vehicle_totals(nominal, y)
     remainders, rotors = remainders_of(problem, totals, damping, couplings=couplings)
     slopes = slopes_of(problem, y, remainders, damping)
-    reached: Signals = {}
+    implied: Signals = {}
     for name in CHANNELS:
         response = responses[name]
         sizes = input_sizes(response, deviations[name], totals[name]["sigma"], remainders[name])
-        seen = seen_bounds(problem, name, response, deviations[name], sizes)
-        reached[name] = with_slopes(problem, response, seen, slopes[name])
-    return reached, remainders, rotors
+        point_bounds = bounds_at_points(problem, name, response, deviations[name], sizes)
+        implied[name] = with_slopes(problem, response, point_bounds, slopes[name])
+    return implied, remainders, rotors
 
 
 def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y: Signals, remainders: Signals) -> bool:
@@ -163,12 +169,12 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
     t = problem.sample_time
     for name, channel in problem.channels.items():
         steepest, integral, reach = deviations[name].steepest
-        pushed = remainders[name].get("force", remainders[name].get("torque", 0.0))
+        force = remainders[name].get("force", remainders[name].get("torque", 0.0))
         if name == "z":
-            pushed += problem.thrust_deviation * GRAVITY
-        second = integral * y[name]["sigma"]
-        level = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * second)
-        if level + t * reach * (steepest * (y[name]["bend"] + pushed) + second) > channel.rho:
+            force += problem.thrust_deviation * GRAVITY
+        integral_rate = integral * y[name]["sigma"]
+        level = max(y[name]["u_av"] + deviations[name].distance[0], 0.5 * t * integral_rate)
+        if level + t * reach * (steepest * (y[name]["bend"] + force) + integral_rate) > channel.rho:
             return False
         if channel.start == "zero" and reach * (steepest + t * integral) * problem.first_sigma(name) > channel.rho:
             return False
@@ -176,11 +182,11 @@ def slides(problem: VehicleProblem, deviations: dict[str, ChannelDeviations], y:
 
 
 def vehicle_bounds(
-    problem: VehicleProblem, damping: tuple[float, float], room: float, *, started: bool
+    problem: VehicleProblem, damping: tuple[float, float], room: float, *, from_start: bool
 ) -> VehicleBounds | str:
     """Bounds that imply themselves with this damping of drag, or why there are none: ``gain`` or ``sliding``.
 
-    ``room`` multiplies the room for the verifier. Unless ``started``, the vehicle begins on the nominal flight.
+    ``room`` multiplies the room for the verifier. Unless ``from_start``, the vehicle begins on the nominal flight.
     """
     linear = linear_channels(problem, damping)
     nominal: Nominal | None = None
@@ -188,48 +194,52 @@ def vehicle_bounds(
     regions = {name: max(problem.first_sigma(name), FIRST_REGION) for name in CHANNELS}
     slopes: dict[str, Slopes] = {}
     responses: dict[str, ChannelResponse] = {}
-    chosen: dict[str, float] = {}
+    slope_regions: dict[str, float] = {}
     for _ in range(ROUNDS):
-        renewed = [name for name, region in regions.items() if name not in chosen or moved(region, chosen[name])]
-        for name in renewed:
-            chosen[name] = regions[name]
+        outdated_names = [
+            name
+            for name, region in regions.items()
+            if name not in slope_regions or has_moved(region, slope_regions[name])
+        ]
+        for name in outdated_names:
+            slope_regions[name] = regions[name]
             slopes[name] = best_slopes(points_of(problem, name, regions[name]), joint=problem.reference is not None)
-        if renewed:
-            if not stable(problem, linear, slopes):
+        if outdated_names:
+            if not is_stable(problem, linear, slopes):
                 return "gain"
             nominal = nominal_of(problem, linear, slopes, damping[0])
-        for name in renewed:
-            known = nominal.starts[name] if nominal is not None and started else None
-            response = channel_response(problem, problem.channels[name], linear[name], slopes[name], known)
+        for name in outdated_names:
+            start_offsets = nominal.starts[name] if nominal is not None and from_start else None
+            response = channel_response(problem, problem.channels[name], linear[name], slopes[name], start_offsets)
             if response is None:
                 return "gain"
             responses[name] = response
-        found = fixed_point_from(problem, responses, slopes, y, damping, nominal, chosen, room)
-        if found is None:
+        fixed_point = fixed_point_from(problem, responses, slopes, y, damping, nominal, slope_regions, room)
+        if fixed_point is None:
             return "gain"
-        reached, closed = found
-        totals, _ = moving(nominal, reached)
+        bounds, is_fixed_point = fixed_point
+        totals, _ = vehicle_totals(nominal, bounds)
         regions = {name: totals[name]["sigma"] for name in CHANNELS}
-        if closed and not any(moved(regions[name], chosen[name]) for name in CHANNELS):
-            return accepted(problem, responses, slopes, reached, damping, nominal)
+        if is_fixed_point and not any(has_moved(regions[name], slope_regions[name]) for name in CHANNELS):
+            return checked_bounds(problem, responses, slopes, bounds, damping, nominal)
     return "gain"
 
 
-def moved(region: float, chosen: float) -> bool:
+def has_moved(region: float, slope_region: float) -> bool:
     """Whether a region differs from the one for which the slopes were chosen."""
-    return abs(region - chosen) > REGION_KEPT * chosen
+    return abs(region - slope_region) > REGION_KEPT * slope_region
 
 
-def moving(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
+def vehicle_totals(nominal: Nominal | None, y: Signals) -> tuple[Signals, Couplings | None]:
     """Bounds of the vehicle's signals, and what couples its channels, from bounds of what it deviates by."""
     if nominal is None:
         return y, None
     return nominal.totals(y), nominal.couplings(y)
 
 
-def stable(problem: VehicleProblem, linear: dict[str, Linear], slopes: dict[str, Slopes]) -> bool:
+def is_stable(problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, Slopes]) -> bool:
     """Whether all sampled channels are stable."""
-    steps = [sampled(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
+    steps = [sampled_channel(problem, problem.channels[name], linear[name], slopes[name]) for name in CHANNELS]
     return all(np.max(np.abs(np.linalg.eigvals(step.a))) < 1.0 for step in steps)
 
 
@@ -261,30 +271,32 @@ def fixed_point_from(
     """
     y = start
     for _ in range(ITERATIONS):
-        totals, _ = moving(nominal, y)
+        totals, _ = vehicle_totals(nominal, y)
         deviations = all_deviations(problem, totals, slopes)
         try:
-            reached, _, _ = applied(problem, responses, deviations, y, damping, nominal)
+            implied, _, _ = apply_map(problem, responses, deviations, y, damping, nominal)
         except OutOfRange:
             return None
-        wider = {name: {key: inflated(key, value, room) for key, value in reached[name].items()} for name in CHANNELS}
+        wider = {
+            name: {key: inflated_bound(key, value, room) for key, value in implied[name].items()} for name in CHANNELS
+        }
         growth = max(wider[name][key] / y[name][key] for name in CHANNELS for key in wider[name])
         y = {name: {key: max(value, y[name][key]) for key, value in wider[name].items()} for name in CHANNELS}
         if growth <= 1.0 + SETTLED:
             return y, True
-        outgrown = y if nominal is None else totals  # of a moving vehicle, one step later
-        if any(outgrown[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
+        growing = y if nominal is None else totals  # of a moving vehicle, one step later
+        if any(growing[name]["sigma"] > LARGEST_GROWTH * regions[name] for name in CHANNELS):
             return y, False
     return None
 
 
-def inflated(signal: str, bound: float, room: float) -> float:
+def inflated_bound(signal: str, bound: float, room: float) -> float:
     """A bound with so many times the usual room for the verifier."""
     share = FAST_INFLATION if signal in FAST else INFLATION
     return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 
 
-def accepted(
+def checked_bounds(
     problem: VehicleProblem,
     responses: dict[str, ChannelResponse],
     slopes: dict[str, Slopes],
@@ -293,18 +305,18 @@ def accepted(
     nominal: Nominal | None,
 ) -> VehicleBounds | str:
     """The fixed point as a result, if the loop slides under it."""
-    totals, _ = moving(nominal, y)
+    totals, _ = vehicle_totals(nominal, y)
     deviations = all_deviations(problem, totals, slopes)
-    _, remainders, rotors = applied(problem, responses, deviations, y, damping, nominal)
+    _, remainders, rotors = apply_map(problem, responses, deviations, y, damping, nominal)
     if not slides(problem, deviations, totals, remainders):
         return "sliding"
     return VehicleBounds(dict(slopes), damping, y, rotors, totals)
 
 
-def best_bounds(problem: VehicleProblem, room: float = 1.0, *, started: bool = True) -> VehicleBounds | str:
+def best_bounds(problem: VehicleProblem, room: float = 1.0, *, from_start: bool = True) -> VehicleBounds | str:
     """The bounds with the damping of drag that gives the smallest |e| in the plane, or why there are none.
 
-    ``room`` multiplies the room for the verifier. Unless ``started``, the vehicle begins on the nominal flight.
+    ``room`` multiplies the room for the verifier. Unless ``from_start``, the vehicle begins on the nominal flight.
     """
     wind_h, wind_z = problem.wind
     k_h, k_z = (k / problem.mass[0] for k in problem.structure_drag)
@@ -312,13 +324,13 @@ def best_bounds(problem: VehicleProblem, room: float = 1.0, *, started: bool = T
     if problem.reference is not None:
         speed = math.hypot(speed, max(size(derivative(reference_waves(problem)[axis])) for axis in ("x", "y")))
     damping = (DAMPING_SHARE * k_h * speed, DAMPING_SHARE * k_z * speed)
-    best = vehicle_bounds(problem, damping, room, started=started)
+    best = vehicle_bounds(problem, damping, room, from_start=from_start)
     for step in DAMPING_STEPS:
-        best = better(best, vehicle_bounds(problem, (step * damping[0], damping[1]), room, started=started))
+        best = better(best, vehicle_bounds(problem, (step * damping[0], damping[1]), room, from_start=from_start))
     if problem.reference is not None and not isinstance(best, str):
         coarse = best.damping[0]
         for step in FINE_STEPS:
-            best = better(best, vehicle_bounds(problem, (step * coarse, damping[1]), room, started=started))
+            best = better(best, vehicle_bounds(problem, (step * coarse, damping[1]), room, from_start=from_start))
     return best
 
 
@@ -329,24 +341,24 @@ def better(best: VehicleBounds | str, trial: VehicleBounds | str) -> VehicleBoun
     return trial if isinstance(best, str) or trial.error < best.error else best
 
 
-def proof_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
+def proof_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
     """The proof as a certificate holds it."""
-    channels = middle_of(problem, found)
+    channels = middle_of(problem, result)
     for name in CHANNELS:
-        channels[name]["bounds"] = found.bounds[name]
+        channels[name]["bounds"] = result.bounds[name]
     return {"channels": channels, "cells": None, "settled": None}
 
 
-def middle_of(problem: VehicleProblem, found: VehicleBounds) -> JsonObject:
+def middle_of(problem: VehicleProblem, result: VehicleBounds) -> JsonObject:
     """Slopes, damping of drag, lambda and P of each channel, as a certificate holds them."""
-    linear = linear_channels(problem, found.damping)
+    linear = linear_channels(problem, result.damping)
     channels: JsonObject = {}
-    for name, damping in zip(CHANNELS, (*found.damping, 0.0), strict=True):
-        step = sampled(problem, problem.channels[name], linear[name], found.slopes[name])
-        falls, p = decay_of(step.a)
-        rate = falls / problem.sample_time
+    for name, damping in zip(CHANNELS, (*result.damping, 0.0), strict=True):
+        step = sampled_channel(problem, problem.channels[name], linear[name], result.slopes[name])
+        decay, p = decay_of(step.a)
+        rate = decay / problem.sample_time
         channels[name] = {
-            "slopes": list(found.slopes[name][:3]), "share": found.slopes[name][3], "drag_damping": damping,
+            "slopes": list(result.slopes[name][:3]), "share": result.slopes[name][3], "drag_damping": damping,
             "rate": rate, "p": p.tolist(),
         }  # fmt: skip
     return channels

@@ -14,14 +14,14 @@ from dssc_jax.proofs.search.vehicle.bounds import (
     VehicleBounds,
     axes_of,
     best_bounds,
-    inflated,
+    inflated_bound,
     input_sizes,
+    is_stable,
     linear_channels,
     middle_of,
-    moving,
     proof_of,
     slides,
-    stable,
+    vehicle_totals,
     with_slopes,
 )
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY
@@ -101,15 +101,15 @@ class DeviationTable:
         self.problem = problem
         self.name = name
         self.slopes = slopes
-        self.known: dict[int, ChannelDeviations] = {}
+        self.entries: dict[int, ChannelDeviations] = {}
 
     def at(self, sigma: float) -> ChannelDeviations:
         """The deviations in the smallest tabulated region that holds |sigma|."""
         step = math.ceil(math.log(max(sigma, SMALLEST_REGION)) / math.log(TABLE_RATIO))
-        if step not in self.known:
+        if step not in self.entries:
             region = TABLE_RATIO**step
-            self.known[step] = deviations_of(points_of(self.problem, self.name, region), self.slopes)
-        return self.known[step]
+            self.entries[step] = deviations_of(points_of(self.problem, self.name, region), self.slopes)
+        return self.entries[step]
 
 
 def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
@@ -117,26 +117,26 @@ def cell_bounds(problem: VehicleProblem, room: float = 1.0) -> CellBounds | str:
     settled = settled_bounds(problem, room)
     if isinstance(settled, str):
         return settled
-    found: CellBounds | str = "gain"
-    moves = problem.reference is not None
-    for duration, horizon in MOVING_LAYOUTS if moves else LAYOUTS:
+    result: CellBounds | str = "gain"
+    has_reference = problem.reference is not None
+    for duration, horizon in MOVING_LAYOUTS if has_reference else LAYOUTS:
         samples = max(1, round(duration / problem.sample_time))
-        for share, widening in MOVING_REGIONS if moves else REGIONS:
+        for share, widening in MOVING_REGIONS if has_reference else REGIONS:
             slopes = {name: slopes_between(problem, name, settled.regions[name], share, widening) for name in CHANNELS}
-            found = marched(problem, settled, slopes, samples, round(horizon / duration), room)
-            if not isinstance(found, str):
-                return found
-    return found
+            result = march(problem, settled, slopes, samples, round(horizon / duration), room)
+            if not isinstance(result, str):
+                return result
+    return result
 
 
 def slopes_between(problem: VehicleProblem, name: str, sigma: float, share: float, widening: float) -> Slopes:
     """The best slopes for a region between that of the settled vehicle and that of the start, or a wider one."""
-    first = problem.first_sigma(name)
-    region = sigma * (first / sigma) ** share if first > sigma else sigma
+    start_sigma = problem.first_sigma(name)
+    region = sigma * (start_sigma / sigma) ** share if start_sigma > sigma else sigma
     return best_slopes(points_of(problem, name, widening * region), joint=problem.reference is not None)
 
 
-def marched(
+def march(
     problem: VehicleProblem,
     settled: VehicleBounds,
     slopes: dict[str, Slopes],
@@ -146,18 +146,18 @@ def marched(
 ) -> CellBounds | str:
     """Bounds of ``count`` cells and of the time after them, with given slopes and damping of drag."""
     linear = linear_channels(problem, settled.damping)
-    if not stable(problem, linear, slopes):
+    if not is_stable(problem, linear, slopes):
         return "gain"
     nominal = nominal_of(problem, linear, slopes, settled.damping[0])
     kernels = {}
     for name in CHANNELS:
         channel = problem.channels[name]
-        known = None if nominal is None else nominal.starts[name]
-        response = channel_response(problem, channel, linear[name], slopes[name], known)
+        start_offsets = None if nominal is None else nominal.starts[name]
+        response = channel_response(problem, channel, linear[name], slopes[name], start_offsets)
         if response is None:
             return "gain"
         length = samples * (count + EXTRA_CELLS)
-        series = channel_series(problem, channel, linear[name], slopes[name], length, known)
+        series = channel_series(problem, channel, linear[name], slopes[name], length, start_offsets)
         kernels[name] = kernels_of(problem, name, response, series, samples, count)
     tables = {name: DeviationTable(problem, name, slopes[name]) for name in CHANNELS}
     cells: list[Signals] = []
@@ -165,31 +165,31 @@ def marched(
     rotors: Rotors | None = None
     y: Signals = {name: dict.fromkeys(kernels[name].response.names, 1e-9) for name in CHANNELS}
     for _ in range(count + 1):
-        closed = closed_cell(
+        fixed_point = cell_fixed_point(
             problem, kernels, tables, inputs, settled.damping, nominal, y, rotors, room, final=len(cells) == count
         )
-        if closed is None:
+        if fixed_point is None:
             return "gain"
-        y, sizes, rotors = closed
+        y, sizes, rotors = fixed_point
         cells.append(y)
         for name in CHANNELS:
             inputs[name].append(sizes[name])
-    if not slides_in_all(problem, tables, cells, settled.damping, nominal):
+    if not slides_in_all_cells(problem, tables, cells, settled.damping, nominal):
         return "sliding"
     assert rotors is not None
-    totals, _ = moving(nominal, cells[-1])
+    totals, _ = vehicle_totals(nominal, cells[-1])
     final = VehicleBounds(slopes, settled.damping, cells[-1], rotors, totals)
     return CellBounds(final, settled, samples, cells[:-1])
 
 
-def cells_proof_of(problem: VehicleProblem, found: CellBounds) -> JsonObject:
+def cells_proof_of(problem: VehicleProblem, result: CellBounds) -> JsonObject:
     """The proof as a certificate holds it."""
     bounds = {
-        name: {key: [cell[name][key] for cell in found.cells] for key in found.cells[0][name]} for name in CHANNELS
+        name: {key: [cell[name][key] for cell in result.cells] for key in result.cells[0][name]} for name in CHANNELS
     }
-    cells = {"samples": found.samples, "bounds": bounds}
-    settled = None if problem.reference is not None else middle_of(problem, found.settled)
-    return proof_of(problem, found.final) | {"cells": cells, "settled": settled}
+    cells = {"samples": result.samples, "bounds": bounds}
+    settled = None if problem.reference is not None else middle_of(problem, result.settled)
+    return proof_of(problem, result.final) | {"cells": cells, "settled": settled}
 
 
 def kernels_of(
@@ -222,7 +222,7 @@ def with_last(values: np.ndarray, count: int) -> np.ndarray:
     return np.concatenate([values[:count], values[count:].max(axis=0)[None]])
 
 
-def closed_cell(
+def cell_fixed_point(
     problem: VehicleProblem,
     kernels: dict[str, Kernels],
     tables: dict[str, DeviationTable],
@@ -240,33 +240,33 @@ def closed_cell(
     The search for the fixed point begins at the bounds of the cell before: in the last cell, smaller bounds are not
     better ones, since earlier inputs exceed them by more.
     """
-    base = {name: begun(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
+    base = {name: start_effects(problem, name, kernels[name], tables[name], len(inputs[name])) for name in CHANNELS}
     y = start
     for _ in range(ITERATIONS):
-        totals, couplings = moving(nominal, y)
+        totals, couplings = vehicle_totals(nominal, y)
         try:
             remainders, rotors = remainders_of(problem, totals, damping, earlier, couplings)
         except OutOfRange:
             return None
         slopes = slopes_of(problem, y, remainders, damping)
         sizes = {}
-        reached = {}
+        implied = {}
         for name in CHANNELS:
             kernel = kernels[name]
             sigma = totals[name]["sigma"]
             sizes[name] = input_sizes(kernel.response, tables[name].at(sigma), sigma, remainders[name])
-            rows = base[name] + caused(kernel, inputs[name], sizes[name], final=final)
-            seen = rows.reshape(kernel.response.gains.shape[:2])
-            bounds = with_slopes(problem, kernel.response, seen, slopes[name])
-            reached[name] = {key: inflated(key, bound, room) for key, bound in bounds.items()}
-        changes = [abs(reached[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in reached[name]]
-        y = reached
+            rows = base[name] + input_effects(kernel, inputs[name], sizes[name], final=final)
+            point_bounds = rows.reshape(kernel.response.gains.shape[:2])
+            bounds = with_slopes(problem, kernel.response, point_bounds, slopes[name])
+            implied[name] = {key: inflated_bound(key, bound, room) for key, bound in bounds.items()}
+        changes = [abs(implied[name][key] / y[name][key] - 1.0) for name in CHANNELS for key in implied[name]]
+        y = implied
         if max(changes) <= SETTLED:
             return y, sizes, rotors
     return None
 
 
-def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
+def input_effects(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
     """Bounds of the effects in a cell of the inputs of earlier cells and of its own, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
@@ -282,15 +282,15 @@ def caused(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, fi
     return result - np.einsum("cri,ci->r", kernel.lower[:count][::-1], np.maximum(-changes, 0.0))
 
 
-def begun(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
+def start_effects(problem: VehicleProblem, name: str, kernel: Kernels, table: DeviationTable, cell: int) -> np.ndarray:
     """Bounds of the effects in a cell of the start and of the constant, (rows,)."""
-    first = problem.first_sigma(name)
-    deviation = table.at(first).of_start(problem.channels[name].start, first, problem.sample_time)
+    start_sigma = problem.first_sigma(name)
+    deviation = table.at(start_sigma).of_start(problem.channels[name].start, start_sigma, problem.sample_time)
     result = kernel.starts[cell, :, 0] + deviation * kernel.starts[cell, :, 1]
     return result + problem.thrust_deviation * GRAVITY * kernel.constant[cell]
 
 
-def slides_in_all(
+def slides_in_all_cells(
     problem: VehicleProblem,
     tables: dict[str, DeviationTable],
     cells: list[Signals],
@@ -299,7 +299,7 @@ def slides_in_all(
 ) -> bool:
     """Whether the loop slides under the largest bounds of all cells."""
     largest = {name: {key: max(y[name][key] for y in cells) for key in cells[0][name]} for name in CHANNELS}
-    totals, couplings = moving(nominal, largest)
+    totals, couplings = vehicle_totals(nominal, largest)
     try:
         remainders, _ = remainders_of(problem, totals, damping, couplings=couplings)
     except OutOfRange:
@@ -311,4 +311,4 @@ def slides_in_all(
 def settled_bounds(problem: VehicleProblem, room: float) -> VehicleBounds | str:
     """Bounds of the vehicle that starts at rest, or on the nominal flight, or why there are none."""
     resting = {name: replace(channel, initial=(0.0, 0.0)) for name, channel in problem.channels.items()}
-    return best_bounds(replace(problem, channels=resting), room, started=False)
+    return best_bounds(replace(problem, channels=resting), room, from_start=False)

@@ -16,7 +16,7 @@ Signal: TypeAlias = tuple[np.ndarray, float]
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearChannel:
     """A linear channel chi' = A_c chi + B_c U + sum of b_j r_j with signals C chi + d U.
 
     Args:
@@ -33,7 +33,7 @@ class Linear:
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledChannel:
     """One sample of a channel: z+ = A z, z = (chi, earlier commands, q).
 
     Args:
@@ -53,7 +53,7 @@ class Sampled:
     u_av: np.ndarray
 
 
-class Parts:
+class ChannelParts:
     """The parts of a linear channel while it is put together, see :class:`Linear`.
 
     ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's share
@@ -82,7 +82,7 @@ class Parts:
         self.remainders["lag"] = state
         self.signals |= {response: (state, 0.0), "behind": error}
 
-    def channel(self, controller: ChannelProblem) -> Linear:
+    def channel(self, controller: ChannelProblem) -> LinearChannel:
         """The channel, with the signals e, e', sigma and the slope of sigma."""
         e, e_dot = self.states[:2]
         errors = {
@@ -91,10 +91,10 @@ class Parts:
             "sigma": (e_dot + controller.l0 * e, 0.0),
             "bend": (self.slopes[1] + controller.l0 * e_dot, self.control[1]),
         }
-        return Linear(self.slopes, self.control, self.remainders, errors | self.signals)
+        return LinearChannel(self.slopes, self.control, self.remainders, errors | self.signals)
 
 
-def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
+def planar_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     """The channel of x and y: chi = (e, e', alpha, alpha'), or with a lag (e, e', alpha, alpha', gamma).
 
     ``damping`` is that of drag [1/s].
@@ -102,7 +102,7 @@ def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
     k_v = problem.velocity_gain
     a_0 = problem.stiffness
     a_1 = problem.damping
-    parts = Parts(4, lag=problem.rotor_lag > 0.0)
+    parts = ChannelParts(4, lag=problem.rotor_lag > 0.0)
     _, e_dot, alpha, alpha_dot = parts.states[:4]
     demand = (-k_v * e_dot, k_v)
     turn = (a_0 * (demand[0] - alpha) - a_1 * alpha_dot, a_0 * k_v)
@@ -114,13 +114,13 @@ def planar_channel(problem: VehicleProblem, damping: float) -> Linear:
     return parts.channel(problem.channels["x"])
 
 
-def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
+def vertical_channel(problem: VehicleProblem, damping: float) -> LinearChannel:
     """The channel of z: chi = (e, e'), or with a lag (e, e', q), where q is the acceleration that the rotors achieve.
 
     ``damping`` is that of drag [1/s].
     """
     k_v = problem.velocity_gain
-    parts = Parts(2, lag=problem.rotor_lag > 0.0)
+    parts = ChannelParts(2, lag=problem.rotor_lag > 0.0)
     e_dot = parts.states[1]
     demand = (-k_v * e_dot, k_v)
     parts.slopes[0] = e_dot
@@ -131,9 +131,9 @@ def vertical_channel(problem: VehicleProblem, damping: float) -> Linear:
     return parts.channel(problem.channels["z"])
 
 
-def yaw_channel(problem: VehicleProblem) -> Linear:
+def yaw_channel(problem: VehicleProblem) -> LinearChannel:
     """The channel of psi: chi = (e, psi', I), or with a lag (e, psi', I, gamma_psi); I is the integral of U - psi'."""
-    parts = Parts(3, lag=problem.rotor_lag > 0.0)
+    parts = ChannelParts(3, lag=problem.rotor_lag > 0.0)
     _, rate, integral = parts.states[:3]
     follow = (-rate, 1.0)
     demand = (-problem.yaw_gain * rate + problem.yaw_integral_gain * integral, problem.yaw_gain)
@@ -145,17 +145,19 @@ def yaw_channel(problem: VehicleProblem) -> Linear:
     return parts.channel(problem.channels["psi"])
 
 
-def flow(linear: Linear, time: float) -> tuple[np.ndarray, np.ndarray]:
+def flow(linear: LinearChannel, time: float) -> tuple[np.ndarray, np.ndarray]:
     """exp(F t), and what a command 1 held for this time adds to chi."""
     m = linear.g.size
     generator = np.zeros((m + 1, m + 1))
     generator[:m, :m] = linear.f
     generator[:m, m] = linear.g
-    held = expm(generator * time)
-    return held[:m, :m], held[:m, m]
+    exponential = expm(generator * time)
+    return exponential[:m, :m], exponential[:m, m]
 
 
-def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Sampled:
+def sampled_channel(
+    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
+) -> SampledChannel:
     """One sample with slopes k_1, k_2, k_3 of the functions, and the share of omega_u in omega_q."""
     k_1, k_2, k_3, share = slopes
     t = problem.sample_time
@@ -186,4 +188,4 @@ def sampled(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, sl
             a[m + i] = unit[m + i - 1]
     a[n - 1] = q
     by_sum = t * (u + unit[n - 1])
-    return Sampled(a, acting, weights[0], u + share * by_sum, by_sum, q + k_1 * sigma)
+    return SampledChannel(a, acting, weights[0], u + share * by_sum, by_sum, q + k_1 * sigma)

@@ -45,13 +45,13 @@ class ChannelDeviations:
         """Bound of what omega_q has besides its share of omega_u."""
         return min(self.distance[1], self.ratio[1] * sigma)
 
-    def of_start(self, start: str, first: float, sample_time: float) -> float:
+    def of_start(self, start: str, start_sigma: float, sample_time: float) -> float:
         """Bound of what q_(-1) deviates by, at the first |sigma|; ``midpoint`` takes all of omega_q."""
         if start == "zero":
             return 0.0
-        deviation = min(self.distance[0], self.ratio[0] * first)
+        deviation = min(self.distance[0], self.ratio[0] * start_sigma)
         if start == "midpoint":
-            integral = self.of_integral(first) + abs(self.slopes[3]) * self.of_command(first)
+            integral = self.of_integral(start_sigma) + abs(self.slopes[3]) * self.of_command(start_sigma)
             deviation += 0.5 * sample_time * integral
         return deviation
 
@@ -78,11 +78,14 @@ def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
     """
     size = np.abs(points.sigma)
     columns = points.columns
-    combined = nearest_slope(size, columns["mean"] + columns["k_n"])
+    command_slope = nearest_slope(size, columns["mean"] + columns["k_n"])
     pole = float(np.mean(columns["k_n"]))
-    second = nearest_slope(size, columns["k_i"])
-    share = nearest_share(size, columns["k_i"] - second, columns["mean"] + columns["k_n"] - combined) if joint else 0.0
-    return combined - pole, second, pole, share
+    integral_slope = nearest_slope(size, columns["k_i"])
+    share = 0.0
+    if joint:
+        command_rest = columns["mean"] + columns["k_n"] - command_slope
+        share = nearest_share(size, columns["k_i"] - integral_slope, command_rest)
+    return command_slope - pole, integral_slope, pole, share
 
 
 def nearest_share(size: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
@@ -105,9 +108,9 @@ def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
 
 
 def lowest(height: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function is smallest between two ends."""
-    found = minimize_scalar(height, bounds=(low, high), method="bounded")
-    return float(found.x)
+    """The place between two ends at which a function is smallest."""
+    minimum = minimize_scalar(height, bounds=(low, high), method="bounded")
+    return float(minimum.x)
 
 
 def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
@@ -122,13 +125,18 @@ def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     scale = columns["mean"] + columns["k_n"]
     ratios = (columns["mean"], columns["k_i"] - slopes[3] * scale, scale)
     straight = (slopes[0], slopes[1] - slopes[3] * (slopes[0] + slopes[2]), slopes[0] + slopes[2])
-    first, second, combined = (distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True))
-    second *= SHARED_ROOM if slopes[3] else 1.0
+    distance_1, distance_2, distance_b = (
+        distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True)
+    )
+    distance_2 *= SHARED_ROOM if slopes[3] else 1.0
     share_1, share_2, share_b = (
         RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
     )
     steepest = float(np.max(columns["k_p"]))
     reach = float(np.max(columns["slide_p"])) / steepest
     return ChannelDeviations(
-        slopes, (first, second, combined), (share_1, share_2, share_b), (steepest, float(np.max(columns["k_i"])), reach)
+        slopes,
+        (distance_1, distance_2, distance_b),
+        (share_1, share_2, share_b),
+        (steepest, float(np.max(columns["k_i"])), reach),
     )

@@ -10,16 +10,16 @@ from fractions import Fraction
 import numpy as np
 from scipy.linalg import expm
 
-from dssc_jax.proofs.search.vehicle.channels import GRAVITY, Linear, sampled
+from dssc_jax.proofs.search.vehicle.channels import GRAVITY, LinearChannel, sampled_channel
 from dssc_jax.proofs.search.vehicle.remainders import Couplings, Signals
 from dssc_jax.proofs.search.vehicle.responses import ONE_AXIS, POINTS, start_share
 from dssc_jax.proofs.search.vehicle.waves import (
     Waves,
     derivative,
+    multiple,
     product,
     rate_of,
     reference_waves,
-    scaled,
     size,
     total,
 )
@@ -80,12 +80,12 @@ class Drive:
     Args:
         reference: y_m without its constant.
         inputs: The known parts, by remainder.
-        compared: Sums of sines with which a signal is compared: the signal, by the name of the difference.
+        comparisons: Sums of sines with which a signal is compared: the signal, by the name of the difference.
     """
 
     reference: Waves
     inputs: dict[str, Waves] = field(default_factory=dict)
-    compared: dict[str, tuple[str, Waves]] = field(default_factory=dict)
+    comparisons: dict[str, tuple[str, Waves]] = field(default_factory=dict)
 
     @property
     def frequencies(self) -> set[Fraction]:
@@ -109,7 +109,7 @@ class Answer:
 
 
 def nominal_of(
-    problem: VehicleProblem, linear: dict[str, Linear], slopes: dict[str, tuple[float, ...]], damping: float
+    problem: VehicleProblem, linear: dict[str, LinearChannel], slopes: dict[str, tuple[float, ...]], damping: float
 ) -> Nominal | None:
     """The nominal flight of channels with given slopes and damping of drag in the plane; None without a reference."""
     if problem.reference is None:
@@ -122,10 +122,12 @@ def nominal_of(
         columns = []
         for axis in AXES_OF[name]:
             drive = drives[axis]
-            found = {f: answer_of(problem, name, linear[name], slopes[name], drive, f) for f in drive.frequencies}
-            answers.append(found)
-            flown = np.sum([np.real(answer.state) for answer in found.values()], axis=0)
-            columns.append(first_state(problem, name, slopes[name], drive, len(flown)) - flown)
+            answers_by_frequency = {
+                f: answer_of(problem, name, linear[name], slopes[name], drive, f) for f in drive.frequencies
+            }
+            answers.append(answers_by_frequency)
+            flight_state = np.sum([np.real(answer.state) for answer in answers_by_frequency.values()], axis=0)
+            columns.append(first_state(problem, name, slopes[name], drive, len(flight_state)) - flight_state)
         bounds[name] = bounds_of(problem, answers)
         starts[name] = np.stack(columns, axis=-1)
     lift = size(derivative(derivative(drives["z"].reference)))
@@ -137,62 +139,67 @@ def drives_of(problem: VehicleProblem, damping: float) -> dict[str, Drive]:
     references = reference_waves(problem)
     speeds = {axis: derivative(waves) for axis, waves in references.items()}
     bends = {axis: derivative(waves) for axis, waves in speeds.items()}
-    alpha_0 = {axis: total(bends[axis], scaled(speeds[axis], damping)) for axis in ("x", "y")}
-    quarter_turn = {"x": scaled(alpha_0["y"], -1.0), "y": alpha_0["x"]}
+    alpha_0 = {axis: total(bends[axis], multiple(speeds[axis], damping)) for axis in ("x", "y")}
+    quarter_turn = {"x": multiple(alpha_0["y"], -1.0), "y": alpha_0["x"]}
     drives = {"psi": Drive(references["psi"], {}, {"yaw_gap": ("rate", speeds["psi"])})}
     drives["z"] = Drive(references["z"], {}, {"lift_gap": ("wanted", bends["z"])})
     for axis in ("x", "y"):
-        lifted = product(bends["z"], alpha_0[axis], 1.0 / GRAVITY)
-        swung = product(speeds["psi"], quarter_turn[axis], problem.damping)
-        inputs = {"force": lifted, "torque": total(swung, scaled(lifted, -problem.stiffness))}
-        compared = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
-        drives[axis] = Drive(references[axis], inputs, compared)
+        lift_force = product(bends["z"], alpha_0[axis], 1.0 / GRAVITY)
+        yaw_torque = product(speeds["psi"], quarter_turn[axis], problem.damping)
+        inputs = {"force": lift_force, "torque": total(yaw_torque, multiple(lift_force, -problem.stiffness))}
+        comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
+        drives[axis] = Drive(references[axis], inputs, comparisons)
     return drives
 
 
 def answer_of(
-    problem: VehicleProblem, name: str, linear: Linear, slopes: tuple[float, ...], drive: Drive, frequency: Fraction
+    problem: VehicleProblem,
+    name: str,
+    linear: LinearChannel,
+    slopes: tuple[float, ...],
+    drive: Drive,
+    frequency: Fraction,
 ) -> Answer:
     """The steady answer of a channel to what drives it at one frequency."""
     channel = problem.channels[name]
-    step = sampled(problem, channel, linear, slopes)
+    step = sampled_channel(problem, channel, linear, slopes)
     k_1, k_2, k_3, _ = slopes
     t = problem.sample_time
     w = rate_of(frequency)
     m, n = linear.g.size, step.a.shape[0]
     speed = 1j * w * drive.reference.get(frequency, 0.0)
-    bend = 1j * w * speed
-    pushed = {key: waves.get(frequency, 0.0) for key, waves in drive.inputs.items()}
-    forces = -speed * np.eye(m)[0] + sum(phasor * linear.b[key] for key, phasor in pushed.items())
+    acceleration = 1j * w * speed
+    input_phasors = {key: waves.get(frequency, 0.0) for key, waves in drive.inputs.items()}
+    forces = -speed * np.eye(m)[0] + sum(phasor * linear.b[key] for key, phasor in input_phasors.items())
     by_sum = -t * k_2 * speed
     command = (k_1 + k_3) * speed - by_sum
     if channel.nominal:
-        command = command + (channel.l0 * speed + bend) / channel.nominal[1]
+        command = command + (channel.l0 * speed + acceleration) / channel.nominal[1]
     generator = np.zeros((m + 2, m + 2), complex)
     generator[:m, :m] = linear.f
     generator[:m, m] = linear.g
     generator[:m, m + 1] = forces
     generator[m + 1, m + 1] = 1j * w
-    held = expm(generator * t)
-    moved = np.zeros(n, complex)
-    moved[:m] = held[:m, m] * step.direct * command + held[:m, m + 1]
+    exponential = expm(generator * t)
+    sample_input = np.zeros(n, complex)
+    sample_input[:m] = exponential[:m, m] * step.direct * command + exponential[:m, m + 1]
     if n > m + 1:
-        moved[m] = command
-    moved[n - 1] = by_sum
-    state = np.linalg.solve(np.exp(1j * w * t) * np.eye(n) - step.a, moved)
+        sample_input[m] = command
+    sample_input[n - 1] = by_sum
+    state = np.linalg.solve(np.exp(1j * w * t) * np.eye(n) - step.a, sample_input)
     begin = np.concatenate([state[:m], [step.acting @ state + step.direct * command, 1.0]])
     rows = {key: np.array([*c, d, 0.0], complex) for key, (c, d) in linear.signals.items()}
     rows["rate"] = np.array([*linear.signals["e_dot"][0], 0.0, 0.0], complex)
     rows["e_dot"][-1] = -speed
     rows["sigma"][-1] = -speed
-    rows["bend"][-1] = pushed.get("force", 0.0) - bend - channel.l0 * speed
-    for gap, (key, waves) in drive.compared.items():
+    rows["bend"][-1] = input_phasors.get("force", 0.0) - acceleration - channel.l0 * speed
+    for gap, (key, waves) in drive.comparisons.items():
         rows[gap] = np.array(rows[key])
         rows[gap][-1] -= waves.get(frequency, 0.0)
     table = np.stack(list(rows.values()))
-    seen = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
+    phasors_at_points = np.stack([table @ expm(generator * share * t) @ begin for share in POINTS], axis=-1)
     slope = np.stack([table @ expm(generator * share * t) @ generator @ begin for share in (0.0, 0.5, 1.0)], axis=-1)
-    signals = dict(zip(rows, seen, strict=True))
+    signals = dict(zip(rows, phasors_at_points, strict=True))
     signals["u_av"] = np.full(len(POINTS), step.u_av @ state + by_sum - k_1 * speed)
     return Answer(state, signals, dict(zip(rows, slope, strict=True)))
 
@@ -213,21 +220,26 @@ def bounds_of(problem: VehicleProblem, answers: list[dict[Fraction, Answer]]) ->
     """Bounds of all signals from the answers of one axis or of both axes of the plane."""
     eighth = problem.sample_time / 8.0
     frequencies = set().union(*answers)
-    first = next(iter(answers[0].values()))
+    first_answer = next(iter(answers[0].values()))
     result = {}
-    for key in first.signals:
+    for key in first_answer.signals:
         largest = np.zeros(len(answers))
         norm = 0.0
         for f in frequencies:
-            parts = [answer.get(f) for answer in answers]
-            seen = [np.zeros(len(POINTS)) if part is None else part.signals[key] for part in parts]
-            slopes = [np.zeros(1) if part is None or key == "u_av" else part.slopes[key] for part in parts]
+            axis_answers = [answer.get(f) for answer in answers]
+            phasors = [np.zeros(len(POINTS)) if answer is None else answer.signals[key] for answer in axis_answers]
+            has_slope = key != "u_av"
+            slopes = [
+                answer.slopes[key] if answer is not None and has_slope else np.zeros(1) for answer in axis_answers
+            ]
             growth = [eighth * SLOPE_ROOM * np.max(np.abs(slope)) for slope in slopes]
-            largest += [np.max(np.abs(phasors)) + added for phasors, added in zip(seen, growth, strict=True)]
+            largest += [np.max(np.abs(values)) + increment for values, increment in zip(phasors, growth, strict=True)]
             if len(answers) == 2:
-                circles = 0.5 * (np.abs(seen[0] + 1j * seen[1]) + np.abs(seen[0] - 1j * seen[1]))
-                turned = 0.5 * (np.abs(slopes[0] + 1j * slopes[1]) + np.abs(slopes[0] - 1j * slopes[1]))
-                norm += np.max(circles) + eighth * SLOPE_ROOM * np.max(turned)
+                x, y = phasors
+                circles = 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
+                x, y = slopes
+                circle_slopes = 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
+                norm += np.max(circles) + eighth * SLOPE_ROOM * np.max(circle_slopes)
         along_axes = len(answers) == 1 or key in ONE_AXIS
         result[key] = ROOM * float(np.max(largest) if along_axes else norm)
     return result

@@ -171,8 +171,8 @@ def moments_of(problem: VehicleProblem, at: Attitude) -> Moments:
     s = at.tilt
     coupled_h = at.frame_h + j_h * at.rate_h * at.rate_z
     coupled_z = at.frame_z + j_z * at.rate_h**2 / 2.0
-    turned = problem.damping * at.yaw_rate * s + s * at.wanted_yaw + s**2 * at.wanted_tilt / 2.0 + coupled_h
-    plane = GRAVITY * (problem.stiffness * at.desired + turned)
+    turn_terms = problem.damping * at.yaw_rate * s + s * at.wanted_yaw + s**2 * at.wanted_tilt / 2.0 + coupled_h
+    plane = GRAVITY * (problem.stiffness * at.desired + turn_terms)
     return Moments(plane, s * at.wanted_tilt + s**2 * at.wanted_yaw / 2.0 + coupled_z)
 
 
@@ -194,9 +194,9 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     mass = problem.believed_mass
     plane = at.wanted_tilt + at.tilt * at.wanted_yaw + at.frame_h + j_h * at.rate_h * at.rate_z
     yaw = at.wanted_yaw + at.tilt * at.wanted_tilt + at.frame_z + j_z * at.rate_h**2 / 2.0
-    added = share_of_moments(problem, plane, yaw)
-    smallest = mass * (GRAVITY - at.lift) / n - added
-    largest = mass * (GRAVITY + at.lift) * at.secant / n + added
+    moment_thrust = share_of_moments(problem, plane, yaw)
+    smallest = mass * (GRAVITY - at.lift) / n - moment_thrust
+    largest = mass * (GRAVITY + at.lift) * at.secant / n + moment_thrust
     if not (smallest > 0.0 and largest < problem.rotor_limit):
         raise OutOfRange
     if problem.rotor_lag and earlier is not None:
@@ -209,10 +209,10 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
     shortfall = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
     shortfall += mass * y["z"]["behind"] * at.secant / n
-    bent = math.sqrt(n - 4) * shortfall / (2.0 * smallest)
-    if bent >= 1.0:
+    curvature = math.sqrt(n - 4) * shortfall / (2.0 * smallest)
+    if curvature >= 1.0:
         raise OutOfRange
-    shortfall = 2.0 * shortfall / (1.0 + math.sqrt(1.0 - bent))
+    shortfall = 2.0 * shortfall / (1.0 + math.sqrt(1.0 - curvature))
     if n > 4 and earlier is not None:
         shortfall = max(shortfall, earlier.shortfall)
     defect = shortfall**2 / (4.0 * problem.rotor_lag * smallest)
@@ -240,16 +240,16 @@ def air_of(problem: VehicleProblem, y: Signals, at: Attitude, rotors: Rotors, da
     k_h, k_z = (k / lightest for k in problem.structure_drag)
     propellers = problem.propeller_drag
     linear = propellers * rotors.sum / lightest
-    tilted = abs(k_h - k_z) * speed
+    tilt_drag = abs(k_h - k_z) * speed
     half = 0.5 * problem.rotors * rotors.spread
-    swung = propellers * problem.arm * half * at.rate / lightest
+    swing_drag = propellers * problem.arm * half * at.rate / lightest
     plane = drag_in_plane(own_h, wind_h, (k_h, linear), speed_z, damping[0])
     vertical = drag_along(own_z, wind_z, (k_z, linear), speed_h, damping[1])
     torque = propellers * problem.arm * (half * speed + problem.arm * rotors.sum * at.rate)
     j_h = min(problem.inertia[0][0], problem.inertia[1][0])
     return Air(
-        plane + tilted * (at.tilt * speed_h + speed_z) * at.tilt + swung,
-        vertical + tilted * (at.tilt**2 * speed_z + at.tilt * speed_h) + swung,
+        plane + tilt_drag * (at.tilt * speed_h + speed_z) * at.tilt + swing_drag,
+        vertical + tilt_drag * (at.tilt**2 * speed_z + at.tilt * speed_h) + swing_drag,
         (torque + problem.rotor_inertia * half * at.rate_h) / j_h,
         (torque + problem.rotor_inertia * rotors.spin_up) / problem.inertia[2][0],
     )
@@ -280,10 +280,10 @@ def remainders_of(
     air = air_of(problem, y, at, rotors, damping)
     k = problem.thrust_deviation
     g = GRAVITY
-    lifted = (1.0 + k) * g * at.tilt * (at.secant - 1.0) + k * at.carried * at.tangent
-    lifted += lift_share(at, couplings)
+    lift_force = (1.0 + k) * g * at.tilt * (at.secant - 1.0) + k * at.carried * at.tangent
+    lift_force += lift_share(at, couplings)
     forces = {
-        "x": lifted + k * g * at.tilt + air.plane,
+        "x": lift_force + k * g * at.tilt + air.plane,
         "z": k * at.carried + air.vertical,
     }
     if problem.rotor_lag:
@@ -306,7 +306,7 @@ def remainders_of(
     return result, rotors
 
 
-def turned(problem: VehicleProblem, at: Attitude, yaw_acceleration: float) -> float:
+def turn_of_plane(problem: VehicleProblem, at: Attitude, yaw_acceleration: float) -> float:
     """The part of b'' that comes from the turn of the plane [rad/s^2]."""
     s = at.tilt
     return yaw_acceleration * s + 2.0 * at.yaw_rate * at.tilt_rate + at.yaw_rate**2 * s
@@ -316,8 +316,8 @@ def lift_share(at: Attitude, couplings: Couplings | None) -> float:
     """Bound of the horizontal force due to lift, without its known part [m/s^2]."""
     if couplings is None:
         return at.carried * at.tangent
-    known = couplings.lift_gap * GRAVITY * at.tilt + couplings.lift * couplings.alpha_gap
-    return at.carried * at.tilt * (at.secant - 1.0) + known / GRAVITY
+    gap_force = couplings.lift_gap * GRAVITY * at.tilt + couplings.lift * couplings.alpha_gap
+    return at.carried * at.tilt * (at.secant - 1.0) + gap_force / GRAVITY
 
 
 def coupled_torque(problem: VehicleProblem, y: Signals, at: Attitude, couplings: Couplings | None) -> float:
@@ -325,11 +325,11 @@ def coupled_torque(problem: VehicleProblem, y: Signals, at: Attitude, couplings:
     a_0, a_1 = problem.stiffness, problem.damping
     if couplings is None:
         return a_0 * GRAVITY * at.desired + GRAVITY * a_1 * at.yaw_rate * at.tilt
-    demanded = y["x"]["wanted"]
-    tangent = demanded / (GRAVITY - at.lift)
-    known = (couplings.lift_gap * demanded + couplings.lift * couplings.wanted_gap) / GRAVITY
-    swung = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
-    return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + known) + a_1 * swung
+    demand = y["x"]["wanted"]
+    tangent = demand / (GRAVITY - at.lift)
+    lift_gap = (couplings.lift_gap * demand + couplings.lift * couplings.wanted_gap) / GRAVITY
+    yaw_gap = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
+    return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + lift_gap) + a_1 * yaw_gap
 
 
 def exact_torques(
@@ -344,7 +344,7 @@ def exact_torques(
     m_h = delta * (at.wanted_tilt + s * at.wanted_yaw + at.frame_h + l_h * at.rate_h * at.rate_z) + air.torque_h
     m_z = delta * (at.wanted_yaw + s * at.wanted_tilt + at.frame_z + l_z * at.rate_h**2 / 2.0) + air.torque_z
     psi = t * m_h + at.secant * m_z
-    in_plane = GRAVITY * (turned(problem, at, at.wanted_yaw + psi) + (1.0 + s * t) * m_h + t * m_z)
+    in_plane = GRAVITY * (turn_of_plane(problem, at, at.wanted_yaw + psi) + (1.0 + s * t) * m_h + t * m_z)
     return in_plane + coupled_torque(problem, y, at, couplings), psi
 
 
@@ -358,7 +358,7 @@ def lagged_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) 
     m_h = delta * mu_h + air.torque_h + i_h * at.rate_h * at.rate_z + at.frame_h
     m_z = delta * mu_z + air.torque_z + i_z * at.rate_h**2 / 2.0 + at.frame_z
     psi = t * mu_h + (at.secant - 1.0) * mu_z + t * m_h + at.secant * m_z
-    of_plane = turned(problem, at, mu_z + psi) + s * t * mu_h + t * mu_z
+    of_plane = turn_of_plane(problem, at, mu_z + psi) + s * t * mu_h + t * mu_z
     return GRAVITY * (of_plane + (1.0 + s * t) * m_h + t * m_z), psi
 
 
@@ -384,16 +384,16 @@ def slopes_of(problem: VehicleProblem, y: Signals, r: Signals, damping: tuple[fl
     heading["sigma"] = psi["bend"] + r["psi"]["torque"]
     heading["wanted"] = problem.yaw_gain * heading["e_dot"] + problem.yaw_integral_gain * psi["follow"]
     heading["follow"] = heading["e_dot"]
-    pushed = vertical["wanted"]
-    turning = heading["wanted"]
+    vertical_rate = vertical["wanted"]
+    yaw_rate_slope = heading["wanted"]
     if lag:
         plane["gamma"] = x["behind"] / lag + r["x"]["lag"]
         plane["behind"] = plane["turn"] + plane["gamma"]
-        pushed = vertical["lift"] = z["behind"] / lag + r["z"]["lag"]
-        vertical["behind"] = vertical["wanted"] + pushed
-        turning = heading["gamma"] = psi["behind"] / lag + r["psi"]["lag"]
-        heading["behind"] = heading["wanted"] + turning
-    vertical["acceleration"] = pushed + damping[1] * vertical["e_dot"]
-    vertical["bend"] = pushed + abs(l0["z"] - damping[1]) * vertical["e_dot"]
-    heading["bend"] = turning + l0["psi"] * heading["e_dot"]
+        vertical_rate = vertical["lift"] = z["behind"] / lag + r["z"]["lag"]
+        vertical["behind"] = vertical["wanted"] + vertical_rate
+        yaw_rate_slope = heading["gamma"] = psi["behind"] / lag + r["psi"]["lag"]
+        heading["behind"] = heading["wanted"] + yaw_rate_slope
+    vertical["acceleration"] = vertical_rate + damping[1] * vertical["e_dot"]
+    vertical["bend"] = vertical_rate + abs(l0["z"] - damping[1]) * vertical["e_dot"]
+    heading["bend"] = yaw_rate_slope + l0["psi"] * heading["e_dot"]
     return {name: slopes | {"u_av": 0.0} for name, slopes in (("x", plane), ("z", vertical), ("psi", heading))}

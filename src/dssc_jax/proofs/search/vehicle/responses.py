@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dssc_jax.proofs.search.fixed_point import responses
-from dssc_jax.proofs.search.vehicle.channels import Linear, Sampled, flow, sampled
+from dssc_jax.proofs.search.vehicle.channels import LinearChannel, SampledChannel, flow, sampled_channel
 from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 
 POINTS = (0.125, 0.375, 0.625, 0.875)
@@ -44,7 +44,7 @@ class ChannelResponse:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ChannelObservation:
     """A sampled channel, its signals at the points of a sample, and its inputs.
 
     Args:
@@ -54,18 +54,18 @@ class Seen:
         direct: What the inputs of the same sample do, (points, signals, inputs).
         columns: Columns of omega_u, omega_q, and of the remainders at the ends of the pieces of a sample, (n, inputs).
         pieces: Number of these pieces.
-        held: Column of a constant force, (n,).
-        within: What a constant force of the same sample does, (points * signals,).
+        force_column: Column of a constant force, (n,).
+        force_within: What a constant force of the same sample does, (points * signals,).
     """
 
-    step: Sampled
+    step: SampledChannel
     names: tuple[str, ...]
     rows: np.ndarray
     direct: np.ndarray
     columns: np.ndarray
     pieces: int
-    held: np.ndarray
-    within: np.ndarray
+    force_column: np.ndarray
+    force_within: np.ndarray
 
 
 def pieces_of(problem: VehicleProblem) -> int:
@@ -75,38 +75,42 @@ def pieces_of(problem: VehicleProblem) -> int:
     return int(min(PIECES * np.ceil(2.0 * problem.sample_time / problem.rotor_lag), MOST_PIECES))
 
 
-def seen_channel(problem: VehicleProblem, channel: ChannelProblem, linear: Linear, slopes: tuple[float, ...]) -> Seen:
+def observe_channel(
+    problem: VehicleProblem, channel: ChannelProblem, linear: LinearChannel, slopes: tuple[float, ...]
+) -> ChannelObservation:
     """A channel with slopes k_1, k_2, k_3, at its samples."""
-    step = sampled(problem, channel, linear, slopes)
+    step = sampled_channel(problem, channel, linear, slopes)
     t = problem.sample_time
     pieces = pieces_of(problem)
     m, n = linear.g.size, step.a.shape[0]
     names = (*linear.signals, "u_av")
     rows = np.zeros((len(POINTS), len(names), n))
     direct = np.zeros((len(POINTS), len(names), 2 + len(linear.b)))
-    within = np.zeros((len(POINTS), len(names)))
+    force_within = np.zeros((len(POINTS), len(names)))
     forces = np.stack(list(linear.b.values()), axis=1)
     force = linear.b.get("force", np.zeros(m))
     for place, share in enumerate(POINTS):
         phi, gamma = flow(linear, share * t)
-        inner = [flow(linear, share * t * part)[0] @ forces for part in np.linspace(0.0, 1.0, pieces + 1)]
-        pushed = integral(linear, force, share * t)
+        inner = [flow(linear, share * t * fraction)[0] @ forces for fraction in np.linspace(0.0, 1.0, pieces + 1)]
+        force_effect = integral(linear, force, share * t)
         for row, (c, d) in enumerate(linear.signals.values()):
             by_command = c @ gamma + d
             rows[place, row, :m] = c @ phi
             rows[place, row] += by_command * step.acting
             direct[place, row, :2] = abs(by_command * step.direct) * np.array([abs(1.0 + t * slopes[3]), t])
             direct[place, row, 2:] = share * t * trapezoid([np.abs(c @ columns) for columns in inner])
-            within[place, row] = c @ pushed
+            force_within[place, row] = c @ force_effect
         rows[place, -1] = step.u_av
         direct[place, -1, :2] = [abs(t * slopes[3]), t]
     columns = np.zeros((n, 2 + (pieces + 1) * forces.shape[1]))
     columns[:, 0] = step.u
     columns[:, 1] = step.q
-    moved = [flow(linear, t * part / pieces)[0] @ forces for part in range(pieces + 1)]
-    columns[:m, 2:] = np.concatenate(moved, axis=1)
-    held = np.append(integral(linear, force, t), np.zeros(n - m))
-    return Seen(step, names, rows.reshape(-1, n), direct, columns, pieces, held, within.ravel())
+    forces_at_pieces = [flow(linear, t * fraction / pieces)[0] @ forces for fraction in range(pieces + 1)]
+    columns[:m, 2:] = np.concatenate(forces_at_pieces, axis=1)
+    force_column = np.append(integral(linear, force, t), np.zeros(n - m))
+    return ChannelObservation(
+        step, names, rows.reshape(-1, n), direct, columns, pieces, force_column, force_within.ravel()
+    )
 
 
 def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndarray:
@@ -119,36 +123,36 @@ def over_sample(effects: np.ndarray, pieces: int, sample_time: float) -> np.ndar
 def channel_response(
     problem: VehicleProblem,
     channel: ChannelProblem,
-    linear: Linear,
+    linear: LinearChannel,
     slopes: tuple[float, ...],
-    known: np.ndarray | None = None,
+    start_offsets: np.ndarray | None = None,
 ) -> ChannelResponse | None:
     """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow.
 
-    ``known`` is what is known of the start, (n, axes).
+    ``start_offsets`` is what is known of the start, (n, axes).
     """
-    seen = seen_channel(problem, channel, linear, slopes)
-    a, rows = seen.step.a, seen.rows
+    observation = observe_channel(problem, channel, linear, slopes)
+    a, rows = observation.step.a, observation.rows
     if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
         return None
-    result = responses(a, rows, seen.columns, np.zeros((a.shape[0], 0)))
+    result = responses(a, rows, observation.columns, np.zeros((a.shape[0], 0)))
     if result is None:
         return None
-    shape = (len(POINTS), len(seen.names))
-    gains = over_sample(result.sums, seen.pieces, problem.sample_time).reshape(*shape, -1) + seen.direct
+    shape = (len(POINTS), len(observation.names))
+    gains = over_sample(result.sums, observation.pieces, problem.sample_time).reshape(*shape, -1) + observation.direct
     constant = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        constant = constant_response(a, rows, seen.held, seen.within)
+        constant = constant_response(a, rows, observation.force_column, observation.force_within)
     peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
         peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
     by_known = np.zeros(shape)
-    if known is not None:
-        columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in known.T]
-        by_known = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), seen.names)
+    if start_offsets is not None:
+        columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
+        by_known = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
-        seen.names, tuple(linear.b), gains, constant.reshape(shape), peaks.reshape(*shape, 3), by_known
+        observation.names, tuple(linear.b), gains, constant.reshape(shape), peaks.reshape(*shape, 3), by_known
     )
 
 
@@ -178,10 +182,10 @@ class ChannelSeries:
 def channel_series(
     problem: VehicleProblem,
     channel: ChannelProblem,
-    linear: Linear,
+    linear: LinearChannel,
     slopes: tuple[float, ...],
     length: int,
-    known: np.ndarray | None = None,
+    start_offsets: np.ndarray | None = None,
 ) -> ChannelSeries:
     """The responses of a channel, sample by sample. Only the channel of z has a constant force.
 
@@ -194,34 +198,34 @@ def channel_series(
         linear: Its linear plant.
         slopes: The slopes of its functions.
         length: Number of samples.
-        known: What is known of the start, (n, axes); None: nothing.
+        start_offsets: What is known of the start, (n, axes); None: nothing.
     """
-    seen = seen_channel(problem, channel, linear, slopes)
-    a = seen.step.a
+    observation = observe_channel(problem, channel, linear, slopes)
+    a = observation.step.a
     n = a.shape[0]
-    rows = seen.rows.shape[0]
-    equilibrium = np.linalg.solve(np.eye(n) - a, seen.held)
+    rows = observation.rows.shape[0]
+    equilibrium = np.linalg.solve(np.eye(n) - a, observation.force_column)
     starts = start_columns(problem, channel, n, slopes)
-    known_start = np.zeros((n, 1)) if known is None else known
+    known_start = np.zeros((n, 1)) if start_offsets is None else start_offsets
 
-    columns = np.column_stack([seen.columns, -equilibrium, *starts, known_start])
+    columns = np.column_stack([observation.columns, -equilibrium, *starts, known_start])
     answers = np.zeros((length, rows, columns.shape[1]))
     for k in range(length):
-        answers[k] = seen.rows @ columns
+        answers[k] = observation.rows @ columns
         columns = a @ columns
-    inputs = seen.columns.shape[1]
+    inputs = observation.columns.shape[1]
     of_inputs, of_constant, of_starts, of_known = np.split(
         answers, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
     )
 
     effects = np.zeros((length, rows, 2 + len(linear.b)))
-    effects[0] = seen.direct.reshape(rows, -1)
-    effects[1:] = over_sample(np.abs(of_inputs[:-1]), seen.pieces, problem.sample_time)
+    effects[0] = observation.direct.reshape(rows, -1)
+    effects[1:] = over_sample(np.abs(of_inputs[:-1]), observation.pieces, problem.sample_time)
     constant = np.zeros((length, rows))
     if channel is problem.channels["z"]:
-        constant = of_constant[..., 0] + seen.rows @ equilibrium + seen.within
-    along_axes = np.abs(of_known).reshape(length, len(POINTS), len(seen.names), -1)
-    by_known = of_axes(along_axes, seen.names).reshape(length, -1)
+        constant = of_constant[..., 0] + observation.rows @ equilibrium + observation.force_within
+    along_axes = np.abs(of_known).reshape(length, len(POINTS), len(observation.names), -1)
+    by_known = of_axes(along_axes, observation.names).reshape(length, -1)
     return ChannelSeries(effects, constant, of_starts, by_known)
 
 
@@ -230,9 +234,9 @@ def trapezoid(values: list[np.ndarray]) -> np.ndarray:
     return (0.5 * (values[0] + values[-1]) + sum(values[1:-1])) / (len(values) - 1)
 
 
-def integral(linear: Linear, column: np.ndarray, time: float) -> np.ndarray:
+def integral(linear: LinearChannel, column: np.ndarray, time: float) -> np.ndarray:
     """The change of chi that an input 1 through a column causes within a time."""
-    return flow(Linear(linear.f, column, linear.b, linear.signals), time)[1]
+    return flow(LinearChannel(linear.f, column, linear.b, linear.signals), time)[1]
 
 
 def start_columns(
@@ -253,16 +257,18 @@ def start_share(problem: VehicleProblem, channel: ChannelProblem, slopes: tuple[
 def constant_peaks(a: np.ndarray, rows: np.ndarray, z: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """The largest |offset + row A^k z| of each row."""
     peaks = np.abs(offset + rows @ z)
-    first = np.max(np.abs(z), initial=1e-300)
+    initial_size = np.max(np.abs(z), initial=1e-300)
     for _ in range(MOST_CONSTANT_SAMPLES):
         z = a @ z
         peaks = np.maximum(peaks, np.abs(offset + rows @ z))
-        if np.max(np.abs(z)) < CONSTANT_SETTLED * first:
+        if np.max(np.abs(z)) < CONSTANT_SETTLED * initial_size:
             break
     return peaks
 
 
-def constant_response(a: np.ndarray, rows: np.ndarray, held: np.ndarray, within: np.ndarray) -> np.ndarray:
+def constant_response(
+    a: np.ndarray, rows: np.ndarray, force_column: np.ndarray, force_within: np.ndarray
+) -> np.ndarray:
     """The largest response to a constant 1 from t = 0 on, of each row."""
-    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, held)
-    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + within)
+    equilibrium = np.linalg.solve(np.eye(a.shape[0]) - a, force_column)
+    return constant_peaks(a, rows, -equilibrium, rows @ equilibrium + force_within)

@@ -19,11 +19,11 @@ def add(waves: Waves, frequency: Fraction, phasor: complex) -> None:
     waves[frequency] = waves.get(frequency, 0.0) + phasor
 
 
-def product(first: Waves, second: Waves, factor: float) -> Waves:
+def product(left: Waves, right: Waves, factor: float) -> Waves:
     """The product of two sums and a number."""
     result: Waves = {}
-    for f, a in first.items():
-        for h, b in second.items():
+    for f, a in left.items():
+        for h, b in right.items():
             add(result, f + h, 0.5 * factor * a * b)
             add(result, f - h, 0.5 * factor * a * b.conjugate())
     return result
@@ -48,7 +48,7 @@ def derivative(waves: Waves) -> Waves:
     return {frequency: 1j * rate_of(frequency) * phasor for frequency, phasor in waves.items()}
 
 
-def scaled(waves: Waves, factor: float) -> Waves:
+def multiple(waves: Waves, factor: float) -> Waves:
     """A multiple."""
     return {frequency: factor * phasor for frequency, phasor in waves.items()}
 

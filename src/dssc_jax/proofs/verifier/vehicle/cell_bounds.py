@@ -32,12 +32,12 @@ def bounds_in_cells(proof: VehicleProof) -> list[SignalBalls]:
     if cells is None:
         return [final]
     count = number_of_cells(cells)
-    listed = cells["bounds"]
-    first = [
-        {name: {signal: arb(values[j]) for signal, values in listed[name].items()} for name in CHANNELS}
+    bound_lists = cells["bounds"]
+    first_cells = [
+        {name: {signal: arb(values[j]) for signal, values in bound_lists[name].items()} for name in CHANNELS}
         for j in range(count)
     ]
-    return [*first, final]
+    return [*first_cells, final]
 
 
 def number_of_cells(cells: CellsProof) -> int:
@@ -75,7 +75,8 @@ def responses_in_cells(vehicle: Vehicle, cells: CellsProof | None) -> dict[str, 
         return {}
     count = number_of_cells(cells)
     return {
-        name: cell_responses(vehicle.problem, name, vehicle.seen[name], cells["samples"], count) for name in CHANNELS
+        name: cell_responses(vehicle.problem, name, vehicle.observations[name], cells["samples"], count)
+        for name in CHANNELS
     }
 
 
@@ -94,7 +95,7 @@ def implied_in_cells(
         responses: Those of :func:`responses_in_cells`.
     """
     if not responses:
-        return [implied_bounds(vehicle, bounds[0], inputs[0], started=True)]
+        return [implied_bounds(vehicle, bounds[0], inputs[0], from_start=True)]
     result: list[dict[str, Balls]] = [{} for _ in bounds]
     for name in CHANNELS:
         answers = answers_in_cells(vehicle, name, bounds, inputs, responses[name])
@@ -134,19 +135,19 @@ def effects_of(responses: CellResponses, sizes: np.ndarray, is_last: bool) -> np
     rises = np.maximum(changes, 0.0)
     falls = np.maximum(-changes, 0.0)
     if is_last:
-        added = responses.total_sum * (sizes[0] + SUMMED * rises.sum(axis=0))
+        increase = responses.total_sum * (sizes[0] + SUMMED * rises.sum(axis=0))
     else:
-        added = responses.upper[j] * sizes[0] + np.einsum("iru,iu->ru", responses.upper[:j], rises)
-    taken = np.einsum("iru,iu->ru", responses.lower[:j], falls)
-    return SUMMED * added - taken / SUMMED
+        increase = responses.upper[j] * sizes[0] + np.einsum("iru,iu->ru", responses.upper[:j], rises)
+    decrease = np.einsum("iru,iu->ru", responses.lower[:j], falls)
+    return SUMMED * increase - decrease / SUMMED
 
 
 def input_sizes(name: str, inputs: Inputs, remainders: Sequence[str]) -> list[float]:
     """Bounds of omega_u and omega_r along one axis, and of the remainders, rounded up."""
     law = inputs.deviations[name]
     sigma = inputs.sigma[name]
-    rests = inputs.remainders.channels[name]
-    sizes = [law.of_command(sigma), law.of_integral(sigma), *[rests[remainder] for remainder in remainders]]
+    remainder_bounds = inputs.remainders.channels[name]
+    sizes = [law.of_command(sigma), law.of_integral(sigma), *[remainder_bounds[remainder] for remainder in remainders]]
     return [float_above(size) for size in sizes]
 
 
@@ -156,12 +157,12 @@ def with_slopes(
     """F of the signals of a channel in a cell, from the bounds of each signal at its phases."""
     t = arb(vehicle.problem["sample_time"])
     slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
-    reached: dict[str, float] = {}
+    largest_values: dict[str, float] = {}
     for signal, value in zip(signals, answers.tolist(), strict=True):
         require_premise(bool(np.isfinite(value)), f"V4: the bound of {name}.{signal} is not finite")
-        reached[signal] = max(value, reached.get(signal, 0.0))
+        largest_values[signal] = max(value, largest_values.get(signal, 0.0))
     result = Balls()
-    for signal, value in reached.items():
+    for signal, value in largest_values.items():
         growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
         result[signal] = (arb(value) + growth).upper()
     return result
@@ -176,33 +177,33 @@ def largest_bounds(bounds: Sequence[SignalBalls]) -> dict[str, Balls]:
 
 def largest_inputs(inputs: Sequence[Inputs]) -> Inputs:
     """The largest deviations, remainders and tilt, and the farthest thrusts, over the cells."""
-    rests = [part.remainders for part in inputs]
+    rests = [cell.remainders for cell in inputs]
     channels = {
         name: {
-            remainder: largest([part.channels[name][remainder] for part in rests])
+            remainder: largest([cell.channels[name][remainder] for cell in rests])
             for remainder in rests[0].channels[name]
         }
         for name in CHANNELS
     }
     rotors = Rotors(
-        -largest([-part.rotors.smallest for part in rests]),
-        largest([part.rotors.largest for part in rests]),
-        largest([part.rotors.difference for part in rests]),
-        largest([part.rotors.sum for part in rests]),
+        -largest([-cell.rotors.smallest for cell in rests]),
+        largest([cell.rotors.largest for cell in rests]),
+        largest([cell.rotors.difference for cell in rests]),
+        largest([cell.rotors.sum for cell in rests]),
     )
-    tilt = largest([part.tilt for part in rests])
-    behind_by = largest([part.behind_by for part in rests])
+    tilt = largest([cell.tilt for cell in rests])
+    behind_by = largest([cell.behind_by for cell in rests])
     laws = {
-        name: Deviations(*map(largest, zip(*[part.deviations[name] for part in inputs], strict=True)))
+        name: Deviations(*map(largest, zip(*[cell.deviations[name] for cell in inputs], strict=True)))
         for name in CHANNELS
     }
-    sigma = {name: largest([part.sigma[name] for part in inputs]) for name in CHANNELS}
+    sigma = {name: largest([cell.sigma[name] for cell in inputs]) for name in CHANNELS}
     return Inputs(Remainders(channels, rests[0].constant, tilt, rotors, behind_by), laws, sigma)
 
 
 def largest(values: Sequence[arb]) -> arb:
     """The largest of exact numbers."""
-    first, *following = values
+    result, *following = values
     for value in following:
-        first = maximum(first, value)
-    return first
+        result = maximum(result, value)
+    return result

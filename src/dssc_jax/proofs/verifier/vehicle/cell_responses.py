@@ -22,7 +22,7 @@ from dssc_jax.proofs.verifier.impulse_responses import (
 from dssc_jax.proofs.verifier.vehicle.certificate import VehicleProblem
 from dssc_jax.proofs.verifier.vehicle.channels import ALONG_AXES
 from dssc_jax.proofs.verifier.vehicle.deviations import float_above
-from dssc_jax.proofs.verifier.vehicle.responses import KNOWN, SeenChannel, integral_within
+from dssc_jax.proofs.verifier.vehicle.responses import KNOWN, ChannelObservation, integral_within
 
 OMEGAS = 2
 """The inputs omega_u and omega_r, before the remainders."""
@@ -55,53 +55,60 @@ class CellResponses(NamedTuple):
     constants: np.ndarray
 
 
-def cell_responses(problem: VehicleProblem, name: str, seen: SeenChannel, samples: int, count: int) -> CellResponses:
+def cell_responses(
+    problem: VehicleProblem, name: str, observation: ChannelObservation, samples: int, count: int
+) -> CellResponses:
     """(V1) The responses of a channel in cells.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
-        seen: What is seen of it.
+        observation: Its signals and inputs at the samples.
         samples: Samples c of a cell.
         count: Number J of cells before the last one, at least 1.
     """
     t = arb(problem["sample_time"])
     initial = np.array([float(value) for value in problem["channels"][name]["initial"]])
-    along = np.array([sight.signal in ALONG_AXES for sight in seen.sights])
-    weights = input_weights(seen, t)
-    q = seen.inputs.ncols()
-    added = middles(seen.offsets)
-    added_error = ROUNDED * magnitudes(seen.offsets)
-    summed_tail = float_above((2 / seen.decay).upper())
-    first = direct_effects(seen, t)
-    parts = np.zeros((count + 1, *first.shape))  # sums of eps_l over l from c m to c m + c - 1, and over all l behind
-    parts[0] = first
-    peaks = np.zeros((count + 1, len(seen.sights), 3))
-    done = 0
-    for block in response_blocks(seen.sampled.a, seen.rows, side_by_side(seen.inputs, seen.starts), seen.p):
-        sizes = np.abs(block.response[..., :q]) + (block.error + block.lost)[:, :q]
+    along = np.array([sight.signal in ALONG_AXES for sight in observation.sights])
+    weights = input_weights(observation, t)
+    q = observation.inputs.ncols()
+    offset_middles = middles(observation.offsets)
+    offset_errors = ROUNDED * magnitudes(observation.offsets)
+    tail_factor = float_above((2 / observation.decay).upper())
+    direct = direct_effects(observation, t)
+    # sums of eps_l over l from c m to c m + c - 1, and over all l behind
+    effect_sums = np.zeros((count + 1, *direct.shape))
+    effect_sums[0] = direct
+    peaks = np.zeros((count + 1, len(observation.sights), 3))
+    sample_count = 0
+    columns = side_by_side(observation.inputs, observation.starts)
+    for block in response_blocks(observation.sampled.a, observation.rows, columns, observation.p):
+        sizes = np.abs(block.response[..., :q]) + (block.error + block.radius_effect)[:, :q]
         sizes = sizes @ weights
-        later_cells, later_places = cells_of(done + 1, len(sizes), samples, count)  # eps_(done + 1) is the first
-        parts[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
-        reached, places = cells_of(done, len(sizes), samples, count)
-        sizes = np.abs(block.response[..., q:] + added) + (block.error + block.lost)[:, q:] + added_error
-        peaks[reached] = np.maximum(
-            peaks[reached], np.maximum.reduceat(start_responses(sizes, initial, along), places, axis=0)
-        )
-        done += len(sizes)
-        tail = (block.tail[:, :q] * summed_tail) @ weights
-        tail_peaks = start_responses(block.tail[:, q:] + np.abs(added) + added_error, initial, along)
+        next_sample = sample_count + 1  # that of the first eps
+        later_cells, later_places = cells_of(next_sample, len(sizes), samples, count)
+        effect_sums[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
+        cells, places = cells_of(sample_count, len(sizes), samples, count)
+        sizes = np.abs(block.response[..., q:] + offset_middles)
+        sizes = sizes + (block.error + block.radius_effect)[:, q:] + offset_errors
+        cell_peaks = np.maximum.reduceat(start_responses(sizes, initial, along), places, axis=0)
+        peaks[cells] = np.maximum(peaks[cells], cell_peaks)
+        sample_count += len(sizes)
+        tail = (block.tail[:, :q] * tail_factor) @ weights
+        tail_peaks = start_responses(block.tail[:, q:] + np.abs(offset_middles) + offset_errors, initial, along)
         decaying = start_responses(block.tail[:, q:], initial, along)
-        ends = np.all(tail <= TAIL_SHARE * parts.sum(axis=0))
+        ends = np.all(tail <= TAIL_SHARE * effect_sums.sum(axis=0))
         negligible = np.maximum(SMALL * peaks.max(axis=0), UNDERFLOW)
         negligible[:, :2] = np.maximum(negligible[:, :2], peaks[-1, :, :2])
-        if done > samples * (count + 1) and ends and np.all(decaying <= negligible):
+        if sample_count > samples * (count + 1) and ends and np.all(decaying <= negligible):
             peaks[-1] = np.maximum(peaks[-1], tail_peaks)
-            sums = np.concatenate([first[None], np.cumsum(parts[:-1], axis=0)])
-            total_sum = SUMMED * (sums[-1] + parts[-1] + tail)
-            signals = [sight.signal for sight in seen.sights]
-            scaled = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
-            return CellResponses(signals, list(seen.curved), SUMMED * sums[1:], sums[:-1] / SUMMED, total_sum, *scaled)
+            sums = np.concatenate([direct[None], np.cumsum(effect_sums[:-1], axis=0)])
+            total_sum = SUMMED * (sums[-1] + effect_sums[-1] + tail)
+            signals = [sight.signal for sight in observation.sights]
+            peak_bounds = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
+            return CellResponses(
+                signals, list(observation.curves), SUMMED * sums[1:], sums[:-1] / SUMMED, total_sum, *peak_bounds
+            )
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 
 
@@ -111,43 +118,43 @@ def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -
     What is known of the start counts with its larger axis in signals ``along`` one, else with the norm.
     """
     axes = sizes[..., KNOWN:]
-    known = np.where(along, axes.max(axis=-1, initial=0.0), np.sqrt((axes**2).sum(axis=-1)))
-    return np.stack([sizes[..., :2] @ initial + known, sizes[..., 2], sizes[..., 3]], axis=-1)
+    known_sizes = np.where(along, axes.max(axis=-1, initial=0.0), np.sqrt((axes**2).sum(axis=-1)))
+    return np.stack([sizes[..., :2] @ initial + known_sizes, sizes[..., 2], sizes[..., 3]], axis=-1)
 
 
-def cells_of(done: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The cells that successive samples after ``done`` others belong to, and the place of the first sample of each."""
-    cells = np.minimum((done + np.arange(length)) // samples, count)
+    cells = np.minimum((earlier_count + np.arange(length)) // samples, count)
     places = np.flatnonzero(np.diff(cells, prepend=-1))
     return cells[places], places
 
 
-def input_weights(seen: SeenChannel, t: arb) -> np.ndarray:
-    """Weights of the columns of ``seen.inputs`` in the bounds of eps, rounded up, (columns, inputs).
+def input_weights(observation: ChannelObservation, t: arb) -> np.ndarray:
+    """Weights of the columns of ``observation.inputs`` in the bounds of eps, rounded up, (columns, inputs).
 
     The integral of |row e^(A_c r) b| over a sample is at most that of straight lines plus that of the bend.
     """
-    pieces = next(iter(seen.curved.values())).pieces
+    pieces = next(iter(observation.curves.values())).pieces
     columns = pieces + 2
-    weights = np.zeros((seen.inputs.ncols(), OMEGAS + len(seen.curved)))
+    weights = np.zeros((observation.inputs.ncols(), OMEGAS + len(observation.curves)))
     weights[:OMEGAS, :OMEGAS] = np.eye(OMEGAS)
     piece = t / pieces
     bend = (pieces * piece**3 / 12).upper()
-    for place, parts in enumerate(seen.curved.values()):
+    for place, curve in enumerate(observation.curves.values()):
         of_points = np.full(pieces + 1, float_above(piece.upper()))
         of_points[[0, -1]] = float_above((piece / 2).upper())
         start = OMEGAS + columns * place
         weights[start : start + columns, OMEGAS + place] = [*of_points, float_above(bend)]
-        radii = [float_above((bend * radius).upper()) for radius in parts.radii]
-        weights[OMEGAS + columns * len(seen.curved) :, OMEGAS + place] = radii
+        radii = [float_above((bend * radius).upper()) for radius in curve.radii]
+        weights[OMEGAS + columns * len(observation.curves) :, OMEGAS + place] = radii
     return weights
 
 
-def direct_effects(seen: SeenChannel, t: arb) -> np.ndarray:
+def direct_effects(observation: ChannelObservation, t: arb) -> np.ndarray:
     """eps_0: what the inputs do in the same sample, rounded up, (rows, inputs)."""
     rows = []
-    for sight in seen.sights:
-        within = [integral_within(seen.channel, sight, parts) for parts in seen.curved.values()]
+    for sight in observation.sights:
+        within = [integral_within(observation.channel, sight, curve) for curve in observation.curves.values()]
         effects = [sight.direct, sight.direct_integral, *within]
         rows.append([float_above(effect.upper()) for effect in effects])
     return np.array(rows)

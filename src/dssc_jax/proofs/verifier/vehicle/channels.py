@@ -70,14 +70,14 @@ def signal_names(name: str, *, lagging: bool) -> set[str]:
     match name:
         case "x":
             names |= {"speed", "alpha", "alpha_dot", "turn", "acceleration"}
-            lagged = {"gamma", "behind"}
+            lag_signals = {"gamma", "behind"}
         case "z":
             names |= {"acceleration"}
-            lagged = {"lift", "behind"}
+            lag_signals = {"lift", "behind"}
         case _:
             names |= {"follow"}
-            lagged = {"gamma", "behind"}
-    return names | lagged if lagging else names
+            lag_signals = {"gamma", "behind"}
+    return names | lag_signals if lagging else names
 
 
 def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
@@ -95,7 +95,7 @@ def channel_of(problem: VehicleProblem, name: str, damping: float) -> Channel:
 def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of x and y."""
     lag = rotor_rate(problem)
-    e, e_dot, alpha, alpha_dot, *lagged, command = unit_rows(5 if lag is None else 6)
+    e, e_dot, alpha, alpha_dot, *lag_states, command = unit_rows(5 if lag is None else 6)
     demand = (command - e_dot) * arb(problem["velocity_gain"])
     turn = (demand - alpha) * arb(problem["stiffness"]) - alpha_dot * arb(problem["damping"])
     acceleration = alpha - e_dot * damping
@@ -103,7 +103,7 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     signals |= {"alpha": alpha, "alpha_dot": alpha_dot, "wanted": demand, "turn": turn, "acceleration": acceleration}
     if lag is None:
         return Channel(stack([e_dot, acceleration, alpha_dot, turn]), input_columns(4, force=1, torque=3), signals)
-    (gamma,) = lagged
+    (gamma,) = lag_states
     signals |= {"gamma": gamma, "behind": turn - gamma}
     slopes = [e_dot, acceleration, alpha_dot, gamma, (turn - gamma) * lag]
     return Channel(stack(slopes), input_columns(5, force=1, torque=3, lag=4), signals)
@@ -112,9 +112,9 @@ def plane_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
     """The channel of z; the constant o enters where the force does."""
     lag = rotor_rate(problem)
-    e, e_dot, *lagged, command = unit_rows(3 if lag is None else 4)
+    e, e_dot, *lag_states, command = unit_rows(3 if lag is None else 4)
     demand = (command - e_dot) * arb(problem["velocity_gain"])
-    lift = demand if lag is None else lagged[0]
+    lift = demand if lag is None else lag_states[0]
     acceleration = lift - e_dot * damping
     signals = kinematics(e, e_dot, l0) | {"wanted": demand}
     signals |= {"acceleration": acceleration, "bend": acceleration + e_dot * l0}
@@ -129,10 +129,10 @@ def vertical_channel(problem: VehicleProblem, l0: arb, damping: arb) -> Channel:
 def yaw_channel(problem: VehicleProblem, l0: arb) -> Channel:
     """The channel of psi."""
     lag = rotor_rate(problem)
-    e, e_dot, integral, *lagged, command = unit_rows(4 if lag is None else 5)
+    e, e_dot, integral, *lag_states, command = unit_rows(4 if lag is None else 5)
     follow = command - e_dot
     demand = follow * arb(problem["yaw_gain"]) + integral * arb(problem["yaw_integral_gain"])
-    gamma = demand if lag is None else lagged[0]
+    gamma = demand if lag is None else lag_states[0]
     signals = kinematics(e, e_dot, l0) | {"wanted": demand, "follow": follow, "bend": gamma + e_dot * l0}
     if lag is None:
         return Channel(stack([e_dot, demand, follow]), input_columns(3, torque=1), signals)
@@ -164,7 +164,7 @@ def input_columns(order: int, **places: int) -> dict[str, arb_mat]:
 
 def stack(rows: Sequence[arb_mat]) -> arb_mat:
     """Rows below one another."""
-    return arb_mat([row for part in rows for row in part.tolist()])
+    return arb_mat([row for matrix in rows for row in matrix.tolist()])
 
 
 def flow(channel: Channel, time: arb) -> arb_mat:
@@ -173,7 +173,7 @@ def flow(channel: Channel, time: arb) -> arb_mat:
     return (stack([channel.generator, arb_mat(1, n + 1)]) * time).exp()
 
 
-def forced(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
+def forced_response(channel: Channel, column: arb_mat, time: arb) -> arb_mat:
     """The integral of e^(A_c r) b for r from 0 to a time, (n, 1): the last column of exp([[A_c, b], [0, 0]] time)."""
     n = channel.order
     a = channel.generator.tolist()
@@ -216,12 +216,12 @@ def sampled_channel(
     acting = command * fresh
     for unit, weight in zip(units[n:], weights, strict=True):
         acting = acting + unit * weight
-    held = flow(channel, t)
-    by_held = arb_mat([[row[n]] for row in held.tolist()[:n]])
-    free = arb_mat([[*row[:n], *[arb(0)] * (m - n)] for row in held.tolist()[:n]])
-    moved = [command, *units[n : m - 2]] if memories else []
-    a = stack([free + by_held * acting, *moved, next_integral])
-    by_command = [-fresh * row[0] for row in by_held.tolist()]
+    transition = flow(channel, t)
+    by_command_held = arb_mat([[row[n]] for row in transition.tolist()[:n]])
+    free = arb_mat([[*row[:n], *[arb(0)] * (m - n)] for row in transition.tolist()[:n]])
+    memory_rows = [command, *units[n : m - 2]] if memories else []
+    a = stack([free + by_command_held * acting, *memory_rows, next_integral])
+    by_command = [-fresh * row[0] for row in by_command_held.tolist()]
     remainder = [arb(0)] * memories
     if memories:
         remainder[0] = arb(-1)
@@ -253,16 +253,16 @@ def with_zeros(row: arb_mat, n: int, m: int) -> arb_mat:
     return arb_mat([[*row.tolist()[0][:n], *[arb(0)] * (m - n)]])
 
 
-def row_at(channel: Channel, sampled: SampledChannel, signal: str, held: arb_mat) -> tuple[arb_mat, arb]:
+def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: arb_mat) -> tuple[arb_mat, arb]:
     """A signal within a sample: its row over z_k, and its direct effect of u_k.
 
     Args:
         channel: The channel.
         sampled: The same at its samples.
         signal: The signal's name, not u_av.
-        held: :func:`flow` over the time since the sample.
+        transition: :func:`flow` over the time since the sample.
     """
     n = channel.order
-    row = channel.signals[signal] * held
+    row = channel.signals[signal] * transition
     by_command = row[0, n]
     return with_zeros(row, n, sampled.a.nrows()) + sampled.acting * by_command, by_command * sampled.fresh

@@ -11,7 +11,7 @@ from dssc_jax.proofs.verifier.certificate import Problem
 from dssc_jax.proofs.verifier.function_distances import function_distances
 from dssc_jax.proofs.verifier.gain_enclosures import enclosed_gains
 from dssc_jax.proofs.verifier.vehicle.certificate import MiddleProof, VehicleProblem
-from dssc_jax.proofs.verifier.vehicle.premises import renamed
+from dssc_jax.proofs.verifier.vehicle.premises import with_premise
 
 DISTANCE_ROOM = 1e-3
 """Largest excess over the distances at points, as a share of them."""
@@ -113,7 +113,7 @@ def deviations_of(
         distances = function_distances(loop, sigma, 0.0, slopes, DISTANCE_ROOM, sigma_from, proof["share"])
         gains = enclosed_gains(loop, sigma, 0.0, sigma_from)
     except Rejected as rejected:
-        raise renamed(rejected, "V2", f" of {name}") from None
+        raise with_premise(rejected, "V2", f" of {name}") from None
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
     share_b = (shares["mean"] + shares["k_n"]).upper()
     return Deviations(

@@ -92,10 +92,10 @@ def plane_drag(region: DragRegion) -> arb:
 
     So a = min(V, |b - W|) and a = min(V, b + W) suffice for each b from 0 to V + W, which is cut into cells.
     """
-    farthest = enclosed(region.speed + region.wind).high
+    farthest = enclosing_interval(region.speed + region.wind).high
     edges = farthest * np.linspace(0.0, 1.0, CELLS + 1)
     b = Intervals(edges[:-1], edges[1:])
-    speed, wind, damping, drag, light, heavy, across, by_rotors = map(enclosed, region)
+    speed, wind, damping, drag, light, heavy, across, by_rotors = map(enclosing_interval, region)
     lowest = drag * b / heavy
     highest = drag * square_roots(b * b + across * across) / light + by_rotors
     difference = b - wind
@@ -104,7 +104,7 @@ def plane_drag(region: DragRegion) -> arb:
         np.maximum(np.abs(difference.low), np.abs(difference.high)),
     )
     squares = []
-    for a in (limited(gap, speed), limited(b + wind, speed)):
+    for a in (at_most(gap, speed), at_most(b + wind, speed)):
         product = a * b
         against = (a * a + b * b - wind * wind) * exactly(0.5)
         smallest = Intervals(np.maximum(-product.high, against.low), np.maximum(-product.low, against.high))
@@ -118,7 +118,7 @@ def plane_drag(region: DragRegion) -> arb:
     return arb(result).sqrt().upper()
 
 
-def limited(values: Intervals, limit: Intervals) -> Intervals:
+def at_most(values: Intervals, limit: Intervals) -> Intervals:
     """The smaller of values and a limit."""
     return Intervals(np.minimum(values.low, limit.low), np.minimum(values.high, limit.high))
 
@@ -128,7 +128,7 @@ def square_roots(values: Intervals) -> Intervals:
     return outwards(np.sqrt(np.maximum(values.low, 0.0)), np.sqrt(values.high))
 
 
-def enclosed(value: arb) -> Intervals:
+def enclosing_interval(value: arb) -> Intervals:
     """An interval of float64 around a number."""
     middle = np.asarray(np.float64(float(value.mid())))
     radius = np.asarray(np.float64(float(value.rad())))

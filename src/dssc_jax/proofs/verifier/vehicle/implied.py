@@ -21,10 +21,10 @@ from dssc_jax.proofs.verifier.vehicle.ranges import Ranges, ranges_of
 from dssc_jax.proofs.verifier.vehicle.remainders import Remainders, SignalBalls, remainders_of
 from dssc_jax.proofs.verifier.vehicle.responses import (
     PHASES,
-    SeenChannel,
+    ChannelObservation,
     SignalResponse,
     channel_responses,
-    seen_channel,
+    observe_channel,
 )
 from dssc_jax.proofs.verifier.vehicle.slopes import signal_slopes
 
@@ -42,7 +42,7 @@ class Vehicle(NamedTuple):
         middles: The linear channels of its proof.
         ranges: What the problem's intervals come to.
         dampings: c of each channel.
-        seen: The linear channels.
+        observations: The linear channels.
         responses: Their responses.
         flight: The nominal flight; None without a reference.
     """
@@ -51,7 +51,7 @@ class Vehicle(NamedTuple):
     middles: Mapping[str, MiddleProof]
     ranges: Ranges
     dampings: Mapping[str, float]
-    seen: Mapping[str, SeenChannel]
+    observations: Mapping[str, ChannelObservation]
     responses: Responses
     flight: Flight | None
 
@@ -66,15 +66,15 @@ class Inputs(NamedTuple):
 
 def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> Vehicle:
     """(V1) The linear channels, their responses, and the nominal flight."""
-    seen = {name: seen_channel(problem, name, middles[name]) for name in CHANNELS}
+    observations = {name: observe_channel(problem, name, middles[name]) for name in CHANNELS}
     return Vehicle(
         problem,
         middles,
         ranges_of(problem),
         {name: middles[name]["drag_damping"] for name in CHANNELS},
-        seen,
-        {name: channel_responses(problem, name, seen[name]) for name in CHANNELS},
-        flight_of(problem, {name: seen[name].flight for name in CHANNELS}),
+        observations,
+        {name: channel_responses(problem, name, observations[name]) for name in CHANNELS},
+        flight_of(problem, {name: observations[name].flight for name in CHANNELS}),
     )
 
 
@@ -101,33 +101,33 @@ def inputs_under(
     return Inputs(remainders, deviations, sigmas_under(vehicle, bounds))
 
 
-def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, started: bool) -> dict[str, Balls]:
+def implied_bounds(vehicle: Vehicle, bounds: SignalBalls, inputs: Inputs, *, from_start: bool) -> dict[str, Balls]:
     """F of bounds of the signals.
 
     Args:
         vehicle: The channels.
         bounds: Bounds of the signals.
         inputs: What they allow.
-        started: Whether from the start on; otherwise of the upper limits.
+        from_start: Whether from the start on; otherwise of the upper limits.
     """
     t = arb(vehicle.problem["sample_time"])
     result = {}
     for name in CHANNELS:
         slopes = signal_slopes(vehicle.problem, name, vehicle.dampings[name], bounds, inputs.remainders)
-        starts = start_sizes(vehicle, name) if started else None
+        starts = start_sizes(vehicle, name) if from_start else None
         result[name] = Balls()
         for signal, phases in vehicle.responses[name].items():
-            reached = arb(0)
+            largest = arb(0)
             for response in phases:
-                value = answered(name, inputs, response, starts, vector_share(name, signal))
+                value = signal_bound(name, inputs, response, starts, vector_share(name, signal))
                 require_premise(value.is_finite(), f"V4: the bound of {name}.{signal} is not finite")
-                reached = maximum(reached, value.upper())
+                largest = maximum(largest, value.upper())
             growth = arb(0) if signal == EQUIVALENT else t / REACH * slopes[signal]
-            result[name][signal] = (reached + growth).upper()
+            result[name][signal] = (largest + growth).upper()
     return result
 
 
-def answered(
+def signal_bound(
     name: str,
     inputs: Inputs,
     response: SignalResponse,
@@ -137,13 +137,13 @@ def answered(
     """The bound of a signal at one phase; ``share`` is h."""
     deviations = inputs.deviations[name]
     sigma = inputs.sigma[name]
-    rests = inputs.remainders.channels[name]
+    remainder_bounds = inputs.remainders.channels[name]
     terms = [
         share * deviations.of_command(sigma) * response.command,
         share * deviations.of_integral(sigma) * response.integral,
         inputs.remainders.constant * (response.constant if starts else response.settled_constant),
     ]
-    terms += [rests[remainder] * size for remainder, size in response.remainders.items()]
+    terms += [remainder_bounds[remainder] * size for remainder, size in response.remainders.items()]
     if starts:
         e, e_dot, deviation = starts
         by_e, by_e_dot, by_deviation = response.starts
@@ -160,13 +160,13 @@ def start_sizes(vehicle: Vehicle, name: str) -> list[arb]:
     """E_0, V_0 and what the first sum q deviates by, where |sigma| is at most Sigma_0."""
     controller = vehicle.problem["channels"][name]
     e, e_dot = map(arb, controller["initial"])
-    first = first_sigma(vehicle.problem, name).upper()
-    if first == 0:
+    start_sigma = first_sigma(vehicle.problem, name).upper()
+    if start_sigma == 0:
         return [e, e_dot, arb(0)]
     proof = vehicle.middles[name]
-    deviations = deviations_of(vehicle.problem, name, proof, float_above(first))
+    deviations = deviations_of(vehicle.problem, name, proof, float_above(start_sigma))
     t = arb(vehicle.problem["sample_time"])
-    return [e, e_dot, deviations.of_start(controller["start"], first, t, arb(proof["share"]))]
+    return [e, e_dot, deviations.of_start(controller["start"], start_sigma, t, arb(proof["share"]))]
 
 
 def first_sigma(problem: VehicleProblem, name: str) -> arb:

@@ -40,18 +40,18 @@ class Course(NamedTuple):
 
     Args:
         reference: y_m without its constant.
-        known: The known parts of the remainders, by name.
-        compared: By the name of a difference: the signal, and the sum of sines that is subtracted from it.
+        known_remainders: The known parts of the remainders, by name.
+        comparisons: By the name of a difference: the signal, and the sum of sines that is subtracted from it.
     """
 
     reference: Waves
-    known: Mapping[str, Waves]
-    compared: Mapping[str, tuple[str, Waves]]
+    known_remainders: Mapping[str, Waves]
+    comparisons: Mapping[str, tuple[str, Waves]]
 
     @property
     def frequencies(self) -> set[Fraction]:
         """All frequencies."""
-        return {frequency for waves in (self.reference, *self.known.values()) for frequency in waves}
+        return {frequency for waves in (self.reference, *self.known_remainders.values()) for frequency in waves}
 
 
 class ChannelFlight(NamedTuple):
@@ -110,10 +110,10 @@ def body_bounds(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) 
     totals = total_bounds(flight, bounds)
     if flight is None:
         return totals
-    moving = {
+    rates = {
         name: (bounds[name]["e_dot"] + flight.bounds[name][OUTPUT_RATE]).upper() for name in CHANNELS if name != "x"
     }
-    return {name: {**signals, "e_dot": moving[name]} if name in moving else signals for name, signals in totals.items()}
+    return {name: {**signals, "e_dot": rates[name]} if name in rates else signals for name, signals in totals.items()}
 
 
 def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) -> Coupling | None:
@@ -146,10 +146,10 @@ def courses_of(problem: VehicleProblem, name: str, damping: arb) -> list[Course]
     courses = []
     for axis in "xy":
         force = multiple(times(lift, alpha_0[axis]), 1 / arb(GRAVITY))
-        swung = multiple(times(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
-        torque = sum_of(swung, multiple(force, -arb(problem["stiffness"])))
-        compared = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
-        courses.append(Course(references[axis], {"force": force, "torque": torque}, compared))
+        yaw_torque = multiple(times(yaw_rate, quarter_turn[axis]), arb(problem["damping"]))
+        torque = sum_of(yaw_torque, multiple(force, -arb(problem["stiffness"])))
+        comparisons = {"alpha_gap": ("alpha", alpha_0[axis]), "wanted_gap": ("wanted", alpha_0[axis])}
+        courses.append(Course(references[axis], {"force": force, "torque": torque}, comparisons))
     return courses
 
 
@@ -183,17 +183,17 @@ def channel_flight(
     courses = courses_of(problem, name, arb(proof["drag_damping"]))
     frequencies = sorted({frequency for course in courses for frequency in course.frequencies})
     bounds = Balls()
-    flown = [arb_mat(sampled.a.nrows(), 1) for _ in courses]
+    flight_states = [arb_mat(sampled.a.nrows(), 1) for _ in courses]
     for frequency in frequencies:
         answers = [answer_of(problem, name, proof, channel, sampled, course, frequency, phases) for course in courses]
         for signal in answers[0].phasors:
-            seen = size_of(signal, [answer.phasors[signal] for answer in answers])
+            size_at_phases = size_of(signal, [answer.phasors[signal] for answer in answers])
             slope = size_of(signal, [[answer.slopes[signal]] for answer in answers])
-            added = (seen + arb(problem["sample_time"]) / 8 * slope).upper()
-            bounds[signal] = (bounds.get(signal, arb(0)) + added).upper()
-        flown = [state + answer.state for state, answer in zip(flown, answers, strict=True)]
-    begun = [first_state(problem, name, proof, sampled, course) for course in courses]
-    return ChannelFlight(bounds, [first - state for first, state in zip(begun, flown, strict=True)])
+            bound = (size_at_phases + arb(problem["sample_time"]) / 8 * slope).upper()
+            bounds[signal] = (bounds.get(signal, arb(0)) + bound).upper()
+        flight_states = [state + answer.state for state, answer in zip(flight_states, answers, strict=True)]
+    first_states = [first_state(problem, name, proof, sampled, course) for course in courses]
+    return ChannelFlight(bounds, [first_z - state for first_z, state in zip(first_states, flight_states, strict=True)])
 
 
 class Answer(NamedTuple):
@@ -225,40 +225,40 @@ def answer_of(
     t = arb(problem["sample_time"])
     l0 = arb(controller["l0"])
     slope_1, slope_2, slope_n = map(arb, proof["slopes"])
-    turning = acb(0, angular(frequency))
-    speed = turning * course.reference.get(frequency, acb(0))
-    bend = turning * speed
-    known = {remainder: waves.get(frequency, acb(0)) for remainder, waves in course.known.items()}
+    i_omega = acb(0, angular(frequency))
+    speed = i_omega * course.reference.get(frequency, acb(0))
+    acceleration = i_omega * speed
+    known_phasors = {remainder: waves.get(frequency, acb(0)) for remainder, waves in course.known_remainders.items()}
     n = channel.order
-    pushed = [-speed] + [acb(0)] * (n - 1)  # e' = y' - y_m'
-    for remainder, phasor in known.items():
+    input_phasors = [-speed] + [acb(0)] * (n - 1)  # e' = y' - y_m'
+    for remainder, phasor in known_phasors.items():
         column = channel.inputs[remainder].tolist()
-        pushed = [entry + phasor * b for entry, (b,) in zip(pushed, column, strict=True)]
+        input_phasors = [entry + phasor * b for entry, (b,) in zip(input_phasors, column, strict=True)]
     by_integral = -t * slope_2 * speed  # of sigma = y' - y_m' + l_0 e
     by_command = (slope_1 + slope_n) * speed - by_integral
     if controller["nominal"] is not None:  # (l_0 - a_n) y_m' of sigma, and a_n y_m' + y_m'' of the control itself
-        by_command = by_command + (l0 * speed + bend) / arb(controller["nominal"][1])
+        by_command = by_command + (l0 * speed + acceleration) / arb(controller["nominal"][1])
     generator = acb_mat(
-        [[*map(acb, row), entry] for row, entry in zip(channel.generator.tolist(), pushed, strict=True)]
-        + [[acb(0)] * (n + 2), [acb(0)] * (n + 1) + [turning]]
+        [[*map(acb, row), entry] for row, entry in zip(channel.generator.tolist(), input_phasors, strict=True)]
+        + [[acb(0)] * (n + 2), [acb(0)] * (n + 1) + [i_omega]]
     )
-    held = (generator * acb(t)).exp()
-    drive = [held[i, n] * sampled.fresh * by_command + held[i, n + 1] for i in range(n)]
+    transition = (generator * acb(t)).exp()
+    drive = [transition[i, n] * sampled.fresh * by_command + transition[i, n + 1] for i in range(n)]
     memories = sampled.a.nrows() - n - 1
     drive += [by_command] * (memories > 0) + [acb(0)] * max(memories - 1, 0) + [by_integral]
-    state = steady_state(sampled.a, (turning * acb(t)).exp(), drive, name)
+    state = steady_state(sampled.a, (i_omega * acb(t)).exp(), drive, name)
     acting = total_product(sampled.acting, state) + sampled.fresh * by_command
     begin = acb_mat([[state[i, 0]] for i in range(n)] + [[acting], [acb(1)]])
     rows = {signal: [*map(acb, row.tolist()[0]), acb(0)] for signal, row in channel.signals.items()}
     rows[OUTPUT_RATE] = list(rows["e_dot"])
     for signal in ("e_dot", "sigma"):
         rows[signal][-1] = -speed
-    rows["bend"][-1] = known.get("force", acb(0)) - bend - l0 * speed
-    for gap, (signal, waves) in course.compared.items():
+    rows["bend"][-1] = known_phasors.get("force", acb(0)) - acceleration - l0 * speed
+    for gap, (signal, waves) in course.comparisons.items():
         rows[gap] = [*rows[signal][:-1], rows[signal][-1] - waves.get(frequency, acb(0))]
-    moved = [(generator * acb(time)).exp() * begin for time in phases]
+    states_at_phases = [(generator * acb(time)).exp() * begin for time in phases]
     slope = (generator * acb(t * interval_ball(0.0, 1.0))).exp() * (generator * begin)
-    phasors = {signal: [(acb_mat([row]) * at)[0, 0] for at in moved] for signal, row in rows.items()}
+    phasors = {signal: [(acb_mat([row]) * at)[0, 0] for at in states_at_phases] for signal, row in rows.items()}
     slopes = {signal: (acb_mat([row]) * slope)[0, 0] for signal, row in rows.items()}
     equivalent = total_product(sampled.equivalent, state) + by_integral - slope_1 * speed
     phasors[EQUIVALENT] = [equivalent]
@@ -266,10 +266,10 @@ def answer_of(
     return Answer(arb_mat([[state[i, 0].real] for i in range(state.nrows())]), phasors, slopes)
 
 
-def steady_state(a: arb_mat, turned: acb, drive: Sequence[acb], name: str) -> acb_mat:
+def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> acb_mat:
     """Z_f with (turned - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
     m = a.nrows()
-    matrix = acb_mat([[(turned if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
+    matrix = acb_mat([[(rotation if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
     try:
         return matrix.solve(acb_mat([[entry] for entry in drive]))
     except ZeroDivisionError:

@@ -3,7 +3,7 @@
 from dssc_jax.proofs.verifier.balls import Rejected
 
 
-def renamed(rejected: Rejected, premise: str, place: str = "") -> Rejected:
+def with_premise(rejected: Rejected, premise: str, place: str = "") -> Rejected:
     """The reason of a rejection under another premise, and with its place."""
     reason = str(rejected)
     return Rejected(f"{premise}:{reason[reason.index(':') + 1 :]}{place}")

@@ -180,8 +180,8 @@ def behind_of(
     d = d + at.believed_z * (bounds["psi"]["behind"] + r_mz) / (n * arb(problem["torque_coefficient"]))
     d = farthest_behind(n, d, rotors.smallest)
     if earlier is not None and problem["rotors"] > LEAST_ROTORS:
-        kept = (n - LEAST_ROTORS).sqrt() * earlier.behind_by <= 4 * rotors.smallest
-        require_premise(bool(kept), "V3: the rotors may be too far behind their commands")
+        is_bounded = (n - LEAST_ROTORS).sqrt() * earlier.behind_by <= 4 * rotors.smallest
+        require_premise(bool(is_bounded), "V3: the rotors may be too far behind their commands")
         d = maximum(d, earlier.behind_by)
     zeta = d * d / (4 * lag * rotors.smallest)
     slowest = (arb(problem["thrust_coefficient"]) * rotors.smallest).sqrt()
@@ -197,9 +197,9 @@ def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
     d^2/(4 tau f_min). As xi is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2)
     d^2/(8 f_min).
     """
-    bent = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
-    require_premise(bool(bent < 1), "V3: the rotors may be too far behind their commands")
-    return (2 * d_4 / (1 + (1 - bent).sqrt())).upper()
+    curvature = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
+    require_premise(bool(curvature < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - curvature).sqrt())).upper()
 
 
 def drag_of(
@@ -209,7 +209,7 @@ def drag_of(
     dampings: Mapping[str, float],
     body: Attitude,
     rotors: Rotors,
-    delayed: Behind,
+    behind: Behind,
 ) -> DragBounds:
     """Bounds of the drag of structure and propellers, and of the gyroscopic torque of the rotors."""
     n = arb(problem["rotors"])
@@ -227,17 +227,17 @@ def drag_of(
     region_h = DragRegion(speed_h, wind_h, arb(dampings["x"]), k_h, at.mass_low, at.mass_high, z, by_rotors)
     region_z = DragRegion(speed_z, wind_z, arb(dampings["z"]), k_z, at.mass_low, at.mass_high, v_h, by_rotors)
     s = body.s
-    turned = abs(k_h - k_z) * r / at.mass_low
+    tilt_drag = abs(k_h - k_z) * r / at.mass_low
     by_speeds = k_p * arm * n * rotors.difference * body.rate / (2 * at.mass_low)
     blades = k_p * arm * (n * rotors.difference * r / 2 + arm * rotors.sum * body.rate)
     gyroscopic = hub * n * rotors.difference * body.rate_h / 2
     return DragBounds(
         d_h=plane_drag(region_h),
         d_z=vertical_drag(region_z),
-        x_h=(turned * (s * v_h + z) * s + by_speeds).upper(),
-        x_z=(turned * (s * s * z + s * v_h) + by_speeds).upper(),
+        x_h=(tilt_drag * (s * v_h + z) * s + by_speeds).upper(),
+        x_z=(tilt_drag * (s * s * z + s * v_h) + by_speeds).upper(),
         tau_h=((blades + gyroscopic) / at.inertia_h).upper(),
-        tau_z=((blades + hub * delayed.spin_up) / at.inertia_z).upper(),
+        tau_z=((blades + hub * behind.spin_up) / at.inertia_z).upper(),
     )
 
 
@@ -261,8 +261,8 @@ def remainders_of(
     """
     body = attitude_of(problem, at, bounds)
     rotors = rotors_of(problem, at, body, earlier)
-    delayed = behind_of(problem, at, bounds, body, rotors, earlier)
-    drag = drag_of(problem, at, bounds, dampings, body, rotors, delayed)
+    behind = behind_of(problem, at, bounds, body, rotors, earlier)
+    drag = drag_of(problem, at, bounds, dampings, body, rotors, behind)
     g = at.gravity
     k = at.k
     s = body.s
@@ -271,21 +271,21 @@ def remainders_of(
     if problem["rotor_lag"] == 0:
         plane, yaw = torques(problem, at, bounds, body, drag, coupling)
     else:
-        plane, yaw = torques_behind(problem, at, bounds, body, drag, delayed)
+        plane, yaw = torques_behind(problem, at, bounds, body, drag, behind)
     by_lift = {"force": (k * body.q + drag.d_z + drag.x_z).upper()}
     if problem["rotor_lag"] > 0:
-        shortfall = arb(problem["rotors"]) * delayed.zeta / arb(problem["believed_mass"])
+        shortfall = arb(problem["rotors"]) * behind.zeta / arb(problem["believed_mass"])
         by_lift["lag"] = (shortfall + (g + body.q) * body.t * body.turning).upper()
     channels = {"x": {"force": force.upper()} | plane, "z": by_lift, "psi": yaw}
-    return Remainders(channels, (k * g).upper(), s, rotors, delayed.d)
+    return Remainders(channels, (k * g).upper(), s, rotors, behind.d)
 
 
 def lift_force(at: Ranges, body: Attitude, coupling: Coupling | None) -> arb:
     """q beta, without z_m'' alpha_0/g where the reference moves."""
     if coupling is None:
         return body.q * body.t
-    known = (coupling.lift * at.gravity * body.s + coupling.lift_known * coupling.alpha) / at.gravity
-    return body.q * body.s * (body.secant - 1) + known
+    gap_force = (coupling.lift * at.gravity * body.s + coupling.lift_known * coupling.alpha) / at.gravity
+    return body.q * body.s * (body.secant - 1) + gap_force
 
 
 def coupled_torque(
@@ -297,12 +297,12 @@ def coupled_torque(
     damping = arb(problem["damping"])
     if coupling is None:
         return stiffness * g * body.r_2 + g * damping * body.psi_1 * body.s
-    demanded = bounds["x"]["wanted"]
-    t_d = demanded / (g - body.a)
-    tilted = g * t_d**3 / 3 + body.a * body.a * t_d / g
-    lifted = (coupling.lift * demanded + coupling.lift_known * coupling.wanted) / g
-    swung = coupling.yaw * g * body.s + coupling.yaw_known * coupling.alpha
-    return stiffness * (tilted + lifted) + damping * swung
+    demand = bounds["x"]["wanted"]
+    t_d = demand / (g - body.a)
+    tilt_term = g * t_d**3 / 3 + body.a * body.a * t_d / g
+    lift_term = (coupling.lift * demand + coupling.lift_known * coupling.wanted) / g
+    yaw_term = coupling.yaw * g * body.s + coupling.yaw_known * coupling.alpha
+    return stiffness * (tilt_term + lift_term) + damping * yaw_term
 
 
 def torques(
@@ -320,14 +320,14 @@ def torques(
     m_h = at.delta * m_h + drag.tau_h
     m_z = at.delta * m_z + drag.tau_z
     yaw = (t * m_h + body.secant * m_z).upper()
-    turned = (body.n + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
-    turned = turned + (1 + s * t) * m_h + t * m_z
-    plane = at.gravity * turned + coupled_torque(problem, at, bounds, body, coupling)
+    turn = (body.n + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
+    turn = turn + (1 + s * t) * m_h + t * m_z
+    plane = at.gravity * turn + coupled_torque(problem, at, bounds, body, coupling)
     return {"torque": plane.upper()}, {"torque": yaw}
 
 
 def torques_behind(
-    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, delayed: Behind
+    problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, behind: Behind
 ) -> tuple[Balls, Balls]:
     """The same with a rotor lag."""
     s, t, psi_1 = body.s, body.t, body.psi_1
@@ -338,13 +338,13 @@ def torques_behind(
     m_h = at.delta * mu_h + drag.tau_h + at.i_h * body.rate_h * body.rate_z + body.w_h
     m_z = at.delta * mu_z + drag.tau_z + at.i_z * body.rate_h * body.rate_h / 2 + body.w_z
     yaw = (t * mu_h + (body.secant - 1) * mu_z + t * m_h + body.secant * m_z).upper()
-    turned = (mu_z + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
-    turned = turned + s * t * mu_h + t * mu_z + (1 + s * t) * m_h + t * m_z
-    shortfall = arb(problem["rotors"]) * delayed.zeta / 2
+    turn = (mu_z + yaw) * s + 2 * psi_1 * body.beta_1 + psi_1 * psi_1 * s
+    turn = turn + s * t * mu_h + t * mu_z + (1 + s * t) * m_h + t * m_z
+    shortfall = arb(problem["rotors"]) * behind.zeta / 2
     by_arm = g * arb(problem["arm"]) * shortfall / at.believed_l
     plane = {
-        "torque": (g * turned).upper(),
-        "lag": (delayed.r_mh / lag + psi_1 * bounds["x"]["gamma"] + by_arm).upper(),
+        "torque": (g * turn).upper(),
+        "lag": (behind.r_mh / lag + psi_1 * bounds["x"]["gamma"] + by_arm).upper(),
     }
     by_spin = arb(problem["torque_coefficient"]) * shortfall / at.believed_z
-    return plane, {"torque": yaw, "lag": (delayed.r_mz / lag + by_spin).upper()}
+    return plane, {"torque": yaw, "lag": (behind.r_mz / lag + by_spin).upper()}

@@ -35,7 +35,7 @@ from dssc_jax.proofs.verifier.vehicle.channels import (
     SampledChannel,
     channel_of,
     flow,
-    forced,
+    forced_response,
     row_at,
     sampled_channel,
     stack,
@@ -92,7 +92,7 @@ class Sight(NamedTuple):
     direct_integral: arb
 
 
-class SeenChannel(NamedTuple):
+class ChannelObservation(NamedTuple):
     """A sampled channel whose V falls, and what is seen of it.
 
     Args:
@@ -102,7 +102,7 @@ class SeenChannel(NamedTuple):
         decay: T_s lambda.
         sights: The signals at their times.
         rows: Their rows, (sights, m).
-        curved: The columns of the remainders within a sample.
+        curves: The columns of the remainders within a sample.
         inputs: omega_u, omega_r, points and bend of each remainder, and the unit columns of chi, (m, inputs).
         starts: e, e', the first sum q, the constant, and what is known of the start along each axis, (m, 4 + axes).
         offsets: What is added to the responses to the starts, (sights, 4 + axes).
@@ -115,7 +115,7 @@ class SeenChannel(NamedTuple):
     decay: arb
     sights: list[Sight]
     rows: arb_mat
-    curved: dict[str, "CurvedColumn"]
+    curves: dict[str, "CurvedColumn"]
     inputs: arb_mat
     starts: arb_mat
     offsets: arb_mat
@@ -126,7 +126,7 @@ KNOWN = 4
 """Place of the first column of what is known of the start."""
 
 
-def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> SeenChannel:
+def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> ChannelObservation:
     """(V1) A channel at its samples.
 
     Args:
@@ -144,51 +144,61 @@ def seen_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> Seen
     require_premise(positive_definite(p), f"V1: P of {name} is not positive definite")
     decrease = p * (1 - decay) - sampled.a.transpose() * p * sampled.a
     require_premise(positive_definite(decrease), f"V1: V of {name} does not fall")
-    sights = seen_signals(channel, sampled, t, arb(proof["share"]))
-    curved = curved_columns(channel, t, pieces_of(problem))
+    sights = signal_sights(channel, sampled, t, arb(proof["share"]))
+    curves = curved_columns(channel, t, pieces_of(problem))
     starts, offsets = start_columns(channel, sampled, proof, controller["start"], t, sights)
     flight = Balls()
     if problem["reference"] is not None:
         phases = [t * phase.numerator / phase.denominator for phase in PHASES]
-        flight, known = channel_flight(problem, name, proof, channel, sampled, phases)
-        starts = joined([starts, *known])
-        offsets = side_by_side(offsets, arb_mat(len(sights), len(known)))
+        flight, known_starts = channel_flight(problem, name, proof, channel, sampled, phases)
+        starts = beside([starts, *known_starts])
+        offsets = side_by_side(offsets, arb_mat(len(sights), len(known_starts)))
     columns = [sampled.by_command, sampled.by_integral]
-    for parts in curved.values():
-        columns += [extended(part, sampled) for part in (*parts.points, parts.bend)]
-    inputs = joined([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
+    for curve in curves.values():
+        columns += [extended_column(column_block, sampled) for column_block in (*curve.points, curve.bend)]
+    inputs = beside([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
     rows = stack([sight.row for sight in sights])
-    return SeenChannel(channel, sampled, p, decay, sights, rows, curved, inputs, starts, offsets, flight)
+    return ChannelObservation(channel, sampled, p, decay, sights, rows, curves, inputs, starts, offsets, flight)
 
 
-def channel_responses(problem: VehicleProblem, name: str, seen: SeenChannel) -> dict[str, list[SignalResponse]]:
+def channel_responses(
+    problem: VehicleProblem, name: str, observation: ChannelObservation
+) -> dict[str, list[SignalResponse]]:
     """(V1) The responses of a channel's signals, at each phase.
 
     Args:
         problem: The certificate's problem.
         name: The channel.
-        seen: What is seen of it.
+        observation: Its signals and inputs at the samples.
     """
     t = arb(problem["sample_time"])
-    reached = response_bounds(seen.sampled.a, seen.rows, seen.inputs, seen.starts, seen.p, seen.decay, seen.offsets)
-    require_premise(reached is not None, f"V1: the responses of {name} decay too slowly")
-    assert reached is not None
+    bounds = response_bounds(
+        observation.sampled.a,
+        observation.rows,
+        observation.inputs,
+        observation.starts,
+        observation.p,
+        observation.decay,
+        observation.offsets,
+    )
+    require_premise(bounds is not None, f"V1: the responses of {name} decay too slowly")
+    assert bounds is not None
     result: dict[str, list[SignalResponse]] = {}
-    for i, sight in enumerate(seen.sights):
-        response = response_of(i, sight, seen.channel, seen.curved, reached, seen.offsets, t)
+    for i, sight in enumerate(observation.sights):
+        response = response_of(i, sight, observation.channel, observation.curves, bounds, observation.offsets, t)
         result.setdefault(sight.signal, []).append(response)
     return result
 
 
-def seen_signals(channel: Channel, sampled: SampledChannel, t: arb, share: arb) -> list[Sight]:
+def signal_sights(channel: Channel, sampled: SampledChannel, t: arb, share: arb) -> list[Sight]:
     """Every signal at every phase; u_av at the samples. ``share`` is that of omega_u in omega_q."""
     sights = []
     by_both = abs(1 + t * share)
     for phase in PHASES:
         time = t * phase.numerator / phase.denominator
-        held = flow(channel, time)
+        transition = flow(channel, time)
         for signal in channel.signals:
-            row, direct = row_at(channel, sampled, signal, held)
+            row, direct = row_at(channel, sampled, signal, transition)
             sights.append(Sight(signal, time, row, abs(direct) * by_both, t * abs(direct)))
     return [*sights, Sight(EQUIVALENT, arb(0), sampled.equivalent, abs(t * share), t)]
 
@@ -220,10 +230,10 @@ def curved_columns(channel: Channel, t: arb, pieces: int) -> dict[str, CurvedCol
     over_sample = (f * (t * interval_ball(0.0, 1.0))).exp()
     result = {}
     for name, b in channel.inputs.items():
-        second = over_sample * (f * (f * b))
-        radii = [entry.rad() for (entry,) in second.tolist()]
+        second_derivative = over_sample * (f * (f * b))
+        radii = [entry.rad() for (entry,) in second_derivative.tolist()]
         points = [(f * (t * piece / pieces)).exp() * b for piece in range(pieces + 1)]
-        result[name] = CurvedColumn(points, second.mid(), radii)
+        result[name] = CurvedColumn(points, second_derivative.mid(), radii)
     return result
 
 
@@ -237,7 +247,7 @@ def first_columns(matrix: arb_mat, count: int) -> arb_mat:
     return arb_mat([row[:count] for row in matrix.tolist()])
 
 
-def joined(columns: Sequence[arb_mat]) -> arb_mat:
+def beside(columns: Sequence[arb_mat]) -> arb_mat:
     """Matrices beside each other."""
     result, *following = columns
     for column_block in following:
@@ -245,10 +255,10 @@ def joined(columns: Sequence[arb_mat]) -> arb_mat:
     return result
 
 
-def extended(part: arb_mat, sampled: SampledChannel) -> arb_mat:
+def extended_column(column_block: arb_mat, sampled: SampledChannel) -> arb_mat:
     """A column over chi as one over z, (m, 1)."""
-    remainder = sampled.a.nrows() - part.nrows()
-    return stack([part, arb_mat(remainder, 1)])
+    remainder = sampled.a.nrows() - column_block.nrows()
+    return stack([column_block, arb_mat(remainder, 1)])
 
 
 def start_columns(
@@ -270,41 +280,41 @@ def start_columns(
     offsets = arb_mat(len(sights), 4)
     b = channel.constant
     if b is None:
-        return joined([*columns, arb_mat(m, 1)]), offsets
+        return beside([*columns, arb_mat(m, 1)]), offsets
     try:
-        remainder = (units - sampled.a).solve(extended(forced(channel, b, t), sampled))
+        remainder = (units - sampled.a).solve(extended_column(forced_response(channel, b, t), sampled))
     except ZeroDivisionError:
         raise Rejected("V1: the response to the constant cannot be enclosed") from None
     for i, sight in enumerate(sights):
         offsets[i, 3] = (sight.row * remainder)[0, 0]
         if sight.signal != EQUIVALENT:
             within = with_zeros(channel.signals[sight.signal], channel.order, channel.order)
-            offsets[i, 3] = offsets[i, 3] + (within * forced(channel, b, sight.time))[0, 0]
-    return joined([*columns, -remainder]), offsets
+            offsets[i, 3] = offsets[i, 3] + (within * forced_response(channel, b, sight.time))[0, 0]
+    return beside([*columns, -remainder]), offsets
 
 
 def response_of(
     i: int,
     sight: Sight,
     channel: Channel,
-    curved: dict[str, CurvedColumn],
-    reached: ResponseBounds,
+    curves: dict[str, CurvedColumn],
+    bounds: ResponseBounds,
     offsets: arb_mat,
     t: arb,
 ) -> SignalResponse:
     """The response of one signal at one phase, which is row ``i`` of the sums."""
-    command, integral, *sums = [arb(float(value)) for value in reached.sums[i]]
-    pieces = next(iter(curved.values())).pieces
+    command, integral, *sums = [arb(float(value)) for value in bounds.sums[i]]
+    pieces = next(iter(curves.values())).pieces
     count = pieces + 2
-    units = sums[count * len(curved) :]
+    units = sums[count * len(curves) :]
     piece = t / pieces
     remainders = Balls()
-    for place, (name, parts) in enumerate(curved.items()):
-        first, *inner, end, middle = sums[count * place : count * (place + 1)]
-        bent = middle + total([radius * unit for radius, unit in zip(parts.radii, units, strict=True)])
-        lines = piece * ((first + end) / 2 + total(inner)) + pieces * piece**3 / 12 * bent
-        remainders[name] = (lines + integral_within(channel, sight, parts)).upper()
-    peaks = [arb(float(value)) for value in reached.peaks[i]]
+    for place, (name, curve) in enumerate(curves.items()):
+        start, *inner, end, middle = sums[count * place : count * (place + 1)]
+        curvature = middle + total([radius * unit for radius, unit in zip(curve.radii, units, strict=True)])
+        lines = piece * ((start + end) / 2 + total(inner)) + pieces * piece**3 / 12 * curvature
+        remainders[name] = (lines + integral_within(channel, sight, curve)).upper()
+    peaks = [arb(float(value)) for value in bounds.peaks[i]]
     known = known_size(sight.signal, peaks[KNOWN:])
     return SignalResponse(
         (command + sight.direct).upper(),
@@ -326,16 +336,16 @@ def known_size(signal: str, axes: Sequence[arb]) -> arb:
     return total([size * size for size in axes]).sqrt().upper()
 
 
-def integral_within(channel: Channel, sight: Sight, parts: CurvedColumn) -> arb:
+def integral_within(channel: Channel, sight: Sight, curve: CurvedColumn) -> arb:
     """Bound of the integral of |C e^(A_c r) b| since the sample, in as many pieces as a whole one."""
     if sight.signal == EQUIVALENT:
         return arb(0)
-    b = parts.points[0]
-    pieces = parts.pieces
+    b = curve.points[0]
+    pieces = curve.pieces
     f = dynamics(channel)
     row = first_columns(channel.signals[sight.signal], channel.order)
     over_time = (f * (sight.time * interval_ball(0.0, 1.0))).exp()
-    bent = abs((row * over_time * (f * (f * b)))[0, 0])
+    curvature = abs((row * over_time * (f * (f * b)))[0, 0])
     piece = sight.time / pieces
-    first, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(pieces + 1)]
-    return (piece * ((first + end) / 2 + total(inner)) + pieces * piece**3 / 12 * bent).upper()
+    start, *inner, end = [abs((row * (f * (piece * i)).exp() * b)[0, 0]) for i in range(pieces + 1)]
+    return (piece * ((start + end) / 2 + total(inner)) + pieces * piece**3 / 12 * curvature).upper()

@@ -98,10 +98,10 @@ def verify_vehicle(content: object) -> VehicleVerdict:
 def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
     """(V1) to (V5), and what follows from them."""
     vehicle = vehicle_of(problem, proof["channels"])
-    listed = proof["cells"]
+    cells_proof = proof["cells"]
     cells = bounds_in_cells(proof)
     inputs = inputs_in_cells(vehicle, cells)
-    implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, listed))
+    implied = implied_in_cells(vehicle, cells, inputs, responses_in_cells(vehicle, cells_proof))
     for j, bounds in enumerate(cells):
         for name in CHANNELS:
             for signal, bound in bounds[name].items():
@@ -114,23 +114,23 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
         require_sliding(problem, name, largest, extremes)
     settled = settled_bounds(vehicle, cells[-1])
     if proof["settled"] is not None:
-        begun = moved_bounds(proof["channels"], proof["settled"], settled)
-        settled = settled_bounds(vehicle_of(problem, proof["settled"]), begun)
+        other_bounds = bounds_for_channels(proof["channels"], proof["settled"], settled)
+        settled = settled_bounds(vehicle_of(problem, proof["settled"]), other_bounds)
     settled = total_bounds(vehicle.flight, settled)
     gravity = vehicle.ranges.gravity
     rotors = extremes.remainders.rotors
     return VehicleVerdict(
         True,
         "",
-        rounded(largest),
-        rounded(settled),
+        rounded_up(largest),
+        rounded_up(settled),
         float_above(extremes.remainders.tilt),
         float_above((settled["x"]["alpha"] / gravity).upper()),
         math.nextafter(float(rotors.smallest), -math.inf),
         float_above(rotors.largest),
         {name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
-        0.0 if listed is None else listed["samples"] * problem["sample_time"],
-        {} if listed is None else envelope_of([total_bounds(vehicle.flight, y) for y in cells]),
+        0.0 if cells_proof is None else cells_proof["samples"] * problem["sample_time"],
+        {} if cells_proof is None else envelope_of([total_bounds(vehicle.flight, y) for y in cells]),
         {} if vehicle.flight is None else {name: float_above(y["e"]) for name, y in vehicle.flight.bounds.items()},
     )
 
@@ -153,8 +153,8 @@ def require_sliding(problem: VehicleProblem, name: str, bounds: SignalBalls, inp
     equivalent = level + (t + law.tau_av) * (law.k_p * slope + law.k_i * y["sigma"])
     require_premise(bool(equivalent <= rho), f"V5: the equivalent control of {name} may exceed rho")
     if controller["start"] == "zero":
-        first = first_equivalent(problem, name, law)
-        require_premise(bool(first <= rho), f"V5: the first equivalent control of {name} may exceed rho")
+        first_control = first_equivalent(problem, name, law)
+        require_premise(bool(first_control <= rho), f"V5: the first equivalent control of {name} may exceed rho")
 
 
 def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb:
@@ -163,7 +163,7 @@ def first_equivalent(problem: VehicleProblem, name: str, law: Deviations) -> arb
     return (1 + law.tau_av / t) * (law.k_p + t * law.k_i) * first_sigma(problem, name)
 
 
-def moved_bounds(
+def bounds_for_channels(
     middles: Mapping[str, MiddleProof], settled_middles: Mapping[str, MiddleProof], bounds: SignalBalls
 ) -> SignalBalls:
     """Bounds of the signals of other linear channels, in which c and k_1 differ."""
@@ -181,12 +181,12 @@ def moved_bounds(
 
 def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
     """Bounds of the upper limits: F_s again and again, of which the smallest of each signal counts."""
-    entered = arb(ENTERED)
+    enter_factor = arb(ENTERED)
     for _ in range(MOST_ITERATIONS):
-        wider = {name: {signal: (y * entered).upper() for signal, y in bounds[name].items()} for name in CHANNELS}
+        wider = {name: {signal: (y * enter_factor).upper() for signal, y in bounds[name].items()} for name in CHANNELS}
         try:
             inputs = inputs_under(vehicle, wider, deviations_under(vehicle, wider))
-            implied = implied_bounds(vehicle, wider, inputs, started=False)
+            implied = implied_bounds(vehicle, wider, inputs, from_start=False)
         except Rejected:  # 1.0001 times the bounds need not satisfy what they do
             return bounds
         lower = {}
@@ -203,7 +203,7 @@ def settled_bounds(vehicle: Vehicle, bounds: SignalBalls) -> SignalBalls:
     return bounds
 
 
-def rounded(bounds: SignalBalls) -> FloatBounds:
+def rounded_up(bounds: SignalBalls) -> FloatBounds:
     """Bounds in float64, rounded up."""
     return {name: {signal: float_above(y) for signal, y in bounds[name].items()} for name in CHANNELS}
 

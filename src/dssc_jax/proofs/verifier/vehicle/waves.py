@@ -14,7 +14,7 @@ Waves = Mapping[Fraction, acb]
 """Phasors by frequency, which is not negative; the phasor of a constant is real."""
 
 
-def gathered(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
+def sum_of_sines(parts: Sequence[tuple[Fraction, acb]]) -> dict[Fraction, acb]:
     """The sum of single sines, whose frequencies may be negative."""
     result: dict[Fraction, acb] = {}
     for frequency, phasor in parts:
@@ -49,17 +49,17 @@ def multiple(waves: Waves, factor: arb) -> Waves:
 
 def sum_of(*sums: Waves) -> Waves:
     """The sum of sums."""
-    return gathered([part for waves in sums for part in waves.items()])
+    return sum_of_sines([part for waves in sums for part in waves.items()])
 
 
-def times(first: Waves, second: Waves) -> Waves:
+def times(left: Waves, right: Waves) -> Waves:
     """The product: cosines of the sums and of the differences of the angles, with half the amplitudes."""
     parts = []
-    for f, a in first.items():
-        for h, b in second.items():
+    for f, a in left.items():
+        for h, b in right.items():
             parts.append((f + h, a * b / 2))
             parts.append((f - h, a * b.conjugate() / 2))
-    return gathered(parts)
+    return sum_of_sines(parts)
 
 
 def largest(waves: Waves) -> arb:

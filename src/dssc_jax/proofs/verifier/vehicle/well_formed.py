@@ -15,7 +15,7 @@ from dssc_jax.proofs.verifier.vehicle.certificate import (
     VehicleProof,
 )
 from dssc_jax.proofs.verifier.vehicle.channels import channel_of, signal_names
-from dssc_jax.proofs.verifier.vehicle.premises import renamed
+from dssc_jax.proofs.verifier.vehicle.premises import with_premise
 from dssc_jax.proofs.verifier.vehicle.remainders import LEAST_ROTORS
 from dssc_jax.proofs.verifier.well_formed import (
     MOST_DELAY,
@@ -67,7 +67,7 @@ def require_certificate(content: object) -> VehicleCertificate:
         problem = require_problem(certificate["problem"])
         require_proof(problem, certificate["proof"])
     except Rejected as rejected:
-        raise renamed(rejected, "V0") from None
+        raise with_premise(rejected, "V0") from None
     return cast(VehicleCertificate, content)
 
 
@@ -81,8 +81,8 @@ def require_problem(content: object) -> VehicleProblem:
     delay = require_finite(problem["delay"], "delay")
     require_shape(0 <= delay <= MOST_DELAY, "delay", f"is not within [0, {MOST_DELAY}]")
     rotors = require_finite(problem["rotors"], "rotors")
-    even = rotors >= LEAST_ROTORS and rotors % 2 == 0
-    require_shape(even, "rotors", f"is no even number of at least {LEAST_ROTORS}")
+    is_even = rotors >= LEAST_ROTORS and rotors % 2 == 0
+    require_shape(is_even, "rotors", f"is no even number of at least {LEAST_ROTORS}")
     for name in ("mass", "thrust", "turn"):
         require_positive_interval(problem[name], name)
     for interval in require_list(problem["inertia"], 3, "inertia"):
@@ -120,13 +120,13 @@ def require_channel(content: object, name: str) -> None:
     require_positive(channel["l0"], f"{name}.l0")
     require_positive(channel["rho"], f"{name}.rho")
     require_functions(channel["functions"], "conservative")
-    covered = channel["functions"]["kind"] not in NOT_COVERED
-    require_shape(covered, f"{name}.functions", "depend on e, which is not covered")
+    is_covered = channel["functions"]["kind"] not in NOT_COVERED
+    require_shape(is_covered, f"{name}.functions", "depend on e, which is not covered")
     if channel["nominal"] is not None:
-        a, k, filtered = require_list(channel["nominal"], 3, f"{name}.nominal")
+        a, k, has_predictor_term = require_list(channel["nominal"], 3, f"{name}.nominal")
         require_finite(a, f"{name}.nominal")
         require_positive(k, f"{name}.nominal")
-        require_shape(type(filtered) is bool, f"{name}.nominal", "is not true or false")
+        require_shape(type(has_predictor_term) is bool, f"{name}.nominal", "is not true or false")
     require_shape(channel["start"] in STARTS, f"{name}.start", f"is none of {', '.join(STARTS)}")
     require_sizes(channel["initial"], 2, f"{name}.initial")
 
@@ -158,8 +158,8 @@ def require_cells(problem: VehicleProblem, content: object) -> None:
         for signal, values in require_entries(channels[name], names, f"cells.{name}").items():
             bounds = require_numbers(values, count, f"cells.{name}.{signal}")
             count = len(bounds)
-            within = 1 <= count <= MOST_TIME_CELLS
-            require_shape(within, f"cells.{name}.{signal}", f"has no items, or more than {MOST_TIME_CELLS}")
+            is_within = 1 <= count <= MOST_TIME_CELLS
+            require_shape(is_within, f"cells.{name}.{signal}", f"has no items, or more than {MOST_TIME_CELLS}")
             require_shape(all(bound > 0 for bound in bounds), f"cells.{name}.{signal}", "is not positive")
 
 
