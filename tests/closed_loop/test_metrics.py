@@ -30,7 +30,6 @@ def test_streaming_equals_stored(case_2):
     inside = run["t"].values >= 10.0 - 1e-9
     e, u, sigma = (run[name].values[inside] for name in ("e", "u", "sigma"))
     t = run["t"].values[inside]
-    steps = np.abs(np.diff(run["u"].values, prepend=run["u"].values[0]))
     ratio = 0.005 / (run["k_o"] * run["tau_av"]) * (1 + 0.005 / (2 * run["tau_m"])) / 2
     expected = {
         "error_rms": np.sqrt(np.mean(e**2)),
@@ -38,7 +37,7 @@ def test_streaming_equals_stored(case_2):
         "sigma_rms": np.sqrt(np.mean(sigma**2)),
         "sigma_max": np.abs(sigma).max(),
         "settling_time": t[np.abs(e) > 5.0].max() + 0.005 - 10.0,
-        "command_tv": steps[inside].sum(),
+        "command_tv": np.abs(np.diff(u)).sum(),
         "command_rms": np.sqrt(np.mean(u**2)),
         "command_max": np.abs(u).max(),
         "total_command_max": np.abs(run["u_total"].values[inside]).max(),
@@ -50,6 +49,25 @@ def test_streaming_equals_stored(case_2):
     assert expected["outside_sliding"] > 0
     for name, value in expected.items():
         assert run.attrs[name] == pytest.approx(value, rel=1e-9), name
+
+
+@pytest.mark.parametrize(("after", "variation"), [(0.0, 2.0), (0.495, 2.0), (0.5, 0.0), (0.51, 0.0)])
+def test_the_jump_into_a_window_is_outside_of_it(after, variation):
+    """A proportional controller jumps by 2 with its reference at 0.5 s, and rests else."""
+    study = dj.Study.from_table(
+        {
+            "name": "jump",
+            "draws": 1,
+            "loop": {"duration": 1.0, "sample_time": 0.005},
+            "plant": {"kind": "normal_form", "k_p": 1e-9, "a_p": 1.0},
+            "reference": {"kind": "step", "size": 1.0, "at": 0.5},
+            "controller": {"kind": "pid", "k_p": 2.0, "k_i": 0.0, "k_d": 0.0},
+            "metrics": {"after": after, "names": ["command_tv", "total_command_tv"]},
+        }
+    )
+    metrics = dj.simulate(study).attrs
+    for name in ("command_tv", "total_command_tv"):
+        assert metrics[name] == pytest.approx(variation, abs=1e-6), name
 
 
 def test_unsettled_is_infinite(case_2):

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from dssc_jax.closed_loop.margin_kinds import NO_MARGINS, LoopMargin
-from dssc_jax.closed_loop.spans import Span, in_window, span_of
+from dssc_jax.closed_loop.spans import Span, first_sample, in_window, span_of
 from dssc_jax.closed_loop.window import WHOLE_RUN, Window
 from dssc_jax.core.errors import errors_in_code
 from dssc_jax.core.numerics import root_abs
@@ -31,7 +31,7 @@ class Sample(NamedTuple):
     """
 
     k: Scalar
-    dt: Scalar
+    dt: float
     e: Scalar
     sigma: Scalar
     sigma_measured: Scalar
@@ -138,6 +138,13 @@ def peak(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window
 def total(of: Callable[[Observed], Scalar]) -> Callable[[Scalar, Observed, Window], Scalar]:
     """Running sum."""
     return lambda acc, sample, window: acc + of(sample)
+
+
+def variation(acc: Scalar, sample: Sample, window: Window) -> Scalar:
+    """Add the change to this sample's u; the window's first sample has none."""
+    first = first_sample(window, sample.dt)
+    change = jnp.abs(sample.u - sample.u_previous)
+    return acc + (change if first == 0 else jnp.where(sample.k == first, 0.0, change))
 
 
 def itself(acc: Scalar, window: Window, span: Span) -> Scalar:
@@ -249,14 +256,7 @@ METRICS: dict[str, Metric] = {
     "settling_time": Metric(
         "s", "time after which |e| stays within the band", last_outside, settling, counted=True, course=RISES, least=0.0
     ),
-    "command_tv": Metric(
-        "u",
-        "total variation of the robust command u",
-        total(lambda s: jnp.abs(s.u - s.u_previous)),
-        itself,
-        course=RISES,
-        least=0.0,
-    ),
+    "command_tv": Metric("u", "total variation of the robust command u", variation, itself, course=RISES, least=0.0),
     "command_rms": Metric("u", "rms of the robust command u", total(lambda s: s.u * s.u), root_mean, least=0.0),
     "command_max": Metric("u", "largest |u|", peak(lambda s: s.u), itself, course=RISES, least=0.0),
     "total_command_max": Metric("u", "largest |u + u_n|", peak(lambda s: s.u_total), itself, course=RISES, least=0.0),
