@@ -201,6 +201,28 @@ def test_gaps_and_rare_values_have_their_own_remedies():
     assert few_samples_remedy(np.arange(100) < 7, 0.02).startswith("it has values from 0 s to 0.12 s of the study only")
 
 
+def test_a_clock_that_is_set_back_for_a_while_is_refused(tmp_path):
+    """Nineteen of 400 rows in a row are few enough, and yet no stray ones; four alone are left out on request."""
+    table = tmp_path / "a.csv"
+    for count in (4, 19):
+        time = 0.02 * np.arange(400)
+        time[200 : 200 + count] -= 1.0
+        table.write_text("t,y\n" + "".join(f"{t:.6g},{k}\n" for k, t in enumerate(time)))
+        if count == 4:
+            assert len(dj.read_log(table, allow_damaged=True).columns["y"].time) == 396
+            continue
+        with pytest.raises(ConfigError, match="19 of 400 rows would have to go: the clock of the log was set back"):
+            dj.read_log(table, allow_damaged=True)
+
+
+def test_a_column_with_text_is_named(tmp_path):
+    table = tmp_path / "a.csv"
+    table.write_text("t,y,z\n0,1,1\n0.1,ERR,2\n0.2,3,3\n")
+    contents = log_contents(table)
+    assert contents.text_columns == ("y",)
+    assert [field.name for field in contents.fields] == ["t", "z"]
+
+
 def test_times_that_repeat_are_told():
     rounded = repeated_times_text(np.round(RATE, 1))
     assert rounded.startswith("repeats from one row to the next in 79 of 100 rows, and rises by 0.1 s else")

@@ -98,6 +98,8 @@ def test_a_copy_of_the_reference_is_told():
         log = FlightLog("flight", logged | {name.replace("y", "y_ref"): logged[name]}, 0.0)
         hints = replay_log(linear(), log, commands=False).hints
         assert hints.conversions[name] == f"is a copy of {name.replace('y', 'y_ref')}, number by number"
+    log = FlightLog("flight", {"y": y, "y_dot": rate, "u_total": rate}, 0.0)
+    assert replay_log(linear(), log).hints.conversions["u_total"] == "is a copy of y_dot, number by number"
     rest = Column(TIME, np.ones(400))
     log = FlightLog("flight", {"y": rest, "y_ref": rest}, 0.0)
     assert "copy" not in str(replay_log(linear(), log, commands=False).hints)

@@ -7,10 +7,11 @@ import pytest
 
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.flight_logs.fit import fit_log
-from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.held_outputs import drop_repeats, stuck_span, usual_hold
 from dssc_jax.flight_logs.outliers import outliers
-from dssc_jax.flight_logs.reader import Column, read_log
+from dssc_jax.flight_logs.reader import Column, FlightLog, read_log
 from dssc_jax.flight_logs.refusals import Unexplained
+from dssc_jax.flight_logs.replay import replay_log
 from tests.flight_logs.test_fit import DT, linear, log_of, output
 
 TIMES = 0.02 * np.arange(400)
@@ -97,6 +98,22 @@ def test_held_outputs_are_taken_where_they_change():
     taken, expected = (fit_log(linear(), log_of(values, u), names) for values in (held, rare))
     np.testing.assert_allclose(taken.estimates, expected.estimates, rtol=1e-9)
     assert f"y is held for {5 * DT:.3g} s at a time" in "; ".join(doubt.text for doubt in taken.doubts)
+
+
+def test_a_sensor_that_sticks_is_told():
+    """Thirty equal readings among noisy ones; neither the rest of a simulated output nor a coarse scale is that."""
+    y = output(1.1, 0.8, flight()[0])
+    noisy = y + 0.05 * np.random.default_rng(2).normal(size=400)
+    stuck = noisy.copy()
+    stuck[100:130] = stuck[100]
+    assert stuck_span(Column(TIMES, stuck)) == pytest.approx((TIMES[100], TIMES[129]))
+    at_rest = y.copy()
+    at_rest[:130] = at_rest[0]
+    for other in (noisy, y, at_rest, np.round(noisy, 1), np.repeat(noisy[::20], 20), np.zeros(400)):
+        assert stuck_span(Column(TIMES, other)) is None
+    log = FlightLog("flight", {"y": Column(TIMES, stuck)}, 0.0)
+    told = replay_log(linear(), log, commands=False).hints.factors["y"]
+    assert told.startswith(f"repeats one value from {TIMES[100]:.4g} s to {TIMES[129]:.4g} s of the log")
 
 
 def test_columns_that_share_a_name_and_cells_that_are_text_are_refused(tmp_path):

@@ -32,6 +32,8 @@ def show_log(log: LogContents) -> None:
         say(f"{count} dropouts of together {lost:.3g} s")
     if log.damaged is not None:
         say(f"damaged: byte {log.damaged} is no message; {log.lost:,} bytes at {places(log.damages)} are passed over")
+    if log.text_columns:
+        say(f"text in some cells, and so not shown: {', '.join(log.text_columns)}")
     if log.cut:
         say("cut off: the file ends within a message, and what was to come is not in it")
     for step in log.falls:

@@ -96,7 +96,7 @@ def progress_bar(
             bar.stop()
     if latest < limit and not bar.disable:
         reason = early() if callable(early) else early
-        notify(f"{study.name} stopped early after {latest:,} of at most {limit:,} {of}: {reason}")
+        notify(f"{study.name} took {latest:,} of at most {limit:,} {of}: {reason}")
 
 
 def show_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> None:

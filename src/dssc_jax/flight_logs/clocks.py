@@ -17,6 +17,7 @@ LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
 """Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
+MOST_TOGETHER = 4  # rows in a row that may be left out
 MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
 SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
 
@@ -167,6 +168,12 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
     return np.array(selected_rows[::-1], int)
 
 
+def longest_run(flags: np.ndarray) -> int:
+    """The largest number of true flags in a row."""
+    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
+    return int(np.max(np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0), initial=0))
+
+
 def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) -> np.ndarray:
     """The positions whose times do not fall; all of them if no time falls.
 
@@ -177,7 +184,8 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) ->
         may_drop: Whether rows may be left out.
 
     Raises:
-        ConfigError: Times fall, and rows may not be left out, or so many would be that the clock is another one.
+        ConfigError: Times fall, and rows may not be left out; or so many would be, of all or in a row, that the clock
+            is another one.
     """
     falls = np.flatnonzero(np.diff(time) < 0.0)
     if not falls.size:
@@ -190,7 +198,8 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) ->
         f"{time[first_fall]:.6g} s in row {rows[first_fall + 1] + 1}"
     )
     share_text = f"{dropped:,} of {len(time):,} rows would have to go"
-    if dropped > MOST_DROPPED * len(time):
+    is_dropped = ~np.isin(np.arange(len(time)), selected_rows)
+    if dropped > MOST_DROPPED * len(time) or longest_run(is_dropped) > MOST_TOGETHER:
         raise ConfigError(
             name,
             f"{fall_text}, and {share_text}: the clock of the log was set back. `dssc-jax log` tells where; take "

@@ -82,6 +82,7 @@ class LogContents:
         invalid: When the estimator called position or velocity invalid.
         late: Last messages of topics long after the span.
         clock: The times of a table.
+        text_columns: Columns of a table that hold text, in some cells at least.
     """
 
     name: str
@@ -99,6 +100,7 @@ class LogContents:
     invalid: tuple[InvalidSpan, ...] = ()
     late: tuple[LateMessage, ...] = ()
     clock: LogTopic | None = None
+    text_columns: tuple[str, ...] = ()
 
     @property
     def clocks(self) -> tuple[LogTopic, ...]:
@@ -206,17 +208,22 @@ def table_contents(path: Path) -> LogContents:
 
     Its times are in the column t, or in the first one whose name begins with another word for them.
     """
-    frame = recorded_frame(path).select_dtypes("number")
+    whole_frame = recorded_frame(path)
+    frame = whole_frame.select_dtypes("number")
+    text_columns = tuple(str(name) for name in whole_frame.columns if name not in frame.columns)
     columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
     names = [name for name in columns if name.strip().lower().startswith(TIME_NAMES)]
     name = TIME if TIME in columns else next(iter(names), None)
-    if name is None:
-        return LogContents(path.name, {}, 0.0, (), (), (0, 0.0), None, 0, 0, False, fields)
-    clock = column_clock(name, columns[name])
-    finite_times = columns[name][np.isfinite(columns[name])]
-    span = float(np.ptp(finite_times)) if finite_times.size else 0.0
-    return LogContents(path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock)
+    clock = None
+    span = 0.0
+    if name is not None:
+        clock = column_clock(name, columns[name])
+        finite_times = columns[name][np.isfinite(columns[name])]
+        span = float(np.ptp(finite_times)) if finite_times.size else 0.0
+    return LogContents(
+        path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock, text_columns=text_columns
+    )
 
 
 def topic_table(

@@ -5,6 +5,11 @@ A repeated value is no new reading: it is late by up to the time between two of 
 
 import numpy as np
 
+from dssc_jax.flight_logs.reader import Column
+
+LEAST_STUCK = 10  # equal readings in a row of a noisy output: fewer may be chance
+NOISY = 0.9  # share of the other readings that differ from the one before
+TURNING = 0.3  # share of their changes that have another sign than the one before: fewer are those of a smooth output
 LEAST_CHANGES = 10  # of an output that is held: fewer do not tell a rate
 REGULAR = 0.9  # of the times between two changes that are the usual one, to a sample
 DIFFERENT = 0.5  # of the changes that differ in size: fewer are those of a coarse scale
@@ -38,3 +43,19 @@ def drop_repeats(values: np.ndarray) -> np.ndarray:
     without_repeats = values.copy()
     without_repeats[repeated_rows] = np.nan
     return without_repeats
+
+
+def stuck_span(column: Column) -> tuple[float, float] | None:
+    """The times between which a noisy output repeats one value, as that of a stuck sensor [s]; None: it never does."""
+    changes = np.diff(column.value)
+    is_equal = changes == 0.0
+    edges = np.diff(np.concatenate([[0], is_equal.astype(int), [0]]))
+    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    if not begins.size or np.max(ends - begins) + 1 < LEAST_STUCK:
+        return None
+    longest = int(np.argmax(ends - begins))
+    others = np.delete(changes, np.s_[begins[longest] : ends[longest]])
+    signs = np.sign(others[others != 0.0])
+    if len(signs) <= max(LEAST_STUCK, NOISY * len(others)) or np.mean(np.diff(signs) != 0.0) < TURNING:
+        return None
+    return float(column.time[begins[longest]]), float(column.time[ends[longest]])

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_unit_of
+from dssc_jax.flight_logs.held_outputs import stuck_span
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
 
@@ -190,11 +191,21 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
             name, reference = signal_name(channel, quantity), signal_name(channel, quantity.replace("y", "y_ref"))
             if are_copies(log.columns.get(name), log.columns.get(reference)):
                 hints.units[name] = f"is a copy of {reference}, number by number"
+            command = signal_name(channel, "u_total")
+            if are_copies(log.columns.get(command), log.columns.get(name)):
+                hints.units[command] = f"is a copy of {name}, number by number"
     end = log.start + loop.sample_time * (loop.steps - 1)
     if any(log.start < reset.time <= end and not reset.is_removed for reset in log.resets):
         return hints
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
+        span = stuck_span(log.columns[y]) if y in log.columns else None
+        if span is not None:
+            hints.factors[y] = (
+                f"repeats one value from {span[0]:.4g} s to {span[1]:.4g} s of the log, and changes at each reading "
+                "else: the sensor sticks, or its topic does. Take the part before or after"
+            )
+            continue
         if {y, rate} <= set(log.columns) and is_still(log.columns[rate]) and not is_still(log.columns[y]):
             hints.factors[rate] = f"does not change while {y} does: its column holds something else"
         if channel in loop.plant.angles or not {y, rate} <= set(log.columns) or {y, rate} & set(hints.units):
