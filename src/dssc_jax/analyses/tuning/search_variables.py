@@ -161,9 +161,8 @@ class Theorem:
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the certified design, and the other tuned numbers."""
         free = self.free_parameters(tuned)
-        _, bounds = self.parameters_and_bounds(
-            {dotted_name("l0"): free.l0}
-        )  # of which those of the nominal control depend on l0
+        # bounds of the nominal control depend on l0
+        _, bounds = self.parameters_and_bounds({dotted_name("l0"): free.l0})
         parameters = design(bounds, free)
         numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
         return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}

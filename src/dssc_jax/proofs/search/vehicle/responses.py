@@ -199,8 +199,8 @@ def channel_series(
 ) -> ChannelSeries:
     """The responses of a channel, sample by sample. Only the channel of z has a constant force.
 
-    All columns (inputs, the deviation from the equilibrium, starts, the known differences of z_0) go through the sampled
-    channel together.
+    All columns (inputs, the deviation from the equilibrium, starts, the known differences of z_0) go through the
+    sampled channel together.
 
     Args:
         problem: The vehicle.
