@@ -100,7 +100,10 @@ def nearest_share(sigma_sizes: np.ndarray, integral: np.ndarray, command: np.nda
 
 
 def nearest_slope(sigma_sizes: np.ndarray, ratios: np.ndarray) -> float:
-    """The slope k with the smallest largest |f - k sigma|, from |sigma| and the ratios f/sigma; that is convex in k."""
+    """The slope k for which the largest |f - k sigma|, which is convex in k, is smallest.
+
+    It follows from |sigma| and the ratios f/sigma at points.
+    """
     low, high = float(ratios.min()), float(ratios.max())
     if not low < high:
         return low
