@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process without visiting each of its objects once more, which would take up to half a second."""
+    """End the process without Python's final clean-up of every object, which would take up to half a second."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError):
             stream.flush()

@@ -238,13 +238,13 @@ class Judgement(NamedTuple):
 
 
 def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at: int = 0) -> Judgement:
-    """The judgement of a formula at the end of a flight.
+    """A formula's robustness and the number of samples that decide it, from the latches at the end of a flight.
 
     Args:
         formula: The formula.
         latches: Those of :func:`latched_formulas`, in its order.
-        extremes: Minimum and maximum.
-        at: The sample at which the formula is to hold.
+        extremes: Exact or smooth minimum and maximum.
+        at: The sample at which the formula is evaluated.
     """
     match formula:
         case Not():
@@ -258,8 +258,8 @@ def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at
             return judgement(formula.inner, latches, extremes, at + formula.begin)
         case _:
             latch = next(latches)
-            end = float(at + horizon(formula) + 1)  # samples that decide it if fewer do not
-            return Judgement(latch.value, jnp.where(latch.decision > 0.0, latch.decision, end))
+            latest_decision = float(at + horizon(formula) + 1)  # all samples that it needs, if fewer do not decide it
+            return Judgement(latch.value, jnp.where(latch.decision > 0.0, latch.decision, latest_decision))
 
 
 def joint_judgement(combine: Combination, conjunction: bool, first: Judgement, second: Judgement) -> Judgement:

@@ -301,7 +301,7 @@ def unsafe(path: Path, rule: str) -> UnsafeFileError:
 
 
 class HeldFolder:
-    """A folder that is known again: another one in its place, or none, is noticed.
+    """A folder recognised by its device and inode: another one in its place, or none, is noticed.
 
     Args:
         path: An existing folder. It is kept open until :meth:`close`, so that no other can get its identity.

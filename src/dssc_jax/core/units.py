@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 OUTPUT = "y"
 COMMAND = "u"
 POWER = r"\^(?P<power>-?\d+|\(-?\d+(?:/\d+)?\))"
-TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<sign>[/()]))\s*")
+TOKEN = re.compile(rf"\s*(?:(?P<symbol>[^\W\d_]+|[%°]\w*|1)(?:{POWER})?|(?P<mark>[/()]))\s*")
 CLOSING = re.compile(rf"\)(?:{POWER})?\s*")
 
 PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
@@ -129,7 +129,9 @@ def scaled_symbols(text: str) -> dict[str, tuple[float, str]]:
 
 
 def product(text: str, position: int) -> tuple[Powers, int]:
-    """The exponents of the product that begins at a position, and where it ends: the text's end, or a parenthesis.
+    """The exponents of the product that begins at a position, and where it ends.
+
+    It ends at a closing parenthesis, at the text's end, or before text that is no part of a unit.
 
     Raises:
         StopIteration: a factor is missing, or a parenthesis.
@@ -138,10 +140,10 @@ def product(text: str, position: int) -> tuple[Powers, int]:
     sign = 1
     while True:
         token = TOKEN.match(text, position)
-        if token is None or token["sign"] in ("/", ")"):
+        if token is None or token["mark"] in ("/", ")"):
             raise StopIteration
         position = token.end()
-        if token["sign"] == "(":
+        if token["mark"] == "(":
             factor, position = product(text, position)
             closed = CLOSING.match(text, position)
             if closed is None:
@@ -153,10 +155,10 @@ def product(text: str, position: int) -> tuple[Powers, int]:
             power = token["power"]
         multiply(total, factor, sign * Fraction((power or "1").strip("()")))
         token = TOKEN.match(text, position)
-        if token is None or token["sign"] == ")":
+        if token is None or token["mark"] == ")":
             return total, position
-        divides = token["sign"] == "/"
-        sign, position = (-1, token.end()) if divides else (1, position)
+        divides = token["mark"] == "/"
+        sign, position = (-1, token.end()) if divides else (1, position)  # a slash holds for the next factor alone
 
 
 def unit_text_of(powers: Powers) -> str:

@@ -44,20 +44,26 @@ class Drift(NamedTuple):
 def sigma_noise(
     sensor: Sensor, differentiator: Differentiator, params: tuple[Any, Any], l0: Scalar, dt: Scalar
 ) -> jax.Array:
-    """The noise of sigma = y' + l0 y behind sensor and differentiator at rest, shape (SAMPLES,)."""
+    """Noise of sigma = y' + l0 y behind sensor and differentiator at y = y' = 0, less its mean; shape (SAMPLES,)."""
     leaves, tree = jax.tree.flatten(params)
-    numbers = tuple(None if np.ndim(leaf) else leaf for leaf in leaves)  # counts of samples are fixed before tracing
-    records = tuple(leaf if np.ndim(leaf) else None for leaf in leaves)
-    return traced_noise((sensor, differentiator), tree, numbers, records, l0, dt)
+    # jit takes every scalar as static, since some are counts of samples; arrays are traced
+    static_scalars = tuple(None if np.ndim(leaf) else leaf for leaf in leaves)
+    traced_arrays = tuple(leaf if np.ndim(leaf) else None for leaf in leaves)
+    return traced_noise((sensor, differentiator), tree, static_scalars, traced_arrays, l0, dt)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def traced_noise(
-    models: tuple[Sensor, Differentiator], tree: Any, numbers: tuple, records: tuple, l0: Scalar, dt: Scalar
+    models: tuple[Sensor, Differentiator],
+    tree: Any,
+    static_scalars: tuple,
+    traced_arrays: tuple,
+    l0: Scalar,
+    dt: Scalar,
 ) -> jax.Array:
-    """:func:`sigma_noise` with the parameters' numbers and records, of which each leaf is one."""
+    """:func:`sigma_noise` with the parameters' leaves apart: each is None among the scalars or the arrays."""
     sensor, differentiator = models
-    params = tree.unflatten(n if r is None else r for n, r in zip(numbers, records, strict=True))
+    params = tree.unflatten(s if a is None else a for s, a in zip(static_scalars, traced_arrays, strict=True))
     at_rest = Measurement(0.0, 0.0)
     key = jax.random.key(stream("noise"))
 

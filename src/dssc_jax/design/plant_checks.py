@@ -46,14 +46,14 @@ class Behaviour(NamedTuple):
         effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
             (..., channels + inputs).
         slopes: Those of ``derivative``, shape (states,).
-        split_slopes: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
+        slopes_of_parts: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
     """
 
     along: jax.Array
     rate: jax.Array
     effects: jax.Array
     slopes: jax.Array
-    split_slopes: jax.Array
+    slopes_of_parts: jax.Array
 
 
 def plant_warnings(study: Study) -> list[str]:
@@ -113,9 +113,9 @@ def plant_findings(study: Study) -> PlantFindings:
         for _ in range(POINTS):
             x = start + NEAR * (0.1 + jnp.abs(start)) * random.normal(size=start.shape)
             signals = PUSH * random.normal(size=2 * channel_count + input_count)
-            along, rate, effects, slopes, split_slopes = map(np.asarray, behaviour(x, signals))
+            along, rate, effects, slopes, slopes_of_parts = map(np.asarray, behaviour(x, signals))
             scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
-            is_contradictory |= not np.allclose(slopes, split_slopes, SAME_RATE, scale, equal_nan=True)
+            is_contradictory |= not np.allclose(slopes, slopes_of_parts, SAME_RATE, scale, equal_nan=True)
             is_finite = np.isfinite(along) & np.isfinite(rate)
             finite_counts += is_finite
             mismatch_counts += is_finite & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
@@ -152,7 +152,8 @@ def start_and_behaviour(
         outputs = jnp.stack([jnp.asarray(measurement.y) for measurement in measurements])
         return outputs, jnp.stack([jnp.asarray(measurement.y_dot) for measurement in measurements])
 
-    def split_slope(x: jax.Array, signals: jax.Array) -> jax.Array:
+    def slope_of_parts(x: jax.Array, signals: jax.Array) -> jax.Array:
+        """The sum of ``linear`` and ``remainder``; that of ``derivative`` if the plant has no linear part."""
         if plant.linear is None:
             return slope(x, signals)
         linear = plant.linear(params)
@@ -171,7 +172,7 @@ def start_and_behaviour(
             measured_outputs(x, signals)[1],
             effects[:, channel_count:],
             slope(x, signals),
-            split_slope(x, signals),
+            slope_of_parts(x, signals),
         )
 
     return start, behaviour

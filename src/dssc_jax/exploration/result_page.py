@@ -85,26 +85,26 @@ class ResultPage(Page):
         return plot
 
     def show_wrong_laws(self) -> None:
-        """Show the failure probability if the laws are wrong as the slider says."""
+        """Show the failure probability if the laws are wrong in the chosen way by the slider's amount."""
         amounts = self.wrong_laws.amounts
 
-        def answer(stale: Stale) -> None:
+        def show_answer(stale: Stale) -> None:
             text = answer_text(amounts, self.result.study, self.result.failed.values, self.result.method)
             if not stale():
                 self.update(self.wrong_laws.show, text)
 
-        self.work_aside(answer)
+        self.work_aside(show_answer)
 
     def show_how_wrong(self) -> None:
         """Show how wrong the laws may be."""
         limit = float(self.wrong_laws.limit.value)
 
-        def answer(stale: Stale) -> None:
+        def show_answer(stale: Stale) -> None:
             text = how_wrong_text(self.result, limit)
             if not stale():
                 self.update(self.wrong_laws.show, text)
 
-        self.work_aside(answer)
+        self.work_aside(show_answer)
 
     @property
     def view(self) -> pn.Column:

@@ -247,19 +247,20 @@ def climbed_shift(
         shift: The first shift.
         margin: The longest one.
     """
-    ends = {0: unshifted_end}
+    minimum_of_shift = {0: unshifted_end}
 
-    def cost(candidate: int) -> float:
+    def cost_at(candidate: int) -> float:
+        """The least weighted sum of squares with a shift, infinite beyond the margin; each shift is fitted once."""
         if abs(candidate) > margin:
             return math.inf
-        if candidate not in ends:
-            ends[candidate] = minimise(shifts.at(channels, candidate), start.x)
-        return ends[candidate].cost
+        if candidate not in minimum_of_shift:
+            minimum_of_shift[candidate] = minimise(shifts.at(channels, candidate), start.x)
+        return minimum_of_shift[candidate].cost
 
     while True:
-        better = min((shift, shift - 1, shift + 1), key=cost)
+        better = min((shift, shift - 1, shift + 1), key=cost_at)
         if better == shift:
-            return shift, ends[shift]
+            return shift, minimum_of_shift[shift]
         shift = better
 
 

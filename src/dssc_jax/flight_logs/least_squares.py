@@ -139,7 +139,10 @@ class FitProblem:
         return dict(zip(self.names, self.values(x).tolist(), strict=True))
 
     def is_admissible(self, values: np.ndarray) -> bool:
-        """Whether every number is in its range, and every one that follows from it."""
+        """Whether these values of the fitted numbers, and all numbers that follow from them, are in their ranges.
+
+        All other laws have their medians, which are checked, too.
+        """
         medians = {name: law.median for name, law in self.study.laws.items()}
         return not self.study.violations(medians | dict(zip(self.names, values.tolist(), strict=True)))
 

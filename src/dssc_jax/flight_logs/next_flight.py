@@ -180,11 +180,11 @@ class NextFlight(Analysis):
         )
 
     def study_test(self) -> StudyTest:
-        """Whether so many flights depart farther than 95 % of the draws that the study is refuted."""
+        """The test that refutes the study if too many flights depart beyond a line that at most 5 % of draws exceed."""
         draw_departures = self.dataset["departure_of_draw"].values
         draws = len(draw_departures)
-        line = np.sort(draw_departures)[draws - line_rank(draws)]
-        beyond_count = int(np.count_nonzero(self.dataset["departure"].values > line))
+        departure_line = np.sort(draw_departures)[draws - line_rank(draws)]
+        beyond_count = int(np.count_nonzero(self.dataset["departure"].values > departure_line))
         p_value = beyond_p_value(beyond_count, len(self.logs), draws)
         low, high = clopper_pearson(beyond_count, len(self.logs), CONFIDENCE).tolist()
         return StudyTest(

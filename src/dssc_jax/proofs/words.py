@@ -11,7 +11,7 @@ SIGNAL_NAMES = ("|y_m'|", "|y_m''|", "|y_m'''|")
 def loop_in_words(problem: Problem) -> dict[str, str]:
     """The problem of a certificate in words, by label.
 
-    The problem is well formed; units are those of the certificate, y and u, seconds.
+    The problem must be well formed. Values are in the certificate's units: those of y and of u, and seconds.
     """
     return {
         "controller": controller_words(problem),

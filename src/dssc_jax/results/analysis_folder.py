@@ -73,7 +73,7 @@ def save(folder: Path, kind: str, study: Study, dataset: xr.Dataset, summary: Js
     require_free(folder, kind, study)
     files.make_folder(folder)
     coded_dataset, labels = with_codes(dataset)
-    plain = with_one_nan(coded_dataset)
+    plain = with_uniform_nan(coded_dataset)
     sums = sums_of(plain)
     description = {
         "study": study.table,
@@ -99,8 +99,11 @@ def stored_dataset(folder: Path) -> xr.Dataset:
     return xr.open_zarr(array_files, consolidated=False, zarr_format=3, chunks=None).load()
 
 
-def with_one_nan(dataset: xr.Dataset) -> xr.Dataset:
-    """The dataset with the same bits in every NaN: Zarr leaves out a chunk that holds NaN alone, whatever its bits."""
+def with_uniform_nan(dataset: xr.Dataset) -> xr.Dataset:
+    """The dataset with the same bits in every NaN.
+
+    Zarr leaves out a chunk of NaN alone and reads its own NaN there, whose digest has to be the same.
+    """
     changed_variables = {}
     for name, variable in dataset.data_vars.items():
         if variable.dtype.kind == "f":

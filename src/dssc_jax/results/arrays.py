@@ -112,7 +112,7 @@ def checked_array(
     place: Path,
     variable: Variable,
     extent: Extent,
-    growing: bool = False,
+    any_draw_count: bool = False,
 ) -> zarr.Array:
     """Open one array and require that all its metadata are those of its creation.
 
@@ -121,7 +121,7 @@ def checked_array(
         place: Path of the array.
         variable: The variable it contains.
         extent: Its shape and chunks.
-        growing: Whether it may have a different number of draws.
+        any_draw_count: Whether it may have another number of draws than its extent.
 
     Raises:
         ConfigError: It is absent or different.
@@ -131,7 +131,7 @@ def checked_array(
         with zarr.config.set(EVERY_CHUNK):
             array: Any = group[place.name]
         actual = as_json(array.metadata.to_dict())
-        shape = (*shape[:-1], array.shape[-1]) if growing else shape
+        shape = (*shape[:-1], array.shape[-1]) if any_draw_count else shape
     except Exception as error:  # zarr has no common base class of its errors
         raise ConfigError(str(place), f"is damaged: {one_line(error)}") from error
     if actual != as_json(metadata(variable, (shape, chunks))):
@@ -140,7 +140,7 @@ def checked_array(
 
 
 def checked_arrays(
-    folder: Path, study: Study, layout: Layout, mode: str = "r", growing: bool = False
+    folder: Path, study: Study, layout: Layout, mode: str = "r", any_draw_count: bool = False
 ) -> dict[str, zarr.Array]:
     """Every variable's array.
 
@@ -149,7 +149,7 @@ def checked_arrays(
         study: The study as run.
         layout: Its blocks.
         mode: ``r`` to read, ``r+`` to write.
-        growing: Whether arrays may have a different number of draws.
+        any_draw_count: Whether arrays may have another number of draws than the layout.
 
     Raises:
         ConfigError: One is absent or differs from its creation, or there is an additional one.
@@ -159,7 +159,7 @@ def checked_arrays(
     if as_json(group.metadata.to_dict()) != as_json(blank_group.metadata.to_dict()):
         raise ConfigError(str(folder / DATA), "is damaged: its attributes are not those that its study lays out")
     actual = {
-        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), growing)
+        name: checked_array(group, folder / DATA / name, variable, array_extent(variable, layout), any_draw_count)
         for name, variable in variables(study).items()
     }
     folder_names = {file.name for file in (folder / DATA).iterdir() if file.is_dir()}
@@ -197,7 +197,7 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
         ConfigError: It has, but the store is damaged.
     """
     try:
-        checked_arrays(folder, study, layout, growing=True)
+        checked_arrays(folder, study, layout, any_draw_count=True)
     except ConfigError as error:
         if any((folder / DATA / "outcome" / "c").rglob("*")):
             raise ConfigError(error.where, f"{error.rule}; start over without `resume`") from None
@@ -207,7 +207,7 @@ def laid_out(folder: Path, study: Study, layout: Layout) -> bool:
 
 def reshape(folder: Path, study: Study, layout: Layout) -> None:
     """Extend every array to the study's number of draws, and set the coordinates; existing values are kept."""
-    for name, array in checked_arrays(folder, study, layout, "r+", growing=True).items():
+    for name, array in checked_arrays(folder, study, layout, "r+", any_draw_count=True).items():
         shape, _ = array_extent(variables(study)[name], layout)
         if array.shape != shape:
             array.resize(shape)

@@ -54,7 +54,7 @@ class Chunks:
         study: The study as run.
         layout: Its blocks.
         mode: ``r`` to read, ``r+`` to write.
-        growing: Whether arrays may have a different number of draws.
+        any_draw_count: Whether arrays may have another number of draws than the layout.
         arrays: The arrays, if they have just been created; None: they are opened.
         held_folder: The folder as it was when its writer began; None: it is not compared when a block is written.
 
@@ -68,13 +68,13 @@ class Chunks:
         study: Study,
         layout: Layout,
         mode: str = "r",
-        growing: bool = False,
+        any_draw_count: bool = False,
         arrays: dict[str, zarr.Array] | None = None,
         held_folder: HeldFolder | None = None,
     ) -> None:
         self.folder = folder
         self.layout = layout
-        self.arrays = checked_arrays(folder, study, layout, mode, growing) if arrays is None else arrays
+        self.arrays = checked_arrays(folder, study, layout, mode, any_draw_count) if arrays is None else arrays
         self.law_names = list(study.laws)
         self.held_folder = held_folder
 

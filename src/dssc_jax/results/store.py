@@ -227,7 +227,7 @@ def read_dataset(folder: Path, study: Study, manifest: Manifest) -> xr.Dataset:
         ConfigError: It is damaged, or its run did not finish.
     """
     layout = stored_layout(folder, study, manifest)
-    chunks = Chunks(folder, study, layout, growing=not manifest.get("complete"))
+    chunks = Chunks(folder, study, layout, any_draw_count=not manifest.get("complete"))
     chunks.require_all()
     dataset = in_memory(study)
     chunks.read(dataset)

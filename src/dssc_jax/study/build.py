@@ -26,7 +26,7 @@ from dssc_jax.core.units import UNNAMED_UNITS, ChannelUnits
 from dssc_jax.study.actuators import ActuatorTable, require_one_form, section_of
 from dssc_jax.study.components import Component, as_table
 from dssc_jax.study.events import EVENT, events_of, vehicle_events, with_command_events, with_sensor_events
-from dssc_jax.study.fitting import fitted, nominal_params
+from dssc_jax.study.fitting import fitted_controllers, nominal_params
 from dssc_jax.study.measures import measurable, parse_signal_sensors, require_signals, sensor_tables
 from dssc_jax.study.measuring import available_metrics, kinds_of, parse_measures
 from dssc_jax.study.numbers import Number, dotted, parameter_numbers
@@ -161,7 +161,9 @@ def parsed_parts(table: TomlTable) -> Parts:
     columns["signal_sensor"] = parse_signal_sensors(sensors, measurable_signals)
     events = events_of(parameters.resolved(config.event, EVENT), plant, channels)
     columns["unmodelled"] = with_command_events(columns["unmodelled"], events, channels)
-    columns["controller"] = fitted(columns["controller"], plant, channels, config.loop.sample_time, measures)
+    columns["controller"] = fitted_controllers(
+        columns["controller"], plant, channels, config.loop.sample_time, measures
+    )
     for part in columns["controller"]:
         require_signals(part.model, part.params, measures)
     for name, gains in zip(channels, columns["controller"], strict=True):
@@ -183,7 +185,7 @@ def parsed_parts(table: TomlTable) -> Parts:
         input_names=tuple(signal.name for signal in inputs),
         outputs=outputs,
         rotors=plant.params.vehicle.rotors if columns["events"] else 0,
-        **clock(config),
+        **time_fields(config),
     )
     template = LoopParams(
         **{slot: part.params for slot, part in single_parts.items()},
@@ -240,8 +242,8 @@ def by_name(numbers: Iterable[Number]) -> dict[str, Number]:
     return merged_numbers
 
 
-def clock(config: StudyTable) -> TomlTable:
-    """The loop's fields about time: sampling, integration, and the end of settled draws."""
+def time_fields(config: StudyTable) -> TomlTable:
+    """The loop's fields about time: sampling, integration, and the rule that ends a settled draw early."""
     loop = config.loop
     return {
         "sample_time": loop.sample_time,

@@ -19,7 +19,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.units import ANGLE, POSITION, ChannelUnits
-from dssc_jax.study.build import clock, info_fields, signals_of, validate_fixed, with_constants
+from dssc_jax.study.build import info_fields, signals_of, time_fields, validate_fixed, with_constants
 from dssc_jax.study.code import code_names, describe_code
 from dssc_jax.study.components import as_table
 from dssc_jax.study.laws import Law, parse_law
@@ -164,7 +164,7 @@ class Described(Study):
         except ConfigError as error:
             raise error.within(source) from None
         shape = tuple(len(values) for values in config.sweep.values())
-        loop = Loop(plant, *[unloaded] * 7, channels=channels or ("",), **clock(config))
+        loop = Loop(plant, *[unloaded] * 7, channels=channels or ("",), **time_fields(config))
         is_consistent = numbers.keys() >= config.sweep.keys() and tuple(description.fields) == loop.channels
         if not is_consistent or (verdicts.shape or shape) != shape:
             raise ConfigError(source, "is damaged: its description is not that of its study")

@@ -28,21 +28,23 @@ def nominal_params(params: Params) -> Params:
     return jax.tree.map(lambda leaf: leaf.nominal if isinstance(leaf, Uncertain) else leaf, params)
 
 
-def setting_of(plant: Plant, params: Params, sample_time: float, measures: Sequence[NamedSignal]) -> LoopSetting:
+def setting_of(
+    plant: Plant, params: Params, sample_time: float, measured_signals: Sequence[NamedSignal]
+) -> LoopSetting:
     """The setting to which a controller of this loop is fitted.
 
     Args:
         plant: The plant.
         params: Its parameters, in plain numbers.
         sample_time: T_s [s].
-        measures: The measured signals.
+        measured_signals: Those of the loop.
     """
-    names = tuple(signal.name for signal in measures)
+    names = tuple(signal.name for signal in measured_signals)
     linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2
     return LoopSetting(sample_time, names, nominal_plant(plant, params, names) if linear else None)
 
 
-def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> NominalPlant:
+def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> NominalPlant:
     """A linear plant of one channel in plain numbers; rows of outputs by differentiating what it reports."""
     assert plant.linear is not None  # held by setting_of
     dynamics = plant.linear(params)
@@ -58,7 +60,7 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
         report = plant.monitor(params, state, drive)
         values = {"y": measurement.y, "y_dot": measurement.y_dot} | signals_in(report)
         values |= {f"{STATE}{i}": leaf for i, leaf in enumerate(x, start=1)}
-        return jnp.stack([jnp.asarray(values[name]) for name in ("y", *measures)])
+        return jnp.stack([jnp.asarray(values[name]) for name in ("y", *signal_names)])
 
     with arithmetic():
         rows, feedthrough = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
@@ -74,25 +76,27 @@ def nominal_plant(plant: Plant, params: Params, measures: Sequence[str]) -> Nomi
     )
 
 
-def fitted(
+def fitted_controllers(
     controllers: Sequence[Component],
     plant: Component,
     channels: Sequence[str],
     sample_time: float,
-    measures: Sequence[NamedSignal],
+    measured_signals: Sequence[NamedSignal],
 ) -> list[Component]:
-    """The controllers with gains that follow from the nominal plant and the sample time.
+    """The controllers; those whose model has ``fit`` get their gains by it.
+
+    They follow from the nominal plant, the sample time and the measured signals.
 
     Raises:
         ConfigError: one cannot be fitted.
     """
     if all(component.model.fit is None for component in controllers):
         return list(controllers)
-    setting = setting_of(plant.model, nominal_params(plant.params), sample_time, measures)
-    fitted_controllers = []
+    setting = setting_of(plant.model, nominal_params(plant.params), sample_time, measured_signals)
+    result = []
     for name, component in zip(channels, controllers, strict=True):
         if component.model.fit is not None:
             with errors_under(dotted("controller", name)):
                 component = replace(component, params=component.model.fit(component.params, setting))
-        fitted_controllers.append(component)
-    return fitted_controllers
+        result.append(component)
+    return result

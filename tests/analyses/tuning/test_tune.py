@@ -89,7 +89,7 @@ def test_quadratic_programming_needs_fewer_steps(study, tuned):
 
 def test_slacks_of_the_theorem_as_constraints():
     """Numbers of Table 1 tuned themselves: every iterate is certified, and the result keeps the slack."""
-    origin = Plan.of(dj.Study.from_table(CERTIFIED)).mirror
+    origin = Plan.of(dj.Study.from_table(CERTIFIED)).coordinates
     start = {name: float(value[0]) for name, value in origin.numbers(origin.origin[None]).items()}
     roomy = {name: start[name] * 1.3 for name in start if "kappa_" in name}
     free = {name: [0.3 * value, 3.0 * value] for name, value in roomy.items() if name[-1] in "cd"}
@@ -113,7 +113,7 @@ def test_certified_iterates(monkeypatch):
         Problem, "is_admissible", lambda self, z: is_admissible(self, z) and not checked.append(z.tobytes())
     )
     found = dj.tune(dj.Study.from_table(CERTIFIED))
-    origin = found.plan.mirror.origin.tobytes()
+    origin = found.plan.coordinates.origin.tobytes()
     assert len(checked) >= 10
     assert set(visited) <= {origin, *checked}
     assert mark(found.tuned_study).certified

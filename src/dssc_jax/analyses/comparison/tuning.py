@@ -139,8 +139,8 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     """
     if not extents:
         return {}
-    plain = plain_values(study, extents)
-    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **plain})
+    medians = derived_medians(study, extents)
+    trial = study.without_sweep().override({"seed": budget.seed, "draws": budget.draws + RUNOFF, **medians})
     candidates = candidate_points(trial, extents, budget.candidates, budget.seed)
     evaluator = Evaluator(trial, extents, min(budget.draws * budget.candidates, max(BLOCK, budget.draws)))
     all_scores = scores(evaluator, candidates, np.arange(budget.draws))
@@ -151,8 +151,11 @@ def tuned(study: Study, budget: Tuning, extents: Mapping[str, tuple[float, float
     return {name: float(column[winner]) for name, column in pair.items()}
 
 
-def plain_values(study: Study, names: Iterable[str]) -> dict[str, float]:
-    """The median of each of those numbers that follows from parameters; tuning moves it by itself."""
+def derived_medians(study: Study, names: Iterable[str]) -> dict[str, float]:
+    """The medians of those of the named numbers that an expression gives.
+
+    As overrides they replace the expression, so that a search can vary the number itself.
+    """
     numbers = {name: study.numbers[name] for name in names if name in study.numbers}
     return {name: nominal(number.value) for name, number in numbers.items() if number.expression is not None}
 

@@ -171,9 +171,9 @@ class Falsified(Analysis):
 
     @property
     def nearest_failure(self) -> int | None:
-        """Index of the likeliest failure among the simulated points; None if there is none.
+        """Index of the simulated failure nearest to the median draw in standard normal scores, and so the likeliest.
 
-        Its distance is an upper bound of that of the likeliest failure of all, known as the design point.
+        None if no simulated point failed. The nearest failure of all, the design point, is at most this far.
         """
         failed = self.dataset["slack"].values < 0.0
         distances = np.where(failed, self.dataset["distance"].values, np.inf)

@@ -18,14 +18,14 @@ from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.statistics.stratified import allocation, stratified_interval
 
 PILOT = 256  # plain draws
-MORE = 512  # largest number of draws near the border that improve the prediction
-MORE_SHARE = 8  # ratio of the remaining draws to these
+MOST_EXTRA_DRAWS = 512  # largest number of draws near the border that improve the prediction
+DRAWS_PER_EXTRA_DRAW = 8  # planned draws in the strata for each of these
 BAND = 4  # ratio of the sample's points nearest to the border to these, which are spread over them
 SAMPLE = 2**14  # points whose predictions decide the strata
 NETS = 16
-NET = 2**12  # points of a net
-FINE_NET = 2**14  # the same for a narrow interval
-FINE = 0.01  # width of a narrow interval
+NET_POINTS = 2**12  # points of a net
+NARROW_NET_POINTS = 2**14  # the same for a narrow interval
+NARROW_WIDTH = 0.01  # an interval asked to be narrower is narrow
 FIRST_MASS = 0.01  # probability of the two strata at the border
 GROWTH = 2.5  # ratio of a stratum's probability to that of its neighbour at the border
 RESERVE = 1.0  # ratio of the width that the draws aim at to the one asked
@@ -85,7 +85,7 @@ def stratified_probability(
         slack: Computes slacks of points of the unit cube, shape (n, d), with noise indices (n,).
         dimension: d.
         seeds: Of the random numbers.
-        width: Upper minus lower limit, at which the number of draws aims.
+        width: Upper minus lower limit for which the number of draws is chosen.
         most: Largest number of draws in the strata, which may leave the interval wider.
     """
     counter = Counter(slack)
@@ -93,14 +93,14 @@ def stratified_probability(
     points = inside_cube(rng.random((PILOT, dimension)))
     surrogate = Surrogate(points, counter(points, counter.fresh(PILOT)), np.ones(PILOT))
     sample = inside_cube(rng.random((SAMPLE, dimension)))
-    edges, draws = planned(surrogate, surrogate(sample), width, most)
-    extra_draws = min(MORE, int(draws.sum()) // MORE_SHARE)
-    if extra_draws > PILOT // 4:
+    edges, draws = planned_strata(surrogate, surrogate(sample), width, most)
+    extra_draws = min(MOST_EXTRA_DRAWS, int(draws.sum()) // DRAWS_PER_EXTRA_DRAW)
+    if extra_draws > PILOT // 4:  # otherwise they would add at most a quarter to the pilot
         surrogate = improved(surrogate, sample, extra_draws, counter)
         sample = inside_cube(rng.random((SAMPLE, dimension)))
-        edges, draws = planned(surrogate, surrogate(sample), width, most)
+        edges, draws = planned_strata(surrogate, surrogate(sample), width, most)
     strata = len(draws)
-    size = FINE_NET if width < FINE else NET
+    size = NARROW_NET_POINTS if width < NARROW_WIDTH else NET_POINTS
     weights = np.empty((NETS, strata))
     for net in range(NETS):
         predictions = surrogate(inside_cube(sobol_points(dimension, 0, size, (*seeds, stream("strata"), net))))
@@ -126,7 +126,9 @@ def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter
     return Surrogate(points, slacks, np.where(in_band, pilot_in_band / (pilot_in_band + extra_draws), 1.0))
 
 
-def planned(surrogate: Surrogate, predictions: np.ndarray, width: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+def planned_strata(
+    surrogate: Surrogate, predictions: np.ndarray, width: float, most: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Edges of the strata, and the number of draws in each."""
     edges = strata_edges(predictions)
     stratum = np.searchsorted(edges, predictions)

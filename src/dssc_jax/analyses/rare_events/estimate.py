@@ -10,7 +10,10 @@ import numpy as np
 from dssc_jax.statistics import CONFIDENCE, clopper_pearson
 
 SlackFunction = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Slacks, shape (n,), of points (n, d) in standard normal space with noise indices (n,); negative: failure."""
+"""Slacks, shape (n,), of points (n, d) with noise indices (n,); negative: failure.
+
+Points are in the method's coordinates: standard normal space, or the unit cube.
+"""
 
 
 class Counter:

@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import dssc_jax.plotting as plotting
-from dssc_jax.analyses.comparison.tuning import candidate_points, plain_values, ranges
+from dssc_jax.analyses.comparison.tuning import candidate_points, derived_medians, ranges
 from dssc_jax.analyses.defaults import INDIFFERENCE, KEPT, MOST_CANDIDATES, MOST_RACED, RACED
 from dssc_jax.analyses.selection.race import Race, race
 from dssc_jax.core.errors import ConfigError
@@ -166,7 +166,7 @@ def select(
     study = study.without_sweep()
     extents = extents_of(study, over)
     seed = (study.config.seed + 1) % 2**32
-    trial = study.override({"seed": seed, **plain_values(study, extents)})
+    trial = study.override({"seed": seed, **derived_medians(study, extents)})
     points = candidate_points(trial, extents, candidates, seed)
     evaluator = Evaluator(trial, extents, BLOCK)
     simulation_count = 0

@@ -27,7 +27,7 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     """
     plan = problem.plan
     table = plan.table
-    size = len(plan.mirror.names)
+    size = len(plan.coordinates.names)
     goal = problem.goal_on(problem.train)
     scale = abs(first[0].merit.objective) or 1.0
     lanes = len(problem.train) + len(problem.extra)
@@ -72,7 +72,7 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
     return search
 
 
-EDGE = 0.5  # length of the first simplex's edges, in the mirror's coordinates
+EDGE = 0.5  # length of the first simplex's edges, in the search's coordinates
 FINE_EDGE = 0.02  # the search ends with a simplex of at most this size, in the same coordinates
 FINE_SCORE = 1e-3  # whose scores differ by at most this
 

@@ -178,7 +178,7 @@ class OutOfPatience(Exception):
 
 @dataclass
 class Iteration:
-    """A search in progress; its coordinates are the mirror's, then the largest excess.
+    """A search in progress; its coordinates are those of the plan, then the largest excess.
 
     Args:
         problem: The problem, initialised.

@@ -1,4 +1,4 @@
-"""Check whether derivatives predict small changes: against central differences, in the mirror's coordinates."""
+"""Check whether derivatives predict small changes: against central differences, in the search's coordinates."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.engine.evaluation import Derivative
 
 DIFFERENCE_STEP = 1e-5  # of the differences
-STRIDE = 0.03  # a typical step of a search
+SEARCH_STEP = 0.03  # a typical step of a search, in its coordinates
 PREDICTION_ERROR = 0.5  # relative error allowed in predicting its effect
 AGREEMENT = 1e-4  # relative
 DIFFERENCE_NOISE = 1e-8  # relative to the value: rounding of a difference, with three powers of ten of room
@@ -125,9 +125,9 @@ def compare_derivatives(
 
 
 def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgreement:
-    """Compare derivatives of single draws with central differences.
+    """Compare derivatives of single draws' metrics with respect to the search's coordinates with central differences.
 
-    Points are uniform in the logarithm of the tuned numbers, over their whole intervals.
+    Points are uniform in the logarithms of the tuned numbers, over the middle 90 % of each interval's logarithm.
 
     Args:
         problem: The problem; its objective and limits determine the metrics.
@@ -135,20 +135,26 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
         seed: Seed of the points.
     """
     rng = np.random.default_rng(seed)
-    mirror = problem.plan.mirror
-    size = len(mirror.names)
-    centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, size)))
+    coordinates = problem.plan.coordinates
+    tuned_count = len(coordinates.names)
+    centre = logit(rng.uniform(INSET, 1.0 - INSET, (points, tuned_count)))
     draws = rng.choice(problem.train, points)
-    axes = np.eye(size)
+    axes = np.eye(tuned_count)
     shifts = np.concatenate(
-        [np.zeros((1, size)), DIFFERENCE_STEP * axes, -DIFFERENCE_STEP * axes, STRIDE * axes, -STRIDE * axes]
+        [
+            np.zeros((1, tuned_count)),
+            DIFFERENCE_STEP * axes,
+            -DIFFERENCE_STEP * axes,
+            SEARCH_STEP * axes,
+            -SEARCH_STEP * axes,
+        ]
     )
-    z = (centre + shifts[:, None, :]).reshape(-1, size)
+    z = (centre + shifts[:, None, :]).reshape(-1, tuned_count)
     lanes = {name: np.tile(column[draws], len(shifts)) for name, column in problem.laws.items()}
-    lanes |= mirror.numbers(z)
+    lanes |= coordinates.numbers(z)
     results = problem.without_derivatives(np.tile(draws, len(shifts)), lanes)
     derivatives = problem.with_derivatives(draws, {name: column[:points] for name, column in lanes.items()})
-    chain = mirror.slopes(centre)
+    number_slopes = coordinates.slopes(centre)
     is_complete = np.isfinite(results["failed_at"].reshape(len(shifts), points)).sum(0) == 0
     metrics = list(problem.plan.measures)
     count = int(np.count_nonzero(is_complete))
@@ -156,23 +162,23 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     value = []
     forward = []
     backward = []
-    strides = []
+    step_slopes = []
     for name in metrics:
-        table = results[name].reshape(len(shifts), points)[:, is_complete]
-        rows = [derivatives[Derivative(name, number)][:, None] * chain[number] for number in problem.names]
+        values_by_shift = results[name].reshape(len(shifts), points)[:, is_complete]
+        rows = [derivatives[Derivative(name, number)][:, None] * number_slopes[number] for number in problem.names]
         exact.append(np.sum(rows, axis=0)[is_complete])
-        value.append(np.repeat(table[0][:, None], size, axis=1))
-        higher, lower, stride_higher, stride_lower = table[1:].reshape(4, size, count)
-        forward.append((higher - table[0]).T / DIFFERENCE_STEP)
-        backward.append((table[0] - lower).T / DIFFERENCE_STEP)
-        strides.append((stride_higher - stride_lower).T / (2.0 * STRIDE))
+        value.append(np.repeat(values_by_shift[0][:, None], tuned_count, axis=1))
+        higher, lower, step_higher, step_lower = values_by_shift[1:].reshape(4, tuned_count, count)
+        forward.append((higher - values_by_shift[0]).T / DIFFERENCE_STEP)
+        backward.append((values_by_shift[0] - lower).T / DIFFERENCE_STEP)
+        step_slopes.append((step_higher - step_lower).T / (2.0 * SEARCH_STEP))
     comparison = compare_derivatives(np.stack(exact), np.stack(value), np.stack(forward), np.stack(backward))
-    predictive = predicts(comparison.exact, np.stack(value), np.stack(strides))
-    share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), size))
+    predictive = predicts(comparison.exact, np.stack(value), np.stack(step_slopes))
+    share = np.mean(comparison.kink, axis=1) if count else np.zeros((len(metrics), tuned_count))
     kink_shares = {}
     for metric, row in zip(metrics, share.tolist(), strict=True):
-        kink_shares[metric] = dict(zip(mirror.names, row, strict=True))
-    tuned = {name: column[is_complete] for name, column in mirror.tuned(centre).items()}
+        kink_shares[metric] = dict(zip(coordinates.names, row, strict=True))
+    tuned = {name: column[is_complete] for name, column in coordinates.tuned(centre).items()}
     return GradientAgreement(
         points=points,
         compared=comparison.exact.size,
@@ -184,10 +190,10 @@ def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgr
     )
 
 
-def predicts(exact: np.ndarray, value: np.ndarray, stride: np.ndarray) -> np.ndarray:
+def predicts(exact: np.ndarray, value: np.ndarray, step_slope: np.ndarray) -> np.ndarray:
     """Whether derivatives predict the difference over a typical step, by element; any shape, the same for all."""
-    tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(stride)) + DIFFERENCE_NOISE * np.abs(value)
-    return np.abs(exact - stride) <= tolerance
+    tolerance = PREDICTION_ERROR * np.maximum(np.abs(exact), np.abs(step_slope)) + DIFFERENCE_NOISE * np.abs(value)
+    return np.abs(exact - step_slope) <= tolerance
 
 
 def disagreement(

@@ -6,7 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from dssc_jax.analyses.tuning.search_variables import NUMBERS, Mirror, Theorem, split_parameters, unchanged
+from dssc_jax.analyses.tuning.search_variables import (
+    PARAMETER_OF_NUMBER,
+    SearchCoordinates,
+    Theorem,
+    split_parameters,
+    unchanged,
+)
 from dssc_jax.closed_loop.metrics import Measure
 from dssc_jax.core.errors import ConfigError, nearest
 from dssc_jax.design.certification import NotCovered
@@ -74,14 +80,14 @@ class Plan:
     Args:
         study: The study without its sweep.
         table: Its ``[tune]``.
-        mirror: The tuned numbers with their bounds, mapped to unbounded search variables.
+        coordinates: The tuned numbers with their bounds, mapped to unbounded search variables.
         theorem: Certifies every point; None if no certificate is required.
         seed: Seed of the training and validation draws; the final verdict uses the study's own draws.
     """
 
     study: Study
     table: TuneTable
-    mirror: Mirror
+    coordinates: SearchCoordinates
     theorem: Theorem | None
     seed: int
     _proofs: "dict[NumbersKey, AnyProved]" = field(default_factory=dict, repr=False, compare=False)
@@ -141,8 +147,8 @@ class Plan:
             require_provable(study)
         if not varied:
             raise ConfigError("tune.parameters", "names nothing to tune; give NAME = [low, high]")
-        mirror = Mirror(varied, starts, theorem.expand if theorem and table.certified else unchanged)
-        return cls(study, table, mirror, theorem, seed)
+        coordinates = SearchCoordinates(varied, starts, theorem.expand if theorem and table.certified else unchanged)
+        return cls(study, table, coordinates, theorem, seed)
 
     @property
     def measures(self) -> dict[str, Measure]:
@@ -188,7 +194,7 @@ class Plan:
 
     def numbers_at(self, z: np.ndarray) -> dict[str, float]:
         """The loop's numbers at a point of the search."""
-        return {name: float(value[0]) for name, value in self.mirror.numbers(z[None]).items()}
+        return {name: float(value[0]) for name, value in self.coordinates.numbers(z[None]).items()}
 
     def trial(self) -> Study:
         """The study used for training: other draws, no plot, and only the metrics that the search reads.
@@ -330,7 +336,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
         ConfigError: it is something else, or is determined by other numbers.
     """
     place = f"tune.parameters.{name}"
-    if table.certified and name in NUMBERS:
+    if table.certified and name in PARAMETER_OF_NUMBER:
         raise ConfigError(place, "is fixed by the certified design; vary [tune.free], or set certified = false")
     if name not in study.leaves():
         raise ConfigError(place, reason_unfit(study, name))
@@ -342,7 +348,7 @@ def require_number(study: Study, name: str, table: TuneTable) -> None:
             raise ConfigError(
                 place, "is what the theorem's bounds are made of, so that they would move; give it a number"
             )
-        if follower != name and follower in NUMBERS:
+        if follower != name and follower in PARAMETER_OF_NUMBER:
             raise ConfigError(place, f"decides {follower}, which the theorem takes as it is; give the gain a number")
     if not study.quantities[name].law:
         raise ConfigError(place, "is fixed before tracing (a whole number, a length), so it has no derivative")

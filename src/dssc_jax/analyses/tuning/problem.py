@@ -16,7 +16,7 @@ from dssc_jax.engine.sampling import Arrays
 
 
 class Point(NamedTuple):
-    """A point evaluated on a batch: objective, excesses, and their gradients in the mirror's coordinates."""
+    """A point evaluated on a batch: objective, excesses, and their gradients in the search's coordinates."""
 
     z: np.ndarray
     merit: Merit
@@ -34,7 +34,7 @@ class Slacks:
         assert slack is not None
 
         def excess(z: jax.Array) -> dict[str, jax.Array]:
-            return theorem.excess(plan.mirror.traced(z), slack)
+            return theorem.excess(plan.coordinates.traced(z), slack)
 
         self._excess_and_slopes = jax.jit(lambda z: (excess(z), jax.jacfwd(excess)(z)))
 
@@ -69,7 +69,7 @@ class Problem:
     def __post_init__(self) -> None:
         trial = self.plan.trial()
         table = self.plan.table
-        start = self.plan.numbers_at(self.plan.mirror.origin)
+        start = self.plan.numbers_at(self.plan.coordinates.origin)
         self.names = list(start)
         lanes = min(BLOCK, max(table.draws, table.validation) + len(self.extra))
         ends = {name: (value, value) for name, value in start.items()}
@@ -96,7 +96,7 @@ class Problem:
 
     def begin(self) -> tuple[Point, Point]:
         """Evaluate the start on the training and the validation draws; limits may refer to its values."""
-        origin = self.plan.mirror.origin
+        origin = self.plan.coordinates.origin
         draws = np.concatenate([self.train, self.validation])
         results = self.results(origin[None], draws, self.plain)
         self.start_metrics = {name: results[name][: len(draws)] for name in self.plan.table.limits}
@@ -128,7 +128,7 @@ class Problem:
         for name, column in self.laws.items():
             values = np.concatenate([column[draws], self.counterexamples.get(name, [])])
             lanes[name] = np.tile(values, len(z))
-        for name, column in self.plan.mirror.numbers(z).items():
+        for name, column in self.plan.coordinates.numbers(z).items():
             lanes[name] = np.repeat(column, len(indices))
         return (evaluator or self.with_derivatives)(np.tile(indices, len(z)), lanes)
 
@@ -159,10 +159,10 @@ class Problem:
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
             return Point(z, merit, np.full(len(z), np.nan), {})
-        chain = {name: column[0] for name, column in self.plan.mirror.slopes(z[None]).items()}
+        number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
 
         def along(slopes: dict[str, float]) -> np.ndarray:
-            return np.sum([slope * chain[name] for name, slope in slopes.items()], axis=0)
+            return np.sum([slope * number_slopes[name] for name, slope in slopes.items()], axis=0)
 
         slopes = {name: along(row) for name, row in merit.slopes.items()}
         if self.slacks is not None:
@@ -231,7 +231,7 @@ class Search:
         }
         if score is not None:
             row[problem.plan.table.aim] = problem.plan.aim_at(problem.plan.numbers_at(train.z)).value
-        for name, value in problem.plan.mirror.tuned(train.z).items():
+        for name, value in problem.plan.coordinates.tuned(train.z).items():
             row[name] = float(value)
         self.history.append(row)
         key = rank(validation, score)

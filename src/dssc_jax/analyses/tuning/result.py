@@ -16,7 +16,7 @@ from dssc_jax.analyses.tuning.derivative_free import Aimed
 from dssc_jax.analyses.tuning.gradients import GradientAgreement
 from dssc_jax.analyses.tuning.objective import MissedBound, Verdict
 from dssc_jax.analyses.tuning.plan import OBJECTIVE, PROVED_ERROR, Plan, seed_of
-from dssc_jax.analyses.tuning.search_variables import PREFIX
+from dssc_jax.analyses.tuning.search_variables import FREE_PREFIX
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.json_types import JsonObject
@@ -246,7 +246,7 @@ def dataset_of(study: Study, history: Sequence[Mapping[str, Any]], costs: Mappin
     if (aim := tuned_table(study).aim) != OBJECTIVE:
         meanings[aim] = aim_quantity(study)
     for name, hint in get_type_hints(Free, include_extras=True).items():
-        meanings[PREFIX + name] = hint.__metadata__[0]
+        meanings[FREE_PREFIX + name] = hint.__metadata__[0]
     columns = {name: ("look", np.array([row[name] for row in history]), meanings[name]) for name in history[0]}
     for name, values in costs.items():
         columns[COST + name] = ("draw", values, Quantity("1", f"cost of a draw, {name}"))

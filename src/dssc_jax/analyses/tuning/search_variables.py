@@ -28,7 +28,7 @@ def unchanged(tuned: Numbers) -> Numbers:
 
 
 @dataclass(frozen=True, eq=False)
-class Mirror:
+class SearchCoordinates:
     """The map value = low (high/low)^s(z) with s(z) = 1/(1 + e^-z), for each tuned number.
 
     Args:
@@ -97,7 +97,7 @@ def _slopes(function: Callable[[jax.Array], dict[str, jax.Array]], z: jax.Array)
     return jax.vmap(jax.jacfwd(function))(z)
 
 
-PREFIX = "free."
+FREE_PREFIX = "free."
 REQUIRED_PARAMETERS = tuple(name for name in Free._fields if name not in Free._field_defaults)
 
 
@@ -110,8 +110,8 @@ def dotted_name(name: str) -> str:
 
 SMALL_GAIN = "small gain"
 SLACK = "slack of "
-NUMBERS = {dotted_name(name): name for name in Parameters._fields}
-"""The loop's numbers that the free parameters determine."""
+PARAMETER_OF_NUMBER = {dotted_name(name): name for name in Parameters._fields}
+"""The parameter of Table 1 by the dotted name of the loop's number; the free parameters determine all of them."""
 
 
 @dataclass
@@ -148,28 +148,39 @@ class Theorem:
             raise ConfigError(self.option, f"the loop's bounds are no bounds: {error}") from None
         self.ends = ends_of(self.study)
 
-    def free(self, tuned: Numbers) -> Free:
-        """The free parameters, varied and fixed."""
-        values = {name.removeprefix(PREFIX): value for name, value in tuned.items() if name.startswith(PREFIX)}
+    def free_parameters(self, tuned: Numbers) -> Free:
+        """All free parameters of Theorem 1: those among the tuned numbers, named with ``FREE_PREFIX``, and the others.
+
+        The others have their fixed or default values.
+        """
+        values = {
+            name.removeprefix(FREE_PREFIX): value for name, value in tuned.items() if name.startswith(FREE_PREFIX)
+        }
         return Free(**{**self.fixed, **values})
 
     def expand(self, tuned: Numbers) -> dict[str, Scalar]:
         """The loop's numbers: the certified design, and the other tuned numbers."""
-        free = self.free(tuned)
-        _, bounds = self.at({dotted_name("l0"): free.l0})  # of which those of the nominal control depend on l0
+        free = self.free_parameters(tuned)
+        # bounds of the nominal control depend on l0
+        _, bounds = self.parameters_and_bounds({dotted_name("l0"): free.l0})
         parameters = design(bounds, free)
-        numbers = {name: value for name, value in tuned.items() if not name.startswith(PREFIX)}
+        numbers = {name: value for name, value in tuned.items() if not name.startswith(FREE_PREFIX)}
         return numbers | {dotted_name(name): value for name, value in parameters._asdict().items()}
 
-    def at(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
-        """Parameters and bounds at the loop's numbers as simulated; numbers not given are the study's."""
-        parameter_changes = {name: numbers[dotted] for dotted, name in NUMBERS.items() if dotted in numbers}
+    def parameters_and_bounds(self, numbers: Numbers) -> tuple[Parameters, Bounds]:
+        """Parameters of Table 1 and the loop's bounds, with these numbers of the loop in place of the study's.
+
+        Numbers that are no parameters of Table 1 do not count.
+        """
+        parameter_changes = {
+            name: numbers[loop_name] for loop_name, name in PARAMETER_OF_NUMBER.items() if loop_name in numbers
+        }
         parameters = self.parameters._replace(**parameter_changes)
         return parameters, certification.bounds_of(self.study.loop, self.ends, parameters)
 
     def certificate(self, numbers: Mapping[str, float]) -> Certificate:
         """Check a design strictly."""
-        return check(*self.at({name: float(value) for name, value in numbers.items()}))
+        return check(*self.parameters_and_bounds({name: float(value) for name, value in numbers.items()}))
 
     def excess(self, numbers: Numbers, slack: float) -> dict[str, jax.Array]:
         """How far each strict inequality ``value > bound`` misses ``value >= (1 + slack) bound``, relative to both.
@@ -181,7 +192,7 @@ class Theorem:
         Returns:
             The excesses: not positive if within, 1 if the bound has no meaning.
         """
-        parameters, bounds = self.at(numbers)
+        parameters, bounds = self.parameters_and_bounds(numbers)
         rows = [(row.name, row.value, row.bound) for row in inequalities(parameters, bounds)]
         rows.append((SMALL_GAIN, parameters.phi_b, small_gain(parameters, bounds).derived))
         excess = {}
@@ -207,7 +218,7 @@ def split_parameters(
     for name in REQUIRED_PARAMETERS:
         if name not in free:
             raise ConfigError(f"tune.free.{name}", "is required and missing: [low, high] to vary it, or a number")
-    intervals = {PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
+    intervals = {FREE_PREFIX + name: value for name, value in free.items() if isinstance(value, tuple)}
     if not intervals:
         raise ConfigError("tune.free", "varies nothing; give [low, high] for one at least")
     return intervals, {name: value for name, value in free.items() if not isinstance(value, tuple)}

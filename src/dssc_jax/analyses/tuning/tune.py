@@ -80,7 +80,7 @@ def tune(
         outcome, gradients = solve(problem, progress)
         certified += problem.certified
         proved += problem.proved
-    start = plan.numbers_at(plan.mirror.origin)
+    start = plan.numbers_at(plan.coordinates.origin)
     numbers = plan.numbers_at(outcome.best.z)
     verdict, costs = judge_tuning(plan, problem.goal, start, numbers)
     proof = plan.proof_of_result(numbers)
@@ -98,11 +98,11 @@ def tune(
         counterexamples=tuple(hunts),
         seconds=time.perf_counter() - began,
     )
-    result_values = plan.mirror.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
+    result_values = plan.coordinates.tuned(outcome.best.z)  # NumPy; the loop has JAX's digits
     values = {name: float(numbers.get(name, value)) for name, value in result_values.items()}
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
-    start_values = dict(plan.mirror.start)
+    start_values = dict(plan.coordinates.start)
     tuned = Tuned(plan.study, dataset, start_values, values, numbers, gradients, verdict, facts)
     tuned.certificate = certificate
     return tuned
@@ -187,7 +187,7 @@ def require_certified(plan: Plan) -> None:
         ConfigError: it does not pass.
     """
     assert plan.theorem is not None
-    numbers = plan.numbers_at(plan.mirror.origin)
+    numbers = plan.numbers_at(plan.coordinates.origin)
     if plan.table.slack is not None:
         excesses = {name: float(value) for name, value in plan.theorem.excess(numbers, plan.table.slack).items()}
         worst = max(excesses, key=excesses.__getitem__)
@@ -205,7 +205,7 @@ def require_proved(plan: Plan) -> None:
     Raises:
         ConfigError: it is not.
     """
-    numbers = plan.numbers_at(plan.mirror.origin)
+    numbers = plan.numbers_at(plan.coordinates.origin)
     if plan.table.proved:
         proof = plan.proof_at(numbers)
         if not proof.complete:

@@ -120,25 +120,28 @@ class BrokenFamily:
         """The numbers that it depends on."""
         return tuple(self.family.box.sides[side].name for side in self.sides)
 
-    def full(self, points: np.ndarray) -> np.ndarray:
-        """Points of the whole box, with all other numbers in the middle; shape (n, sides of the box)."""
+    def in_whole_box(self, points: np.ndarray) -> np.ndarray:
+        """These points in the whole box, shape (n, sides of the box).
+
+        Numbers on which this loop does not depend are in the middle, at 0.
+        """
         result = np.zeros((len(points), len(self.family.box.sides)))
         result[:, self.sides] = points
         return result
 
     def numbers(self, point: np.ndarray) -> dict[str, float]:
         """The numbers that it depends on at one point, by name."""
-        numbers = self.family.box.numbers(self.full(point[None])[0])
+        numbers = self.family.box.numbers(self.in_whole_box(point[None])[0])
         return {name: numbers[name] for name in self.names}
 
     def has_operating_point(self, point: np.ndarray) -> bool:
         """Whether the loop has an operating point at which no limit opens it, for its numbers at one point."""
-        matrices = self.family.at(self.full(point[None]))
+        matrices = self.family.at(self.in_whole_box(point[None]))
         return bool(np.isfinite(matrices.a).all() and not matrices.is_open()[0])
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """[[A, B], [C, 0]] at points of shape (n, sides), shape (n, states + places, states + places)."""
-        return self._matrices(self.full(points))
+        return self._matrices(self.in_whole_box(points))
 
     def _matrices(self, points: np.ndarray) -> np.ndarray:
         return self.broken(self.family.at(points))

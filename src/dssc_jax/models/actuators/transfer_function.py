@@ -82,7 +82,9 @@ def realise(numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Rea
 
 
 def prepare(params: TransferFunctionParams) -> TransferFunctionParams:
-    """Check that G is proper and stable, that G(0) = 1, and that its coefficients are in proportion.
+    """Check that G is proper, of order 1 to 6 and stable, that G(0) = 1, and that no pole is slower than ``SLOWEST``.
+
+    The numerator must be finite in the unit of time in which the denominator begins and ends with 1.
 
     Raises:
         ConfigError: A condition does not hold.

@@ -147,17 +147,20 @@ def proof_in_coordinate(problem: ProofProblem, box: Box, *, is_integrated: bool)
 
 
 def halves(box: Box, problem: ProofProblem) -> list[Box]:
-    """Both halves of a box along the side whose ends differ most in the loop's eigenvalues at sigma = e = 0."""
+    """The two parts of a box, cut across the side whose ends differ most in the loop's eigenvalues near sigma = e = 0.
+
+    The cut is at the geometric mean of positive ends, else in the middle.
+    """
     gains = gain_hull(problem, 1e-9, 1e-9)
 
     def eigenvalues(box: Box) -> np.ndarray:
         return np.sort_complex(np.linalg.eigvals(step_of(problem, box_middle(box, gains), box).a))
 
-    def effect(name: str) -> float:
+    def eigenvalue_change(name: str) -> float:
         low, high = (eigenvalues(box | {name: (end, end)}) for end in box[name])
         return float(np.abs(high - low).sum())
 
-    name = max(box, key=effect)
+    name = max(box, key=eigenvalue_change)
     low, high = box[name]
     split = float(np.sqrt(low * high)) if low > 0.0 else 0.5 * (low + high)
     return [box | {name: (low, split)}, box | {name: (split, high)}]

@@ -76,35 +76,38 @@ def best_slopes(points: GainPoints, *, joint: bool) -> Slopes:
 
     With ``joint`` omega_q has the share of omega_u that leaves the smallest rest.
     """
-    size = np.abs(points.sigma)
+    sigma_sizes = np.abs(points.sigma)
     columns = points.columns
-    command_slope = nearest_slope(size, columns["mean"] + columns["k_n"])
+    command_slope = nearest_slope(sigma_sizes, columns["mean"] + columns["k_n"])
     pole = float(np.mean(columns["k_n"]))
-    integral_slope = nearest_slope(size, columns["k_i"])
+    integral_slope = nearest_slope(sigma_sizes, columns["k_i"])
     share = 0.0
     if joint:
         command_rest = columns["mean"] + columns["k_n"] - command_slope
-        share = nearest_share(size, columns["k_i"] - integral_slope, command_rest)
+        share = nearest_share(sigma_sizes, columns["k_i"] - integral_slope, command_rest)
     return command_slope - pole, integral_slope, pole, share
 
 
-def nearest_share(size: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
+def nearest_share(sigma_sizes: np.ndarray, integral: np.ndarray, command: np.ndarray) -> float:
     """The multiple of one deviation that is nearest to another one, both as ratios to sigma."""
-    largest = distance_of(size, command, 0.0)
+    largest = distance_of(sigma_sizes, command, 0.0)
     if largest == 0.0:
         return 0.0
-    high = 2.0 * distance_of(size, integral, 0.0) / largest
+    high = 2.0 * distance_of(sigma_sizes, integral, 0.0) / largest
     if high == 0.0:
         return 0.0
-    return lowest(lambda share: distance_of(size, integral - share * command, 0.0), -high, high)
+    return lowest(lambda share: distance_of(sigma_sizes, integral - share * command, 0.0), -high, high)
 
 
-def nearest_slope(size: np.ndarray, ratio: np.ndarray) -> float:
-    """The slope whose line through 0 is nearest to ratio sigma: the distance is convex in it."""
-    low, high = float(ratio.min()), float(ratio.max())
+def nearest_slope(sigma_sizes: np.ndarray, ratios: np.ndarray) -> float:
+    """The slope k for which the largest |f - k sigma|, which is convex in k, is smallest.
+
+    It follows from |sigma| and the ratios f/sigma at points.
+    """
+    low, high = float(ratios.min()), float(ratios.max())
     if not low < high:
         return low
-    return lowest(lambda slope: distance_of(size, ratio, slope), low, high)
+    return lowest(lambda slope: distance_of(sigma_sizes, ratios, slope), low, high)
 
 
 def lowest(height: Callable[[float], float], low: float, high: float) -> float:
@@ -113,24 +116,24 @@ def lowest(height: Callable[[float], float], low: float, high: float) -> float:
     return float(minimum.x)
 
 
-def distance_of(size: np.ndarray, ratio: np.ndarray, slope: float) -> float:
-    """The largest |ratio - slope| |sigma|."""
-    return DISTANCE_ROOM * float(np.max(np.abs(ratio - slope) * size))
+def distance_of(sigma_sizes: np.ndarray, ratios: np.ndarray, slope: float) -> float:
+    """The largest |f - slope sigma|, from |sigma| and the ratios f/sigma at points, with room."""
+    return DISTANCE_ROOM * float(np.max(np.abs(ratios - slope) * sigma_sizes))
 
 
 def deviations_of(points: GainPoints, slopes: Slopes) -> ChannelDeviations:
     """Deviations of the functions from straight lines with these slopes."""
-    size = np.abs(points.sigma)
+    sigma_sizes = np.abs(points.sigma)
     columns = points.columns
     scale = columns["mean"] + columns["k_n"]
-    ratios = (columns["mean"], columns["k_i"] - slopes[3] * scale, scale)
+    all_ratios = (columns["mean"], columns["k_i"] - slopes[3] * scale, scale)
     straight = (slopes[0], slopes[1] - slopes[3] * (slopes[0] + slopes[2]), slopes[0] + slopes[2])
     distance_1, distance_2, distance_b = (
-        distance_of(size, ratio, slope) for ratio, slope in zip(ratios, straight, strict=True)
+        distance_of(sigma_sizes, ratios, slope) for ratios, slope in zip(all_ratios, straight, strict=True)
     )
     distance_2 *= SHARED_ROOM if slopes[3] else 1.0
     share_1, share_2, share_b = (
-        RATIO_ROOM * float(np.max(np.abs(ratio - slope))) for ratio, slope in zip(ratios, straight, strict=True)
+        RATIO_ROOM * float(np.max(np.abs(ratios - slope))) for ratios, slope in zip(all_ratios, straight, strict=True)
     )
     steepest = float(np.max(columns["k_p"]))
     reach = float(np.max(columns["slide_p"])) / steepest

@@ -32,7 +32,7 @@ class ChannelResponse:
             omega_u and omega_q, the others the remainders.
         constant: Largest response to a constant force 1, (points, signals).
         starts: Peaks of the responses to e, e' and q_(-1), (points, signals, 3).
-        known: Peaks of the response to what is known of the start, (points, signals).
+        known: Peaks of the response to the known difference of z_0 from that of the nominal flight, (points, signals).
     """
 
     names: tuple[str, ...]
@@ -127,32 +127,41 @@ def channel_response(
     slopes: tuple[float, ...],
     start_offsets: np.ndarray | None = None,
 ) -> ChannelResponse | None:
-    """Bounds of all signals for inputs of size 1; None if the sampled channel is not stable or too slow.
+    """Largest magnitudes of all signals for inputs and starts of size 1.
 
-    ``start_offsets`` is what is known of the start, (n, axes).
+    None if the sampled channel is not stable or its responses last longer than ``fixed_point.MOST_SAMPLES``.
+    ``start_offsets`` is the known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a, rows = observation.step.a, observation.rows
     if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
         return None
-    result = responses(a, rows, observation.columns, np.zeros((a.shape[0], 0)))
-    if result is None:
+    input_responses = responses(a, rows, observation.columns, np.zeros((a.shape[0], 0)))
+    if input_responses is None:
         return None
     shape = (len(POINTS), len(observation.names))
-    gains = over_sample(result.sums, observation.pieces, problem.sample_time).reshape(*shape, -1) + observation.direct
-    constant = np.zeros(rows.shape[0])
+    gains = (
+        over_sample(input_responses.sums, observation.pieces, problem.sample_time).reshape(*shape, -1)
+        + observation.direct
+    )
+    force_peaks = np.zeros(rows.shape[0])
     if problem.thrust_deviation and channel is problem.channels["z"]:
-        constant = constant_response(a, rows, observation.force_column, observation.force_within)
-    peaks = np.zeros((rows.shape[0], 3))
+        force_peaks = constant_response(a, rows, observation.force_column, observation.force_within)
+    start_peaks = np.zeros((rows.shape[0], 3))
     if any(channel.initial):
         starts = start_columns(problem, channel, a.shape[0], slopes)
-        peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
-    by_known = np.zeros(shape)
+        start_peaks = np.stack([constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in starts], axis=-1)
+    offset_peaks = np.zeros(shape)
     if start_offsets is not None:
         columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
-        by_known = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
+        offset_peaks = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
-        observation.names, tuple(linear.b), gains, constant.reshape(shape), peaks.reshape(*shape, 3), by_known
+        observation.names,
+        tuple(linear.b),
+        gains,
+        force_peaks.reshape(shape),
+        start_peaks.reshape(*shape, 3),
+        offset_peaks,
     )
 
 
@@ -170,7 +179,8 @@ class ChannelSeries:
         effects: Magnitudes of what inputs of size 1 in one sample cause so many samples later, (samples, rows, inputs).
         constant: Response to a constant force 1 from t = 0 on, (samples, rows).
         starts: Responses to e, e' and q_(-1), (samples, rows, 3).
-        known: Magnitudes of the response to what is known of the start, (samples, rows).
+        known: Magnitudes of the response to the known difference of z_0 from that of the nominal flight, (samples,
+            rows).
     """
 
     effects: np.ndarray
@@ -189,8 +199,8 @@ def channel_series(
 ) -> ChannelSeries:
     """The responses of a channel, sample by sample. Only the channel of z has a constant force.
 
-    All columns (inputs, the deviation from the equilibrium, starts, the known start) go through the sampled channel
-    together.
+    All columns (inputs, the deviation from the equilibrium, starts, the known differences of z_0) go through the
+    sampled channel together.
 
     Args:
         problem: The vehicle.
@@ -198,7 +208,7 @@ def channel_series(
         linear: Its linear plant.
         slopes: The slopes of its functions.
         length: Number of samples.
-        start_offsets: What is known of the start, (n, axes); None: nothing.
+        start_offsets: The known difference of z_0 from that of the nominal flight, (n, axes); None: there is none.
     """
     observation = observe_channel(problem, channel, linear, slopes)
     a = observation.step.a
@@ -206,15 +216,15 @@ def channel_series(
     rows = observation.rows.shape[0]
     equilibrium = np.linalg.solve(np.eye(n) - a, observation.force_column)
     starts = start_columns(problem, channel, n, slopes)
-    known_start = np.zeros((n, 1)) if start_offsets is None else start_offsets
+    z_offsets = np.zeros((n, 1)) if start_offsets is None else start_offsets
 
-    columns = np.column_stack([observation.columns, -equilibrium, *starts, known_start])
+    columns = np.column_stack([observation.columns, -equilibrium, *starts, z_offsets])
     answers = np.zeros((length, rows, columns.shape[1]))
     for k in range(length):
         answers[k] = observation.rows @ columns
         columns = a @ columns
     inputs = observation.columns.shape[1]
-    of_inputs, of_constant, of_starts, of_known = np.split(
+    of_inputs, of_constant, of_starts, of_offsets = np.split(
         answers, [inputs, inputs + 1, inputs + 1 + len(starts)], axis=-1
     )
 
@@ -224,9 +234,9 @@ def channel_series(
     constant = np.zeros((length, rows))
     if channel is problem.channels["z"]:
         constant = of_constant[..., 0] + observation.rows @ equilibrium + observation.force_within
-    along_axes = np.abs(of_known).reshape(length, len(POINTS), len(observation.names), -1)
-    by_known = of_axes(along_axes, observation.names).reshape(length, -1)
-    return ChannelSeries(effects, constant, of_starts, by_known)
+    along_axes = np.abs(of_offsets).reshape(length, len(POINTS), len(observation.names), -1)
+    offset_effects = of_axes(along_axes, observation.names).reshape(length, -1)
+    return ChannelSeries(effects, constant, of_starts, offset_effects)
 
 
 def trapezoid(values: list[np.ndarray]) -> np.ndarray:
