@@ -233,8 +233,21 @@ def jump(p: float) -> SlackFunction:
     return lambda z, _: np.where(z.sum(-1) / np.sqrt(3.0) > stats.norm.isf(p), -1.0, 1.0)
 
 
+def noisy(z: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """The largest of ten readings of a number, with noise of a standard deviation of 0.5, exceeds 6."""
+    largest = [np.random.default_rng((3, index)).standard_normal(READINGS).max() for index in noise]
+    return 6.0 - z[:, 0] - 0.5 * np.array(largest)
+
+
+def noisy_failure(x: float) -> float:
+    """Density of the number times the probability that it fails."""
+    return float(stats.norm.pdf(x) * -np.expm1(READINGS * stats.norm.logcdf((6.0 - x) / 0.5)))
+
+
+READINGS = 10
 BEND = (1.0, 10.0, 40.0)  # break points of the integration
 CURVED = integrate.quad(lambda c: stats.chi2(2).pdf(c) * stats.norm.sf(4.5 - 0.1 * c), 0.0, 150.0, points=BEND)[0]
+NOISY = integrate.quad(noisy_failure, -2.0, 12.0, points=(4.0, 5.0, 6.0), epsabs=0.0)[0]
 MODES_ANGLE = np.deg2rad(110.0)
 
 
@@ -330,6 +343,7 @@ CASES: dict[str, tuple[str, Trial]] = {
     "importance sampling, four branches, p = 0.0022": ("rare event", weighted(2.222795066e-3, four_branch, 2)),
     "importance sampling, two sides, p = 1.3e-05": ("rare event", weighted(1.3e-5, two_sides, 2)),
     "importance sampling, curved border of 3 numbers, p = 1.7e-05": ("rare event", weighted(CURVED, curved, 3)),
+    "importance sampling, the largest of ten noisy readings, p = 3.3e-07": ("rare event", weighted(NOISY, noisy, 2)),
     "importance sampling, a jump of the slack, p = 0.0001": ("rare event", weighted(1e-4, jump(1e-4), 3)),
     **{
         f"importance sampling, a mode that no slack shows, p = {p:g}": (

@@ -174,11 +174,6 @@ def show_rare(event: RareEvent, files: list[Path]) -> None:
         show_failing_ranges(answer)
     if answer.in_loop_noise:
         console.print("in-loop noise is redrawn with the numbers; a failure that only rare noise causes costs more")
-        if answer.method == "importance sampling":
-            console.print(
-                "where rare noise decides, this estimate tends to be too low: compare it with --method splitting",
-                soft_wrap=True,
-            )
     show_files(files)
 
 

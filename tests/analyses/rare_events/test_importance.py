@@ -12,7 +12,7 @@ from dssc_jax.analyses.rare_events.importance import (
     importance_sampling,
     systematic_sample,
 )
-from dssc_jax.analyses.rare_events.prediction import predicted
+from dssc_jax.analyses.rare_events.prediction import NOISY, predicted
 from tests.analyses.rare_events.test_rare import FOUR_BRANCH, four_branch, hidden
 from tests.runs.test_run_until import TABLE
 
@@ -101,6 +101,18 @@ def test_in_loop_noise_is_part_of_the_failure():
     for seed in range(2):
         low, high = sampled(slack, 2, seed, ImportanceSampling(0.2)).mean_interval(SURE)
         assert low <= p <= high
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rare_noise_far_from_the_predicted_border_counts(seed):
+    """The largest of ten noisy readings exceeds 6, with 3e-4 at 4; a normal law would expect less than 1e-7 there."""
+    points = np.linspace(-6.0, 6.0, 200)[:, None]
+    noise = np.random.default_rng(4 + seed).standard_normal((200, 10)).max(axis=1)
+    prediction = predicted(points, 6.0 - points[:, 0] - 0.5 * noise)
+    assert prediction.smoothing >= NOISY
+    for place in (4.0, 4.4, 4.8):
+        exact = -np.expm1(10.0 * stats.norm.logcdf((6.0 - place) / 0.5))
+        assert 0.03 < prediction.failing(np.array([[place]]))[0] / exact < 10.0
 
 
 def test_the_prediction_is_that_of_a_plane_and_knows_its_error():

@@ -15,7 +15,9 @@ from scipy.spatial.distance import cdist
 
 from dssc_jax.analyses.probability.surrogate import ROWS, scaled, spline_matrix
 
-SMOOTHINGS = (1e-6, 1e-3, 0.1, 10.0)  # a large one for in-loop noise and jumps
+SMOOTHINGS = (1e-6, 1e-3, 0.1, 10.0)
+NOISY = 0.1  # a smoothing from which in-loop noise, or a jump, is part of the slack
+LOGISTIC_SCALE = np.sqrt(3.0) / np.pi  # of the logistic law with standard deviation 1
 LEAST_VARIANCE = 1e-12
 
 
@@ -38,14 +40,20 @@ class Prediction:
     variance: float
 
     def failing(self, points: np.ndarray) -> np.ndarray:
-        """Probability that a simulation at each point of shape (n, d) fails, if the error is normal; shape (n,)."""
+        """Probability that a simulation at each point of shape (n, d) fails, shape (n,).
+
+        The error of a smooth slack is taken for normal. That of a noisy one, such as the largest of many readings, has
+        longer tails and is taken for logistic: a failure far from the predicted border carries much weight there.
+        """
         probabilities = np.empty(len(points))
         for start in range(0, len(points), ROWS):
             part = slice(start, start + ROWS)
             basis = self.basis(points[part])
             variance = self.smoothing - np.einsum("ij,ij->i", basis @ self.inverse, basis)
             error = np.sqrt(self.variance * np.maximum(variance, LEAST_VARIANCE))
-            probabilities[part] = special.ndtr(-(basis @ self.coefficients) / error)
+            scores = -(basis @ self.coefficients) / error
+            is_noisy = self.smoothing >= NOISY
+            probabilities[part] = special.expit(scores / LOGISTIC_SCALE) if is_noisy else special.ndtr(scores)
         return probabilities
 
     def slope(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
