@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.core.flag_runs import longest_run
+
 MOST_PRODUCTS = 20_000_000  # of samples and shifts
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
@@ -49,7 +51,7 @@ RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in pla
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
-FEW_SAMPLES = 0.005  # share of samples at which a reference may differ that is the same: edges between two samples
+FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
@@ -227,14 +229,14 @@ def reference_conversion(
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
 
-    It is the same, too, if it differs at single samples alone, where an edge falls to the sample before or after. Of
-    several shifts the smallest counts.
+    It is the same, too, if it differs at few samples, none next to another, where an edge falls to the sample before or
+    after. Of several shifts the smallest counts.
     """
     variation = rms(reference - np.mean(reference))
     difference = (logged - reference)[np.isfinite(logged)]
-    differing_count = np.count_nonzero(np.abs(difference) > SAME_REFERENCE * variation)
-    is_same = rms(difference) <= SAME_REFERENCE * variation or differing_count <= FEW_SAMPLES * len(difference)
-    if variation == 0.0 or is_same:
+    is_different = np.abs(difference) > SAME_REFERENCE * variation
+    is_few = np.count_nonzero(is_different) <= FEW_SAMPLES * len(difference) and longest_run(is_different) <= 1
+    if variation == 0.0 or rms(difference) <= SAME_REFERENCE * variation or is_few:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
