@@ -35,6 +35,10 @@ class Conversion(NamedTuple):
         """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
+    def is_possible(self, unit: str) -> bool:
+        """Whether the multiple means something for a signal of this unit: 57.3 does for angles only."""
+        return self.unit not in ONLY_WITH_UNIT or is_unit_of(unit, self.unit)
+
 
 OPPOSITE = "with the opposite sign"
 CONVERSIONS = (
@@ -85,7 +89,7 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     best_text = ""
     smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
-        if conversion.unit in ONLY_WITH_UNIT and not is_unit_of(unit, conversion.unit):
+        if not conversion.is_possible(unit):
             continue
         distance = rms(logged / conversion.factor - expected)
         if distance <= smallest_distance:
@@ -194,8 +198,8 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     low, high = np.sort(ratio)
     candidates = []
     for conversion in CONVERSIONS:
-        usable = conversion.unit not in ONLY_WITH_UNIT or any(is_unit_of(unit, conversion.unit) for unit in units)
-        if usable and conversion.factor > 0.0 and low <= conversion.factor <= high:
+        is_inside = conversion.factor > 0.0 and low <= conversion.factor <= high
+        if is_inside and any(conversion.is_possible(unit) for unit in units):
             candidates.append(conversion.words)
     return candidates[0] if len(candidates) == 1 else ""
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_unit_of
+from dssc_jax.flight_logs.conversions import RATE_CONVERSIONS
 from dssc_jax.flight_logs.held_outputs import stuck_span
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
@@ -246,7 +246,6 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
 def unit_text(factor: float, unit: str) -> str:
     """The unit or sign that a factor means, in words; empty if it is none of these."""
     for conversion in RATE_CONVERSIONS:
-        is_usable = conversion.unit not in ONLY_WITH_UNIT or is_unit_of(unit, conversion.unit)
-        if is_usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
+        if conversion.is_possible(unit) and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
             return conversion.text(unit)
     return ""
