@@ -217,9 +217,9 @@ def test_a_clock_that_is_set_back_for_a_while_is_refused(tmp_path):
 
 def test_a_column_with_text_is_named(tmp_path):
     table = tmp_path / "a.csv"
-    table.write_text("t,y,z\n0,1,1\n0.1,ERR,2\n0.2,3,3\n")
+    table.write_text("t,y,z,armed\n0,1,1,False\n0.1,ERR,2,True\n0.2,3,3,True\n")
     contents = log_contents(table)
-    assert contents.text_columns == ("y",)
+    assert contents.text_columns == ("y",)  # truth values are no text
     assert [field.name for field in contents.fields] == ["t", "z"]
 
 

@@ -114,6 +114,8 @@ def test_a_sensor_that_sticks_is_told():
     log = FlightLog("flight", {"y": Column(TIMES, stuck)}, 0.0)
     told = replay_log(linear(), log, commands=False).hints.factors["y"]
     assert told.startswith(f"repeats one value from {TIMES[100]:.4g} s to {TIMES[129]:.4g} s of the log")
+    later = FlightLog("flight", {"y": Column(TIMES, stuck)}, float(TIMES[130]))  # the part after, as the hint says
+    assert "y" not in replay_log(linear(), later, commands=False).hints.factors
 
 
 def test_columns_that_share_a_name_and_cells_that_are_text_are_refused(tmp_path):

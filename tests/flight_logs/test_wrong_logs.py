@@ -120,6 +120,7 @@ def test_references_of_other_channels_and_times():
     edge = pulses.copy()
     edge[100] = 1.0 - edge[100]
     assert reference_shift(edge, pulses) == 0  # and not a period
+    assert reference_shift((TIME > 2.0).astype(float), (TIME > 2.0 - 2.0 * DT).astype(float)) == 2  # of a single edge
 
 
 def flying_references(x, y):

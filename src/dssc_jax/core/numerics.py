@@ -57,9 +57,8 @@ def binary_exponent(x: Scalar) -> tuple[Scalar, Scalar]:
     root = 0x3FE6A09E667F3BCD if is_double else 0x3F3504F3  # 2^(-1/2)
     bits = jax.lax.bitcast_convert_type(x, integer)
     exponent = (bits - integer(root)) >> integer(digits)
-    shifted_exponent = jax.lax.bitcast_convert_type(
-        exponent | integer((bias + digits) << digits), x.dtype
-    )  # 2^digits + k
+    # 2^digits + k, by its bits
+    shifted_exponent = jax.lax.bitcast_convert_type(exponent | integer((bias + digits) << digits), x.dtype)
     scale = jax.lax.bitcast_convert_type((integer(bias) - exponent) << integer(digits), x.dtype)
     return shifted_exponent - 2.0**digits, scale
 

@@ -59,9 +59,9 @@ def lane_of_study(study: Study, axis_name: str | None = AXIS, segment: int | Non
         key = draw_key(study.config.seed, index)
         loop = study.loop
         params = study.params(values)
-        judgement = study.measures, study.requirements
         margins = {name: values[name] for name in margins_of(study.measures)}
-        run = simulate_draw(loop, params, key, *judgement, axis_name=axis_name, segment=segment, margins=margins)
+        criteria = study.measures, study.requirements
+        run = simulate_draw(loop, params, key, *criteria, axis_name=axis_name, segment=segment, margins=margins)
         return results_of(study, run)
 
     return lane

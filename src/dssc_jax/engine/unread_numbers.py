@@ -39,14 +39,14 @@ def unread_numbers(study: Study) -> list[str]:
                 all_numbers[position] = number
             params = jax.tree.unflatten(structure, all_numbers)
             key = draw_key(study.config.seed, index)
-            judgement = study.measures, study.requirements
-            run = simulate_draw(study.loop, params, key, *judgement, axis_name=None, margins=margins)
+            criteria = study.measures, study.requirements
+            run = simulate_draw(study.loop, params, key, *criteria, axis_name=None, margins=margins)
             return results_of(study, run)
 
         program = jax.make_jaxpr(results)([numbers[position] for position in uncertain]).jaxpr
-        _, is_used_list = dce_jaxpr(program, [True] * len(program.outvars))
+        _, used_flags = dce_jaxpr(program, [True] * len(program.outvars))
         names = study.leaf_names()
-        for position, is_used in zip(uncertain, is_used_list, strict=True):
+        for position, is_used in zip(uncertain, used_flags, strict=True):
             is_read_by_name[names[position]] = is_read_by_name.get(names[position], False) or is_used
         return index
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.flag_runs import longest_run
 from dssc_jax.flight_logs.ulog_scan import LogTopic, Stamps
 
 MOST_DROPPED = 0.05
@@ -166,12 +167,6 @@ def rising_rows(time: np.ndarray) -> np.ndarray:
         selected_rows.append(row)
         row = int(predecessor[row])
     return np.array(selected_rows[::-1], int)
-
-
-def longest_run(flags: np.ndarray) -> int:
-    """The largest number of true flags in a row."""
-    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
-    return int(np.max(np.flatnonzero(edges < 0) - np.flatnonzero(edges > 0), initial=0))
 
 
 def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) -> np.ndarray:

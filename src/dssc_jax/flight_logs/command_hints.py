@@ -8,7 +8,8 @@ controller.
 import numpy as np
 
 from dssc_jax.flight_logs.conversions import FEWER, multiple_of, rms
-from dssc_jax.flight_logs.held_outputs import usual_hold
+from dssc_jax.flight_logs.held_outputs import drop_repeats, usual_hold
+from dssc_jax.flight_logs.reader import forward_filled
 
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
@@ -75,10 +76,7 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
 
 def held_like(logged: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """The replayed command, held from each change of the logged one to the next, shape (samples,)."""
-    finite_rows = np.flatnonzero(np.isfinite(logged))
-    changes = finite_rows[np.flatnonzero(np.diff(logged[finite_rows], prepend=np.nan) != 0.0)]
-    latest_change = np.searchsorted(changes, np.arange(len(logged)), side="right") - 1
-    return replayed[changes[np.maximum(latest_change, 0)]]
+    return forward_filled(np.where(np.isfinite(drop_repeats(logged)), replayed, np.nan))
 
 
 def best_shift(logged: np.ndarray, replayed: np.ndarray, longest: int) -> tuple[int, float]:

@@ -210,7 +210,7 @@ def table_contents(path: Path) -> LogContents:
     """
     whole_frame = recorded_frame(path)
     frame = whole_frame.select_dtypes("number")
-    text_columns = tuple(str(name) for name in whole_frame.columns if name not in frame.columns)
+    text_columns = tuple(map(str, whole_frame.select_dtypes(exclude=["number", "bool"]).columns))
     columns: Mapping[str, np.ndarray] = {str(name): frame[name].to_numpy(float) for name in frame.columns}
     fields = tuple(field_summary(name, values, False) for name, values in columns.items())
     names = [name for name in columns if name.strip().lower().startswith(TIME_NAMES)]

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.core.flag_runs import longest_run
+
 MOST_PRODUCTS = 20_000_000  # of samples and shifts
 SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
 PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
@@ -33,6 +35,10 @@ class Conversion(NamedTuple):
         """The words, with the meaning if it applies to a signal of this unit."""
         return f"{self.words} ({self.meaning})" if self.meaning and is_unit_of(unit, self.unit) else self.words
 
+    def is_possible(self, unit: str) -> bool:
+        """Whether the multiple means something for a signal of this unit: 57.3 does for angles only."""
+        return self.unit not in ONLY_WITH_UNIT or is_unit_of(unit, self.unit)
+
 
 OPPOSITE = "with the opposite sign"
 CONVERSIONS = (
@@ -49,7 +55,7 @@ RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in pla
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
 MEAN = 0.3  # of a reference's root mean square: the least mean that says something
-FEW_SAMPLES = 0.005  # share of samples at which a reference may differ that is the same: edges between two samples
+FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
 SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
@@ -83,7 +89,7 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
     best_text = ""
     smallest_distance = min(tolerance * expected_rms, FEWER * rms(logged - expected))
     for conversion in CONVERSIONS:
-        if conversion.unit in ONLY_WITH_UNIT and not is_unit_of(unit, conversion.unit):
+        if not conversion.is_possible(unit):
             continue
         distance = rms(logged / conversion.factor - expected)
         if distance <= smallest_distance:
@@ -192,8 +198,8 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
     low, high = np.sort(ratio)
     candidates = []
     for conversion in CONVERSIONS:
-        usable = conversion.unit not in ONLY_WITH_UNIT or any(is_unit_of(unit, conversion.unit) for unit in units)
-        if usable and conversion.factor > 0.0 and low <= conversion.factor <= high:
+        is_inside = conversion.factor > 0.0 and low <= conversion.factor <= high
+        if is_inside and any(conversion.is_possible(unit) for unit in units):
             candidates.append(conversion.words)
     return candidates[0] if len(candidates) == 1 else ""
 
@@ -227,14 +233,14 @@ def reference_conversion(
 def reference_shift(logged: np.ndarray, reference: np.ndarray) -> int:
     """The samples by which a logged reference is later than the study's; 0: it is the same, or no shift of it.
 
-    It is the same, too, if it differs at single samples alone, where an edge falls to the sample before or after. Of
-    several shifts the smallest counts.
+    It is the same, too, if it differs at few samples, none next to another, where an edge falls to the sample before or
+    after. Of several shifts the smallest counts.
     """
     variation = rms(reference - np.mean(reference))
     difference = (logged - reference)[np.isfinite(logged)]
-    differing_count = np.count_nonzero(np.abs(difference) > SAME_REFERENCE * variation)
-    is_same = rms(difference) <= SAME_REFERENCE * variation or differing_count <= FEW_SAMPLES * len(difference)
-    if variation == 0.0 or is_same:
+    is_different = np.abs(difference) > SAME_REFERENCE * variation
+    is_few = np.count_nonzero(is_different) <= FEW_SAMPLES * len(difference) and longest_run(is_different) <= 1
+    if variation == 0.0 or rms(difference) <= SAME_REFERENCE * variation or is_few:
         return 0
     samples = len(reference)
     for shift in range(1, min(samples // 2, MOST_PRODUCTS // samples) + 1):
@@ -271,8 +277,8 @@ class LogHints(NamedTuple):
         starts: Numbers at which the study starts while the flight cannot have.
         attitudes: Numbers of the attitude at which the study starts while the log has another.
         estimator: Counters of resets of the estimator, and flags that call its values invalid.
-        factors: Outputs that are not the integrals of their derivatives, by a factor that names no unit, and commands
-            that are not the analysed controller's, but follow from them.
+        factors: Outputs that stick, or are not the integrals of their derivatives by a factor that names no unit;
+            commands that are not the analysed controller's; times ``t`` that repeat.
         jumps: Outputs that jump while their derivatives do not.
     """
 

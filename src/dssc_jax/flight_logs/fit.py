@@ -351,9 +351,9 @@ def fitted_minimum(
     require_first_integrals(free_integrals(problem, search.best))
     posteriors = [noise_search.posterior() for noise_search in problem.noise_searches(x)]
     rough = roughness(problem, search.best)
-    delays = delay_doubts(problem, search.best)
+    doubts_of_delays = delay_doubts(problem, search.best)
     covariance = widening(rough) * averaged_covariance(problem, posteriors) + added_covariance
-    rare_commands = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
+    doubts_of_commands = command_doubts(problem, moves, np.sqrt(np.diag(covariance)))
     growth = widest_growth(covariance, covariance + moves.T @ moves)
     covariance = covariance + moves.T @ moves
     information = np.linalg.inv(covariance)
@@ -362,8 +362,8 @@ def fitted_minimum(
     except NotIdentifiable as refusal:
         raise refusal.with_reasons(width_reasons(problem, rough, growth)) from None
     require_unique_minimum(problem, search, information)
-    outliers = outlier_doubts(problem, x)
-    with_outliers = {doubt.signal for doubt in outliers}
+    doubts_of_outliers = outlier_doubts(problem, x)
+    with_outliers = {doubt.signal for doubt in doubts_of_outliers}
     noises = [ResidualNoise.of(*pair) for pair in zip(posteriors, results, strict=True)]
     rivals = []
     for rival in search.rivals:
@@ -389,11 +389,11 @@ def fitted_minimum(
         problem.count.reason,
         (
             *doubts(problem, x, results),
-            *outliers,
+            *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
-            *delays,
+            *doubts_of_delays,
             *held_doubts(problem.log),
-            *rare_commands,
+            *doubts_of_commands,
             *wind_doubts(study),
             *roughness_doubts(rough),
         ),

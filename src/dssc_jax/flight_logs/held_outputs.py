@@ -5,6 +5,7 @@ A repeated value is no new reading: it is late by up to the time between two of 
 
 import numpy as np
 
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.reader import Column
 
 LEAST_STUCK = 10  # equal readings in a row of a noisy output: fewer may be chance
@@ -48,9 +49,7 @@ def drop_repeats(values: np.ndarray) -> np.ndarray:
 def stuck_span(column: Column) -> tuple[float, float] | None:
     """The times between which a noisy output repeats one value, as that of a stuck sensor [s]; None: it never does."""
     changes = np.diff(column.value)
-    is_equal = changes == 0.0
-    edges = np.diff(np.concatenate([[0], is_equal.astype(int), [0]]))
-    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    begins, ends = flag_runs(changes == 0.0)
     if not begins.size or np.max(ends - begins) + 1 < LEAST_STUCK:
         return None
     longest = int(np.argmax(ends - begins))

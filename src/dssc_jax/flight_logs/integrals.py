@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from dssc_jax.flight_logs.conversions import ONLY_WITH_UNIT, RATE_CONVERSIONS, is_unit_of
+from dssc_jax.flight_logs.conversions import RATE_CONVERSIONS
 from dssc_jax.flight_logs.held_outputs import stuck_span
 from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
@@ -154,8 +154,8 @@ class IntegralHints(NamedTuple):
     """Hints about signals that contradict each other, by signal.
 
     Args:
-        units: One of them is in another unit, or has the opposite sign.
-        factors: They differ by another factor.
+        units: One of them is in another unit, has the opposite sign, or is a copy of the other or exchanged with it.
+        factors: They differ by another factor, or one of them sticks.
         jumps: One jumps where the other has no peak.
     """
 
@@ -180,9 +180,10 @@ def is_still(column: Column) -> bool:
 
 
 def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
-    """Hints about outputs that are copies of their references, or not the integrals of their logged derivatives.
+    """Hints about copied columns, outputs that stick, and outputs that are not the integrals of their derivatives.
 
-    Of the integrals, angles are left out, which are logged in one turn, and logs with jumps of an estimator.
+    Copies are sought in whole columns, all else within the study's duration. In a log with jumps of an estimator there
+    are hints about copies alone. Angles, which are logged in one turn, are compared with no integral.
     """
     hints = IntegralHints({}, {}, {})
     loop = study.loop
@@ -199,7 +200,7 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
         return hints
     for channel, unit in zip(loop.channels, study.units, strict=True):
         y, rate = signal_name(channel, "y"), signal_name(channel, "y_dot")
-        span = stuck_span(log.columns[y]) if y in log.columns else None
+        span = stuck_span(values_between(log.columns[y], log.start, end)) if y in log.columns else None
         if span is not None:
             hints.factors[y] = (
                 f"repeats one value from {span[0]:.4g} s to {span[1]:.4g} s of the log, and changes at each reading "
@@ -245,7 +246,6 @@ def integral_hints(study: Study, log: FlightLog) -> IntegralHints:
 def unit_text(factor: float, unit: str) -> str:
     """The unit or sign that a factor means, in words; empty if it is none of these."""
     for conversion in RATE_CONVERSIONS:
-        is_usable = conversion.unit not in ONLY_WITH_UNIT or is_unit_of(unit, conversion.unit)
-        if is_usable and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
+        if conversion.is_possible(unit) and abs(factor / conversion.factor - 1.0) < SAME_FACTOR:
             return conversion.text(unit)
     return ""

@@ -93,6 +93,11 @@ class FlightLog(NamedTuple):
         return float(max(column.time[-1] for column in self.columns.values()))
 
 
+def first_time(columns: Mapping[str, Column]) -> float:
+    """The time of the first value of some columns [s]."""
+    return float(min(column.time[0] for column in columns.values()))
+
+
 def signal_name(channel: str, name: str) -> str:
     """The name of a channel's signal."""
     return f"{channel}_{name}" if channel else name
@@ -149,7 +154,7 @@ def read_log(
                 dropped[name] = count
     first = raw_log.begin
     if first is None:
-        first = min(float(column.time[0]) for column in converted.values())
+        first = first_time(converted)
     start = first if columns.start is None else columns.start
     details = raw_log.damaged, raw_log.airborne, file, dropped, columns.time, raw_log.resets, raw_log.invalid
     log = FlightLog(file.name, converted, start, *details)

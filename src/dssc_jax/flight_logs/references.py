@@ -9,7 +9,7 @@ import numpy as np
 
 from dssc_jax.core.numerics import arithmetic, as_arrays
 from dssc_jax.flight_logs.conversions import SAME_REFERENCE, is_shifted, reference_conversion, reference_shift, rms
-from dssc_jax.flight_logs.reader import FlightLog, signal_name
+from dssc_jax.flight_logs.reader import FlightLog, first_time, signal_name
 from dssc_jax.study import Study
 
 USUAL = 0.9
@@ -88,7 +88,7 @@ def compared_references(
             side = "later" if shift > 0 else "earlier"
             start = log.start + shift * loop.sample_time
             remedy = f"set start to {start:g} s"
-            if start < first_time(log):
+            if start < first_time(log.columns):
                 remedy = "the log does not begin so early: shift the study's reference, or let its record begin there"
             comparison.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
         if channel not in rates:
@@ -106,11 +106,6 @@ def compared_references(
                 f"{100 * rms_distance / rms_rate:.2g} % of it, though y_ref is the same: {RATE_REMEDY}"
             )
     return comparison
-
-
-def first_time(log: FlightLog) -> float:
-    """The time of a log's first value [s]."""
-    return min(float(column.time[0]) for column in log.columns.values())
 
 
 def largest_distance(logged: np.ndarray, reference: np.ndarray) -> float:

@@ -122,8 +122,8 @@ def explain_channel(readings: Readings, noise: Noise, residual: np.ndarray) -> E
 def explain(problem: FitProblem, x: np.ndarray) -> list[Explained]:
     """How well the model describes each channel that has readings, at coordinates x of the fit.
 
-    If the readings' noise alone leaves too much unexplained in any channel, or a residual that is many times as large,
-    the study's noise is simulated. Each channel then counts the larger of the two.
+    If the readings' noise alone leaves too much unexplained in any channel, or a residual that is clearly larger, the
+    study's noise is simulated. For each channel the larger of the two noises then counts, and the larger limit.
     """
     results = []
     for readings, noise, columns in zip(problem.readings, problem.noises, problem.columns(x), strict=True):

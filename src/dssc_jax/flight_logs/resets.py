@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.frames import MICROSECOND, derived_fields
 from dssc_jax.flight_logs.ulog import TopicData, log_end, stamps
 
@@ -232,8 +233,7 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
         if flag not in fields:
             continue
         time = stamps(fields, begin)
-        edges = np.diff(np.concatenate([[0], fields[flag] == 0, [0]]).astype(int))
-        for begin_row, end_row in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        for begin_row, end_row in zip(*flag_runs(fields[flag] == 0), strict=True):
             stop = float(time[end_row]) if end_row < len(time) else max(end, float(time[-1]))
             spans.append(InvalidSpan(flag, names, float(time[begin_row]), stop))
     return spans

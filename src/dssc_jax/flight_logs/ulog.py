@@ -18,6 +18,7 @@ import numpy as np
 
 from dssc_jax.core import files
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.clocks import LateMessage, span_of
 from dssc_jax.flight_logs.frames import MICROSECOND
 from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedPart
@@ -274,8 +275,8 @@ def spans_of(
         return None
     time = MICROSECOND * (fields["timestamp"].astype(float) - begin)
     bounds = np.append(time, max(end, float(time[-1])))
-    edges = np.diff(np.concatenate([[False], holds(fields[field]), [False]]).astype(int))
-    pairs = zip(bounds[edges == 1].tolist(), bounds[edges == -1].tolist(), strict=True)
+    begins, ends = flag_runs(holds(fields[field]))
+    pairs = zip(bounds[begins].tolist(), bounds[ends].tolist(), strict=True)
     return [(low, high) for low, high in pairs if low < high]
 
 

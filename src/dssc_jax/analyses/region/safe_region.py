@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 import dssc_jax.plotting as plotting
 from dssc_jax.analyses.defaults import HALVINGS
 from dssc_jax.core.errors import ConfigError
+from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.design.certification import mark
@@ -198,9 +199,8 @@ def meeting_ends(verdicts: np.ndarray) -> list[tuple[int, int]]:
     meets = verdicts[places] == PairVerdict.MEETS
     if not meets.any() or (meets[0] and places[0] > 0) or (meets[-1] and places[-1] < len(verdicts) - 1):
         return []
-    steps = np.diff(np.concatenate([[0], meets.astype(int), [0]]))
-    lows, highs = places[np.flatnonzero(steps == 1)], places[np.flatnonzero(steps == -1) - 1]
-    return list(zip(lows.tolist(), highs.tolist(), strict=True))
+    begins, ends = flag_runs(meets)
+    return list(zip(places[begins].tolist(), places[ends - 1].tolist(), strict=True))
 
 
 def thresholds(draws: int, points: int) -> tuple[int, int]:

@@ -113,7 +113,7 @@ class Fmi2Calls(FmiCalls):
 
     Args:
         folder: The unpacked FMU.
-        described: Its description, which has co-simulation.
+        description: Its description, which has co-simulation.
     """
 
     def __init__(self, folder: Path, description: "ModelDescription") -> None:
@@ -164,7 +164,7 @@ class Fmi3Calls(FmiCalls):
 
     Args:
         folder: The unpacked FMU.
-        described: Its description, which has co-simulation.
+        description: Its description, which has co-simulation.
     """
 
     def __init__(self, folder: Path, description: "ModelDescription") -> None:

@@ -119,7 +119,7 @@ class NativeFmu:
         Raises:
             ConfigError: There is none, or its value cannot be chosen.
         """
-        by_field = {field_name(usable_names): usable_names for usable_names in (*self.variables, *self.unusable)}
+        by_field = {field_name(variable_name): variable_name for variable_name in (*self.variables, *self.unusable)}
         if name not in by_field:
             expected_name = field_name(name)
             if expected_name in by_field:

@@ -152,9 +152,8 @@ class Instances:
                 fault(self.ports, f"has more than {MOST_INSTANCES} draws at once; run fewer in a batch")
             return False
         if step_count != instance.step_count:
-            if (
-                step_count != instance.step_count - 1
-            ):  # a draw that has ended is asked for its last sample again, and not read
+            # a draw that has ended is asked for its last sample again, and not read
+            if step_count != instance.step_count - 1:
                 fault(
                     self.ports,
                     f"was asked for step {step_count} after {instance.step_count}; steps must be made in order",

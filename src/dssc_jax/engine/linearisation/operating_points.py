@@ -73,7 +73,7 @@ class Linearisation:
     Args:
         study: The study.
         places: Its parts.
-        resting: Whether the loop is at rest, without disturbances.
+        is_resting: Whether the loop is at rest, without disturbances.
     """
 
     def __init__(self, study: Study, places: tuple[LoopPart, ...], is_resting: bool) -> None:

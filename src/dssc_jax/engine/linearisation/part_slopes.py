@@ -91,8 +91,8 @@ def part_maps(
             plant_state, command = signals
             slope = part.derivative(p, plant_state, drive._replace(command=command), t)
             outputs = measure(loop, params, plant_state, references)
-            signals_shown = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
-            return slope, (outputs, signals_shown)
+            measured = signal_values(loop, params, plant_state, outputs, drive._replace(command=command))
+            return slope, (outputs, measured)
 
         return PartMap(apply, (), (state.plant, drive.command))
 
@@ -138,8 +138,8 @@ def part_maps(
     def signal_sensor(i: int) -> PartMap:
         def apply(part: Sensor, p: Params, memory: State, signals: Scalar) -> tuple[State, Scalar]:
             stream = jax.random.fold_in(loop.key(key, "signal", loop.measures[i].name), k + 1)
-            sensor_state, signals_shown = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
-            return sensor_state, signals_shown.y
+            sensor_state, reading = part.step(p, memory, Measurement(signals, 0.0), stream, t, dt)
+            return sensor_state, reading.y
 
         values = signal_values(loop, params, state.plant, recorded.measurements, drive)
         return PartMap(apply, state.signals[i], values[i])

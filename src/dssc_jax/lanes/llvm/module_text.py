@@ -262,7 +262,7 @@ class Emitter(Instructions):
     def side(self, is_taken: str, block: CodeBlock, values: dict[int, tuple[Value, bool]]) -> dict[int, str]:
         """Write one side of a branch, skipped if no lane takes it; the registers of its values, wide or not."""
         side_label, end, entry = self.fresh("side"), self.fresh("end"), self.label
-        self.lines.append(f"  br i1 {is_taken},  label %{side_label}, label %{end}")
+        self.lines.append(f"  br i1 {is_taken}, label %{side_label}, label %{end}")
         self.begin(side_label)
         self.block(block)
         reads = {i: self.read(value, wide) for i, (value, wide) in values.items()}
