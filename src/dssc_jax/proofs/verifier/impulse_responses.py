@@ -150,7 +150,7 @@ def response_bounds(
 
 
 def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
-    """The first ``SIDE`` of first, first a, first a^2, ..."""
+    """The first ``SIDE`` of start, start a, start a^2, ..."""
     result = [start]
     for _ in range(SIDE - 1):
         result.append(result[-1] * a)

@@ -253,7 +253,7 @@ def fixed_point_from(
     regions: dict[str, float],
     room: float,
 ) -> tuple[Signals, bool] | None:
-    """Apply the map F of :func:`applied` to small bounds, again and again, until they no longer grow.
+    """Apply the map F of :func:`apply_map` to small bounds, again and again, until they no longer grow.
 
     Args:
         problem: The vehicle.

@@ -123,7 +123,7 @@ def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -
 
 
 def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells that successive samples after ``done`` others belong to, and the place of the first sample of each."""
+    """The cells that successive samples after ``earlier_count`` others belong to, and the place of the first sample of each."""
     cells = np.minimum((earlier_count + np.arange(length)) // samples, count)
     places = np.flatnonzero(np.diff(cells, prepend=-1))
     return cells[places], places

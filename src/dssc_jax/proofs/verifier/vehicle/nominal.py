@@ -267,7 +267,7 @@ def answer_of(
 
 
 def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> acb_mat:
-    """Z_f with (turned - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
+    """Z_f with (rotation - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
     m = a.nrows()
     matrix = acb_mat([[(rotation if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
     try:
