@@ -54,9 +54,9 @@ class Alphas(NamedTuple):
 
 def alphas(p: Parameters, bounds: Bounds, constants: Constants, sigma: Numeric, e: Numeric) -> Alphas:
     """rho_1 and rho_2 at (sigma, e); the article omits k_p on the integral terms of rho_2."""
-    beta_1_bound = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
-    beta_2_bound = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
-    return Alphas(beta_1_bound / p.phi_b, beta_2_bound / p.phi_b**2)
+    beta_1_over_sigma = constants.kd1_bar * abs(e) + constants.kd2_bar * abs(sigma) + constants.kd3_bar
+    beta_2_over_sigma = constants.k_sigma + bounds.k_max * (bounds.c_isigma * abs(sigma) + bounds.c_ie * abs(e))
+    return Alphas(beta_1_over_sigma / p.phi_b, beta_2_over_sigma / p.phi_b**2)
 
 
 def kappa_1(p: Parameters, sigma: Numeric, e: Numeric) -> Numeric:

@@ -25,9 +25,9 @@ class PlantFindings(NamedTuple):
     """Properties of a plant at some points near its start.
 
     Args:
-        wrong_rates: Channels whose y' is not the derivative of y at any point, shape (channels,).
-        effective_commands: Commands at which a disturbance has an effect at some point, shape (channels,).
-        effective_inputs: Named inputs at which one has, shape (inputs,).
+        wrong_rates: Mask of the channels whose y' is not the derivative of y at any point, shape (channels,).
+        effective_commands: Mask of the commands at which a disturbance has an effect at some point, shape (channels,).
+        effective_inputs: Mask of the named inputs at which one has, shape (inputs,).
         is_inconsistent: Whether ``linear`` with ``remainder`` gives other slopes than ``derivative`` at some point.
     """
 
@@ -106,7 +106,7 @@ def plant_findings(study: Study) -> PlantFindings:
     mismatch_counts = np.zeros(channel_count, int)
     finite_counts = np.zeros(channel_count, int)
     has_effect = np.zeros(channel_count + input_count, bool)
-    is_contradictory = False
+    is_inconsistent = False
     random = np.random.default_rng(0)
     with arithmetic():
         start, behaviour = start_and_behaviour(study)
@@ -115,7 +115,7 @@ def plant_findings(study: Study) -> PlantFindings:
             signals = PUSH * random.normal(size=2 * channel_count + input_count)
             along, rate, effects, slopes, slopes_of_parts = map(np.asarray, behaviour(x, signals))
             scale = SAME_RATE * np.abs(slopes).max(initial=0.0)
-            is_contradictory |= not np.allclose(slopes, slopes_of_parts, SAME_RATE, scale, equal_nan=True)
+            is_inconsistent |= not np.allclose(slopes, slopes_of_parts, SAME_RATE, scale, equal_nan=True)
             is_finite = np.isfinite(along) & np.isfinite(rate)
             finite_counts += is_finite
             mismatch_counts += is_finite & (np.abs(along - rate) > SAME_RATE * np.maximum(np.abs(along), np.abs(rate)))
@@ -124,7 +124,7 @@ def plant_findings(study: Study) -> PlantFindings:
         (finite_counts > 0) & (mismatch_counts == finite_counts),
         has_effect[:channel_count],
         has_effect[channel_count:],
-        is_contradictory,
+        is_inconsistent,
     )
 
 

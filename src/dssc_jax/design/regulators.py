@@ -34,12 +34,12 @@ def lqg(subject: Subject, omega: float, ratio: float) -> TomlTable:
     scaled_rows = rows / sizes[:, None]
     noise = np.outer(disturbance_column, disturbance_column)
 
-    def filter_crossing(deviation: float) -> float:
+    def filter_loop_gain(deviation: float) -> float:
         correction = filter_gain(sampled.a, scaled_rows, noise, deviation**2 * np.eye(len(rows)))
         response = responses(sampled.a, sampled.a @ correction, filter_bandwidth, dt)
         return float(np.linalg.norm(scaled_rows @ response, 2))
 
-    deviation = crossing(filter_crossing, 1.0)
+    deviation = crossing(filter_loop_gain, 1.0)
     weight = regulator_weight(sampled.a, sampled.b, nominal.output, omega, dt)
     table: TomlTable = {"kind": "lqg", "output_weight": 1.0, "command_weight": weight}
     table |= {"integral_weight": integral_weight(plant, ratio * omega)}
@@ -82,10 +82,10 @@ def regulator_weight(a: np.ndarray, b: np.ndarray, c: np.ndarray, omega: float, 
     q = np.outer(c, c)
     response = responses(a, b, omega, sample_time)
 
-    def regulator_crossing(weight: float) -> float:
+    def regulator_loop_gain(weight: float) -> float:
         return float(np.abs(regulator_gain(a, b[:, None], q, weight) @ response))
 
-    return crossing(regulator_crossing, float(np.abs(c @ response)) ** 2)
+    return crossing(regulator_loop_gain, float(np.abs(c @ response)) ** 2)
 
 
 def responses(a: np.ndarray, columns: np.ndarray, omega: float, sample_time: float) -> np.ndarray:

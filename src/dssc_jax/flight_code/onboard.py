@@ -140,10 +140,10 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
             traced_sample = traced_function(sample, values, readings, held, commands)
             traced_tick = traced_function(tick, values, readings, held)
             state_names = names_of(held)
-            driven = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
+            drive_names = tuple(held_name for held_name in state_names if held_name.startswith(f"{software.drives}_"))
             traced_transfer = None
             if software.taken_over is not None:
-                traced_transfer = traced_function(transfer, values, readings, (number,) * len(driven))
+                traced_transfer = traced_function(transfer, values, readings, (number,) * len(drive_names))
     except Unsupported as problem:
         raise ConfigError("plant", f"its software has no exact form in C: {problem}") from None
     command_names = member_names(channel or "command" for channel in loop.channels)
@@ -162,7 +162,7 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
         traced_sample,
         traced_tick,
         traced_transfer,
-        driven,
+        drive_names,
         round(loop.sample_time / period),
         period,
         study.config.loop.precision,

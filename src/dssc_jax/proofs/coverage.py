@@ -95,14 +95,14 @@ def axis_problem_of(study: Study) -> ProofProblem:
     ):
         raise NotCovered("the zero dynamics are uncertain")
     level, slope, by_state = disturbance_of(study, ends)
-    reference_derivatives = reference_bounds(loop.reference, ends.part("reference"))
+    reference_suprema = reference_bounds(loop.reference, ends.part("reference"))
     lag = sensor_lag(loop.sensor[0], loop.differentiator[0], ends)
-    if reference_derivatives and zero_dynamics is not None:
+    if reference_suprema and zero_dynamics is not None:
         raise NotCovered("the reference moves, and the plant has zero dynamics")
-    if reference_derivatives and lag:
+    if reference_suprema and lag:
         raise NotCovered("the reference moves, and the sensor lags")
     derivative_names = ("y_m_dot", "y_m_ddot", "y_m_dddot")
-    speed, acceleration, jerk = (float(reference_derivatives.get(name, 0.0)) for name in derivative_names)
+    speed, acceleration, jerk = (float(reference_suprema.get(name, 0.0)) for name in derivative_names)
     problem = ProofProblem(
         sample_time=loop.sample_time,
         k_p=(float(low.plant.k_p), float(high.plant.k_p)),
@@ -115,7 +115,7 @@ def axis_problem_of(study: Study) -> ProofProblem:
         reference=(speed, acceleration, jerk),
         initial=initial_errors(study, ends),
         by_state=by_state,
-        reference_size=float(reference_derivatives.get("y_m", 0.0)) if any(by_state) else 0.0,
+        reference_size=float(reference_suprema.get("y_m", 0.0)) if any(by_state) else 0.0,
         **unmodelled_of(study, ends),
         **controller_of(study),
     )

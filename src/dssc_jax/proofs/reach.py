@@ -120,17 +120,17 @@ def proved_up_to(
     unproved_share = 1.0
     if not proved_at(proved_share):
         value, proof = proofs[proved_share]
-        return ProvedReach(name, proved_values(proofs), None, None, value, proof.reason)
+        return ProvedReach(name, tried_values(proofs), None, None, value, proof.reason)
     if proved_at(unproved_share):
         value, proof = proofs[unproved_share]
-        return ProvedReach(name, proved_values(proofs), proof, value, None, "")
+        return ProvedReach(name, tried_values(proofs), proof, value, None, "")
     proved_share, unproved_share = map(float, bisect(proved_at, proved_share, unproved_share, HALVINGS))
     value, proof = proofs[proved_share]
     unproved_value, failure = proofs[unproved_share]
-    return ProvedReach(name, proved_values(proofs), proof, value, unproved_value, failure.reason)
+    return ProvedReach(name, tried_values(proofs), proof, value, unproved_value, failure.reason)
 
 
-def proved_values(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
+def tried_values(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:
     """The values that were tried, in order, and whether each is proved."""
     return [(value, proof.complete) for value, proof in proofs.values()]
 

@@ -88,12 +88,12 @@ def describe_modules(table: Mapping[str, object], modules: Mapping[str, object] 
     lines = []
     for name in code_names(table):
         current = file_digest(code_file(name))
-        recorded_module = (modules or {}).get(name)
-        recorded_file = recorded_module if isinstance(recorded_module, Mapping) else {}
+        entry = (modules or {}).get(name)
+        recorded_entry = entry if isinstance(entry, Mapping) else {}
         if current["file"] is None:
-            former_file = f" (the run used {recorded_file['file']})" if recorded_file.get("file") else ""
+            former_file = f" (the run used {recorded_entry['file']})" if recorded_entry.get("file") else ""
             lines.append(f"{name} from no file that is found{former_file}")
         else:
-            is_changed = bool(recorded_file) and recorded_file.get("sha256") != current["sha256"]
+            is_changed = bool(recorded_entry) and recorded_entry.get("sha256") != current["sha256"]
             lines.append(f"{name} from {current['file']}{', changed since the run' * is_changed}")
     return "; ".join(lines)

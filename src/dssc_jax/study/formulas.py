@@ -188,11 +188,11 @@ class FormulaParser:
         self.depth += 1
         if self.depth > DEEPEST_FORMULA:
             raise ValueError(f"is nested too deeply: at most {DEEPEST_FORMULA} levels are taken")
-        antecedent = self.joined_operands("or", Or, lambda: self.joined_operands("and", And, self.until))
+        formula = self.joined_operands("or", Or, lambda: self.joined_operands("and", And, self.until))
         if self.take("implies") or self.take("->"):
-            antecedent = Or((Not(antecedent), self.formula()))
+            formula = Or((Not(formula), self.formula()))
         self.depth -= 1
-        return antecedent
+        return formula
 
     def joined_operands(self, word: str, kind: type[And] | type[Or], part: Callable[[], Formula]) -> Formula:
         """One or more parts, joined by a word."""

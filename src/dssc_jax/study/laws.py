@@ -278,15 +278,15 @@ class Law(Uncertain):
         if not share > 0.0 or (self.logarithmic and not median > 0.0):
             raise ValueError(f"needs share > 0, and median > 0 on a logarithmic scale, got {share:g} and {median:g}")
         arguments = (*self.arguments, 0.0, 1.0)[:4] if self.kind == "beta" else self.arguments
-        old_center = self.median
-        new_center = median
+        old_location = self.median
+        new_location = median
         values = np.asarray(arguments, dtype=float)
         if self.logarithmic:
-            old_center = math.log(old_center)
-            new_center = math.log(new_center)
+            old_location = math.log(old_location)
+            new_location = math.log(new_location)
         if self.kind == "loguniform":
             values = np.log(values)
-        rules = {"l": new_center + share * (values - old_center), "s": share * values, ".": values}
+        rules = {"l": new_location + share * (values - old_location), "s": share * values, ".": values}
         new_arguments = [float(rules[rule][i]) for i, rule in enumerate(LAWS[self.kind].roles)]
         return Law(self.kind, tuple(np.exp(new_arguments).tolist() if self.kind == "loguniform" else new_arguments))
 

@@ -117,8 +117,8 @@ def parse_measures(
             default_window=config.metrics.window,
         )
 
-    usual_window = config.metrics.window
-    require_samples(config, usual_window, "metrics.after")
+    default_window = config.metrics.window
+    require_samples(config, default_window, "metrics.after")
     listed_names = config.metrics.names
     reported_kinds = (
         default_kinds(has_several_channels) if listed_names is None else [short(name) for name in listed_names]
@@ -126,7 +126,9 @@ def parse_measures(
     for index, kind in enumerate(reported_kinds):
         if kind not in metrics:
             raise ConfigError(f"metrics.names.{index}", f"unknown metric '{kind}'; {nearest(kind, metrics)}")
-    measures = {name: measure(name, name, usual_window) for name, (kind, _) in names.items() if kind in reported_kinds}
+    measures = {
+        name: measure(name, name, default_window) for name, (kind, _) in names.items() if kind in reported_kinds
+    }
     formula_terms = formula_signals(signals)
     requirements = []
     for index, table in enumerate(config.requirement):
@@ -154,9 +156,9 @@ def parse_measures(
                 needs = ", ".join(metrics[metric].needs)
                 raise ConfigError(f"{place}.metric", f"'{metric}' needs {needs}, which this loop does not have")
             raise ConfigError(f"{place}.metric", f"unknown metric '{metric}'; {nearest(metric, names)}")
-        window = table.window(usual_window)
+        window = table.window(default_window)
         require_samples(config, window, f"{place}.after")
-        name = metric + window.suffix(usual_window)
+        name = metric + window.suffix(default_window)
         measures.setdefault(name, measure(name, metric, window))
         requirement = Requirement(measures[name], *table.bounds)
         require_meaningful(requirement, place)

@@ -26,9 +26,9 @@ def explain(error: ValidationError, names: Iterable[str], computed: Collection[s
     """
     errors = error.errors()
     missing_names = [str(problem["loc"][-1]) for problem in errors if problem["type"] == "missing"]
-    unknown_names = [problem for problem in errors if problem["type"] == "extra_forbidden"]
-    misspelt_names = [problem for problem in unknown_names if close_names(str(problem["loc"][-1]), missing_names)]
-    first_error = misspelt_names[0] if misspelt_names else errors[0]
+    unknown_errors = [problem for problem in errors if problem["type"] == "extra_forbidden"]
+    misspelt_errors = [problem for problem in unknown_errors if close_names(str(problem["loc"][-1]), missing_names)]
+    first_error = misspelt_errors[0] if misspelt_errors else errors[0]
     path_parts = [str(part) for part in first_error["loc"]]  # none of a rule on several entries of the study
     path = ".".join(path_parts)
     value = first_error.get("input")

@@ -181,12 +181,12 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
         return None
     m = rows.shape[0]
     w = step.b.shape[1] + 1
-    integral_row = deviation_row(spread.integral, m)
-    command_row = deviation_row(spread.command, m)
-    command = np.eye(m + 1)[COMMAND] + integral_row + command_row
+    integral_deviation = deviation_row(spread.integral, m)
+    command_deviation = deviation_row(spread.command, m)
+    command = np.eye(m + 1)[COMMAND] + integral_deviation + command_deviation
     sizes = np.zeros((2 + n, m + 1))
-    sizes[0] = integral_row
-    sizes[1] = command_row + share * command
+    sizes[0] = integral_deviation
+    sizes[1] = command_deviation + share * command
     sizes[2:] = held_deviations(problem, box, point.k_p, command)
     effects = result.sums[:, w:] @ sizes
     forced = result.sums[:, :w].sum(axis=1) + effects[:, m]

@@ -140,7 +140,7 @@ SLOPES = {"k_p": "mean", "k_i": "k_i", "k_n": "k_n"}
 
 
 def largest_distance(size: np.ndarray, ratio: np.ndarray, slope: float, offset: np.ndarray | float = 0.0) -> float:
-    """The largest |ratio - slope| |sigma| plus what is added, a little widened."""
+    """The largest |ratio - slope| |sigma| plus an offset, a little widened."""
     distance = float(np.max(np.abs(ratio - slope) * size + offset))
     rounding = SLOPE_ROUNDING * abs(slope) * float(size.max())
     return (1.0 + MARGIN) * distance + rounding

@@ -107,14 +107,14 @@ def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     k_low = box["k_p"][0]
     disturbance_weights = np.array([1.0, max(map(abs, box["a_p"]))]) / k_low
     offset_weights = np.max([[abs(1.0 / k_n - 1.0 / k_p), abs(a_n / k_n - a_p / k_p)] for k_p, a_p in plants], axis=0)
-    rates = np.array([acceleration, speed])
-    accelerations = np.array([jerk, acceleration])
+    level_terms = np.array([acceleration, speed])
+    slope_terms = np.array([jerk, acceleration])
     return SignalSizes(
-        float(problem.level + disturbance_weights @ rates),
-        float(problem.slope + disturbance_weights @ accelerations),
-        float(feed_weights @ accelerations),
-        float(problem.level + offset_weights @ rates),
-        float(problem.slope + offset_weights @ accelerations),
+        float(problem.level + disturbance_weights @ level_terms),
+        float(problem.slope + disturbance_weights @ slope_terms),
+        float(feed_weights @ slope_terms),
+        float(problem.level + offset_weights @ level_terms),
+        float(problem.slope + offset_weights @ slope_terms),
     )
 
 

@@ -185,14 +185,14 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
     room = problem.rho - signal_sizes(problem, setting.box).offset
     change = step.rows[CHANGE]
     sigma = step.rows[SIGMA]
-    command_row = unit[-2]
+    u_av_row = unit[-2]
     slide_p = hull["slide_p"]
     rows = []
     if setting.is_integrated:
         mean = middle(hull["mean"])
         spreads = [max(abs(end - mean) for end in piece["mean"]) for piece in region.pieces]
         room -= max(spread * end for spread, end in zip(spreads, region.ends, strict=True))
-        command_row = command_row + mean * unit[-1]
+        u_av_row = u_av_row + mean * unit[-1]
         room -= hull["slide_e"][1] * setting.error_change(region)
     else:
         hull = setting.increments(region, hull)
@@ -202,7 +202,7 @@ def slide_rows(setting: Setting, region: Region) -> list[BoundedRow]:
         slide_p = slide_hull(problem, (region.sigma, region.e), largest, error_change)
         rows = [BoundedRow(change, largest, CHANGE_WEIGHT)] if slide_p != hull["slide_p"] else []
     corners = product(set(slide_p), set(hull["slide_i"]))
-    return rows + [BoundedRow(command_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
+    return rows + [BoundedRow(u_av_row + p * change + i * sigma, max(room, 0.0), 1.0) for p, i in corners]
 
 
 def decay_rate(step: Step, sample_time: float) -> float:

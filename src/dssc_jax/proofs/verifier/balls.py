@@ -19,7 +19,7 @@ class StageLimits(NamedTuple):
     """Bounds of |sigma|, |e| and |sigma - s| at the samples, and of |e(t)| at all times.
 
     ``level`` and ``slope`` bound what the state adds to |d| and |d'|, with :data:`ENTERED` times these bounds.
-    ``moved`` bounds the change of e in a sample, where phi_1 depends on e.
+    ``error_change`` bounds the change of e in a sample, where phi_1 depends on e.
     """
 
     sigma: arb
@@ -28,7 +28,7 @@ class StageLimits(NamedTuple):
     between: arb
     level: arb
     slope: arb
-    moved: arb
+    error_change: arb
 
 
 ENTERED = "1.0001"

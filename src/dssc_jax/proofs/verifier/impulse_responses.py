@@ -91,22 +91,22 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
     reach = np.array([float(abs(shadow[i, i]).upper().sqrt().upper()) for i in range(m)])
     largest_in_unit_cube = total([abs(entry) for row in p.tolist() for entry in row]).sqrt()
     count = z.ncols()
-    dropped_radii = [arb(0)] * count
+    dropped_sizes = [arb(0)] * count
     for _ in range(MOST_BLOCKS):
         for j in range(count):  # go on with exact numbers; V bounds what the difference can still cause
             largest_radius = max((z[i, j].rad() for i in range(n)), key=float)
-            dropped_radii[j] = dropped_radii[j] + largest_in_unit_cube * largest_radius
+            dropped_sizes[j] = dropped_sizes[j] + largest_in_unit_cube * largest_radius
         z = z.mid()
         state = middles(z)
         sizes = np.abs(state)
         response = (short_middles @ (long_middles @ state)).reshape(SIDE**2, m, -1)
         z = block_jump * z
-        ends = [(state_size(p, z, j) + dropped_radii[j]).upper() for j in range(count)]
+        ends = [(state_size(p, z, j) + dropped_sizes[j]).upper() for j in range(count)]
         yield Block(
             response,
             error_peak @ sizes + UNDERFLOW,
             error_sum @ sizes + UNDERFLOW,
-            reach[:, None] * np.array([float(size.upper()) for size in dropped_radii]),
+            reach[:, None] * np.array([float(size.upper()) for size in dropped_sizes]),
             reach[:, None] * np.array([float(end) for end in ends]),
         )
 
@@ -150,7 +150,7 @@ def response_bounds(
 
 
 def powers(start: arb_mat, a: arb_mat) -> list[arb_mat]:
-    """The first ``SIDE`` of first, first a, first a^2, ..."""
+    """The first ``SIDE`` of start, start a, start a^2, ..."""
     result = [start]
     for _ in range(SIDE - 1):
         result.append(result[-1] * a)

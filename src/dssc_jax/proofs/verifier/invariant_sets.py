@@ -128,11 +128,11 @@ def check_sliding(
     is_integrated = stage["coordinate"] == "phi_1"
     rows = signal_rows(problem)
     room = arb(problem["rho"]) - signal_bounds(problem, box).offset
-    command_row = rows.v
+    u_av_row = rows.v
     slide_p = gains["slide_p"]
     if is_integrated:
         middle = gains["mean"].mid()
-        command_row = command_row + rows.s * middle
+        u_av_row = u_av_row + rows.s * middle
         distances = [(abs(piece["mean"] - middle) * arb(high)).upper() for high, piece in pieces]
         room = room - reduce(maximum, distances)
     if problem["form"] == "conservative":
@@ -140,7 +140,7 @@ def check_sliding(
             room = room - abs(gains["slide_e"]).upper() * error_change
         slide_p = slide_gain(problem, stage, gains, bound_in_set(inverse, rows.change), error_change)
     for by_change, by_sigma in product(ball_ends(slide_p), ball_ends(gains["slide_i"])):
-        row = command_row + rows.change * by_change + rows.sigma * by_sigma
+        row = u_av_row + rows.change * by_change + rows.sigma * by_sigma
         holds = bound_in_set(inverse, row) <= room
         require_premise(holds, f"P5: the equivalent control may exceed rho in {label}")
 

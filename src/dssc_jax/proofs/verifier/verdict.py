@@ -175,5 +175,5 @@ def require_region(limits: StageLimits, factor: arb, stage: AnyStage, subject: s
         change = cast(SmallGainStage, stage)["change"]
         require_premise(limits.change * factor <= arb(change), f"{subject} lets sigma change by more in a sample")
     elif stage["coordinate"] == "u_av":
-        error_change = cast(InvariantStage, stage)["moved"]
-        require_premise(limits.moved * factor <= arb(error_change), f"{subject} lets e change by more in a sample")
+        error_change = arb(cast(InvariantStage, stage)["moved"])
+        require_premise(limits.error_change * factor <= error_change, f"{subject} lets e change by more in a sample")

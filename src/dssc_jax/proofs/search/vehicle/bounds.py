@@ -214,10 +214,10 @@ def vehicle_bounds(
             if response is None:
                 return "gain"
             responses[name] = response
-        fixed_point = fixed_point_from(problem, responses, slopes, y, damping, nominal, slope_regions, room)
-        if fixed_point is None:
+        outcome = fixed_point_from(problem, responses, slopes, y, damping, nominal, slope_regions, room)
+        if outcome is None:
             return "gain"
-        bounds, is_fixed_point = fixed_point
+        bounds, is_fixed_point = outcome
         totals, _ = vehicle_totals(nominal, bounds)
         regions = {name: totals[name]["sigma"] for name in CHANNELS}
         if is_fixed_point and not any(has_moved(regions[name], slope_regions[name]) for name in CHANNELS):
@@ -253,7 +253,7 @@ def fixed_point_from(
     regions: dict[str, float],
     room: float,
 ) -> tuple[Signals, bool] | None:
-    """Apply the map F of :func:`applied` to small bounds, again and again, until they no longer grow.
+    """Apply the map F of :func:`apply_map` to small bounds, again and again, until they no longer grow.
 
     Args:
         problem: The vehicle.

@@ -54,7 +54,7 @@ class SampledChannel:
 
 
 class ChannelParts:
-    """The parts of a linear channel while it is put together, see :class:`Linear`.
+    """The parts of a linear channel while it is put together, see :class:`LinearChannel`.
 
     ``states`` has the row of each state, ``slopes`` those of the states' derivatives, ``control`` the command's share
     in these, and ``remainders`` the columns of the remainders by name.

@@ -209,10 +209,10 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
     shortfall = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
     shortfall += mass * y["z"]["behind"] * at.secant / n
-    curvature = math.sqrt(n - 4) * shortfall / (2.0 * smallest)
-    if curvature >= 1.0:
+    discriminant_deficit = math.sqrt(n - 4) * shortfall / (2.0 * smallest)
+    if discriminant_deficit >= 1.0:
         raise OutOfRange
-    shortfall = 2.0 * shortfall / (1.0 + math.sqrt(1.0 - curvature))
+    shortfall = 2.0 * shortfall / (1.0 + math.sqrt(1.0 - discriminant_deficit))
     if n > 4 and earlier is not None:
         shortfall = max(shortfall, earlier.shortfall)
     defect = shortfall**2 / (4.0 * problem.rotor_lag * smallest)
@@ -327,9 +327,9 @@ def coupled_torque(problem: VehicleProblem, y: Signals, at: Attitude, couplings:
         return a_0 * GRAVITY * at.desired + GRAVITY * a_1 * at.yaw_rate * at.tilt
     demand = y["x"]["wanted"]
     tangent = demand / (GRAVITY - at.lift)
-    lift_gap = (couplings.lift_gap * demand + couplings.lift * couplings.wanted_gap) / GRAVITY
-    yaw_gap = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
-    return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + lift_gap) + a_1 * yaw_gap
+    lift_term = (couplings.lift_gap * demand + couplings.lift * couplings.wanted_gap) / GRAVITY
+    yaw_term = couplings.yaw_gap * GRAVITY * at.tilt + couplings.yaw * couplings.alpha_gap
+    return a_0 * (GRAVITY * tangent**3 / 3.0 + at.lift**2 * tangent / GRAVITY + lift_term) + a_1 * yaw_term
 
 
 def exact_torques(
@@ -384,16 +384,16 @@ def slopes_of(problem: VehicleProblem, y: Signals, r: Signals, damping: tuple[fl
     heading["sigma"] = psi["bend"] + r["psi"]["torque"]
     heading["wanted"] = problem.yaw_gain * heading["e_dot"] + problem.yaw_integral_gain * psi["follow"]
     heading["follow"] = heading["e_dot"]
-    vertical_rate = vertical["wanted"]
-    yaw_rate_slope = heading["wanted"]
+    lift_slope = vertical["wanted"]
+    gamma_slope = heading["wanted"]
     if lag:
         plane["gamma"] = x["behind"] / lag + r["x"]["lag"]
         plane["behind"] = plane["turn"] + plane["gamma"]
-        vertical_rate = vertical["lift"] = z["behind"] / lag + r["z"]["lag"]
-        vertical["behind"] = vertical["wanted"] + vertical_rate
-        yaw_rate_slope = heading["gamma"] = psi["behind"] / lag + r["psi"]["lag"]
-        heading["behind"] = heading["wanted"] + yaw_rate_slope
-    vertical["acceleration"] = vertical_rate + damping[1] * vertical["e_dot"]
-    vertical["bend"] = vertical_rate + abs(l0["z"] - damping[1]) * vertical["e_dot"]
-    heading["bend"] = yaw_rate_slope + l0["psi"] * heading["e_dot"]
+        lift_slope = vertical["lift"] = z["behind"] / lag + r["z"]["lag"]
+        vertical["behind"] = vertical["wanted"] + lift_slope
+        gamma_slope = heading["gamma"] = psi["behind"] / lag + r["psi"]["lag"]
+        heading["behind"] = heading["wanted"] + gamma_slope
+    vertical["acceleration"] = lift_slope + damping[1] * vertical["e_dot"]
+    vertical["bend"] = lift_slope + abs(l0["z"] - damping[1]) * vertical["e_dot"]
+    heading["bend"] = gamma_slope + l0["psi"] * heading["e_dot"]
     return {name: slopes | {"u_av": 0.0} for name, slopes in (("x", plane), ("z", vertical), ("psi", heading))}

@@ -85,7 +85,7 @@ def cell_responses(
     for block in response_blocks(observation.sampled.a, observation.rows, columns, observation.p):
         sizes = np.abs(block.response[..., :q]) + (block.error + block.radius_effect)[:, :q]
         sizes = sizes @ weights
-        next_sample = sample_count + 1  # that of the first eps
+        next_sample = sample_count + 1  # to which the first eps of the block belongs
         later_cells, later_places = cells_of(next_sample, len(sizes), samples, count)
         effect_sums[later_cells] += np.add.reduceat(sizes, later_places, axis=0)
         cells, places = cells_of(sample_count, len(sizes), samples, count)
@@ -123,7 +123,7 @@ def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -
 
 
 def cells_of(earlier_count: int, length: int, samples: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The cells that successive samples after ``done`` others belong to, and the place of the first sample of each."""
+    """The cells of successive samples after ``earlier_count`` others, and the place of the first sample of each."""
     cells = np.minimum((earlier_count + np.arange(length)) // samples, count)
     places = np.flatnonzero(np.diff(cells, prepend=-1))
     return cells[places], places

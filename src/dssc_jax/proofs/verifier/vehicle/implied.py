@@ -42,7 +42,7 @@ class Vehicle(NamedTuple):
         middles: The linear channels of its proof.
         ranges: What the problem's intervals come to.
         dampings: c of each channel.
-        observations: The linear channels.
+        observations: The channels at their samples.
         responses: Their responses.
         flight: The nominal flight; None without a reference.
     """

@@ -230,16 +230,16 @@ def answer_of(
     acceleration = i_omega * speed
     known_phasors = {remainder: waves.get(frequency, acb(0)) for remainder, waves in course.known_remainders.items()}
     n = channel.order
-    input_phasors = [-speed] + [acb(0)] * (n - 1)  # e' = y' - y_m'
+    forces = [-speed] + [acb(0)] * (n - 1)  # e' = y' - y_m'
     for remainder, phasor in known_phasors.items():
         column = channel.inputs[remainder].tolist()
-        input_phasors = [entry + phasor * b for entry, (b,) in zip(input_phasors, column, strict=True)]
+        forces = [entry + phasor * b for entry, (b,) in zip(forces, column, strict=True)]
     by_integral = -t * slope_2 * speed  # of sigma = y' - y_m' + l_0 e
     by_command = (slope_1 + slope_n) * speed - by_integral
     if controller["nominal"] is not None:  # (l_0 - a_n) y_m' of sigma, and a_n y_m' + y_m'' of the control itself
         by_command = by_command + (l0 * speed + acceleration) / arb(controller["nominal"][1])
     generator = acb_mat(
-        [[*map(acb, row), entry] for row, entry in zip(channel.generator.tolist(), input_phasors, strict=True)]
+        [[*map(acb, row), entry] for row, entry in zip(channel.generator.tolist(), forces, strict=True)]
         + [[acb(0)] * (n + 2), [acb(0)] * (n + 1) + [i_omega]]
     )
     transition = (generator * acb(t)).exp()
@@ -267,7 +267,7 @@ def answer_of(
 
 
 def steady_state(a: arb_mat, rotation: acb, drive: Sequence[acb], name: str) -> acb_mat:
-    """Z_f with (turned - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
+    """Z_f with (rotation - A) Z_f = drive; raises Rejected if it cannot be enclosed."""
     m = a.nrows()
     matrix = acb_mat([[(rotation if i == j else acb(0)) - a[i, j] for j in range(m)] for i in range(m)])
     try:

@@ -197,9 +197,9 @@ def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
     d^2/(4 tau f_min). As xi is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2)
     d^2/(8 f_min).
     """
-    curvature = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
-    require_premise(bool(curvature < 1), "V3: the rotors may be too far behind their commands")
-    return (2 * d_4 / (1 + (1 - curvature).sqrt())).upper()
+    discriminant_deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
+    require_premise(bool(discriminant_deficit < 1), "V3: the rotors may be too far behind their commands")
+    return (2 * d_4 / (1 + (1 - discriminant_deficit).sqrt())).upper()
 
 
 def drag_of(
