@@ -51,10 +51,10 @@ def free_folder(study: Study, kind: str, out: Path | None, *options: object, nam
 def usual_folder(study: Study, command: str, *options: object) -> Path:
     """results/NAME-COMMAND, followed by a digest of the question if an option or an edit has changed it."""
     folder = Path("results") / f"{study.name}-{command}"
-    options_text = [str(option) for option in options if option not in (None, [])]
-    if not options_text and not is_foreign(folder, study):
+    option_texts = [str(option) for option in options if option not in (None, [])]
+    if not option_texts and not is_foreign(folder, study):
         return folder
-    digest = hash_of({"study": study.hash, "options": options_text}) if options_text else study.hash
+    digest = hash_of({"study": study.hash, "options": option_texts}) if option_texts else study.hash
     return folder.with_name(f"{folder.name}-{digest[:8]}")
 
 
@@ -69,7 +69,6 @@ def finish(
     folder: Path,
     options: PrintedOptions,
     show: Callable[[AnalysisKind, list[Path]], None],
-    other_files: Mapping[str, Path] | None = None,
 ) -> None:
     """Check the integration of an analysis, save it with its figure, and print it.
 
@@ -78,9 +77,8 @@ def finish(
         folder: Its folder.
         options: Of the command.
         show: Prints the analysis for people, and the files written.
-        other_files: Other files written, by their names in the JSON.
     """
-    print_analysis(analysis, save_analysis(analysis, folder, options), options, show, other_files or {"result": folder})
+    print_analysis(analysis, save_analysis(analysis, folder, options), options, show, {"result": folder})
 
 
 def save_analysis(analysis: Analysis, folder: Path, options: PrintedOptions) -> list[Path]:
@@ -100,7 +98,15 @@ def print_analysis(
     show: Callable[[AnalysisKind, list[Path]], None],
     files_by_name: Mapping[str, Path],
 ) -> None:
-    """Print an analysis; arguments as for :func:`finish`."""
+    """Print an analysis.
+
+    Args:
+        analysis: The analysis.
+        figures: Files of its figure.
+        options: Of the command.
+        show: Prints the analysis for people, and the files written.
+        files_by_name: Folders and other files written, by their names in the JSON.
+    """
     if options.as_json:
         places = {name: str(path) for name, path in files_by_name.items()}
         print(json.dumps(analysis.summary() | places, allow_nan=False))

@@ -45,9 +45,9 @@ def load_study(name: str, changes: Mapping[str, object], local: bool, native: bo
     path = find(name)
     if local:
         allow_imports(path.parent)
-    stated_table = read_toml(path)  # names the file in its errors
+    file_table = read_toml(path)  # names the file in its errors
     try:
-        table = with_files(changed(stated_table, changes, str(path)), path.parent)
+        table = with_files(changed(file_table, changes, str(path)), path.parent)
     except ConfigError as error:
         raise error.within(str(path)) from None
     if native:

@@ -106,8 +106,8 @@ def show_library(library: NativeLibrary, file: Path) -> None:
                 say(f"warning: {default}, is not {number['admissible']}: a study has to state it")
         for parameter in summary["without_effect"]:
             say(f"warning: {parameter} {WITHOUT_EFFECT}")
-        if lost_samples := summary["samples_not_finite"]:
-            trial = f"{lost_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
+        if bad_samples := summary["samples_not_finite"]:
+            trial = f"{bad_samples} of {TRIED_SAMPLES} samples of a trial flight with the default parameters"
             say(f"warning: its command is not finite in {trial}")
     say(f"\nin a study, run with --allow-native:\n\n[controller]\nkind = {KIND!r}\nfile = '{file}'")
     if len(library.controllers) > 1:

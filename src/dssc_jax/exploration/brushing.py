@@ -43,7 +43,7 @@ class Brushing:
         table: The draws.
         folder: The results folder, for the command that replays a clicked draw.
 
-    The source ``picked`` holds the row of the latest click, for a program behind the page.
+    The source ``clicked_row`` holds the row of the latest click, for a program behind the page.
     """
 
     def __init__(self, table: DrawTable, folder: str) -> None:

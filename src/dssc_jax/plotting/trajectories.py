@@ -180,7 +180,7 @@ def flight(run: xr.Dataset) -> Figure:
 
 
 def mark_events(ax: Axes, run: xr.Dataset, with_names: bool) -> None:
-    """Mark the times of a draw's events by lines, with their kinds where they are named."""
+    """Mark the times of a draw's events by lines, and write their kinds beside them if ``with_names``."""
     kinds = np.atleast_1d(run.attrs.get("event_kinds", []))
     times = np.atleast_1d(run.attrs.get("event_times", []))
     for kind, time in zip(kinds, times, strict=True):

@@ -49,8 +49,8 @@ def lay_out(folder: Path, study: Study, layout: Layout) -> dict[str, zarr.Array]
 
 def array_extent(variable: Variable, layout: Layout) -> Extent:
     """Shape and chunks of a variable's array."""
-    is_law_value = variable.dims == ("draw",)
-    return (layout.shape[-1:], layout.block[-1:]) if is_law_value else (layout.shape, layout.block)
+    has_draws_alone = variable.dims == ("draw",)
+    return (layout.shape[-1:], layout.block[-1:]) if has_draws_alone else (layout.shape, layout.block)
 
 
 def create(group: zarr.Group, name: str, variable: Variable, extent: Extent, overwrite: bool = False) -> zarr.Array:

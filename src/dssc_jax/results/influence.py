@@ -84,9 +84,9 @@ def influence(result: Result, name: str) -> float:
     total = float(np.sum((outcome - outcome.mean()) ** 2))
     if total == 0.0 or len(groups) < 2:
         return 0.0
-    explained_square = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
+    explained_squares = sum(len(group) * (outcome[group].mean() - outcome.mean()) ** 2 for group in groups)
     chance = (len(groups) - 1) / max(1, outcome.size - 1)
-    return float(max(0.0, explained_square / total - chance))
+    return float(max(0.0, explained_squares / total - chance))
 
 
 def by_influence(result: Result, names: list[str]) -> list[str]:

@@ -38,8 +38,8 @@ def verdict(study: Study, outcome: int, slacks: Mapping[str, Any]) -> str:
     """Describe how a draw ended, with every violated requirement if it completed."""
     if outcome < Outcome.REQUIREMENT:
         return ENDINGS[Outcome(outcome)]
-    violated_labels = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
-    return f"violates {' and '.join(violated_labels)}"
+    violated_texts = (requirement.text for requirement in study.requirements if violated(slacks[requirement.name]))
+    return f"violates {' and '.join(violated_texts)}"
 
 
 @dataclass(frozen=True)
@@ -122,10 +122,12 @@ def in_memory(study: Study) -> xr.Dataset:
         shape = [sizes[dim] for dim in variable.dims]
         fill = np.nan if variable.dtype.startswith("float") else NOT_COMPUTED
         blank[name] = (variable.dims, np.full(shape, fill, variable.dtype), dict(variable.attributes))
-    axes = coordinates(study)
+    coordinate_variables = coordinates(study)
     return xr.Dataset(
         blank,
-        coords={name: ((name,), values, dict(axes[name].attributes)) for name, values in coords.items()},
+        coords={
+            name: ((name,), values, dict(coordinate_variables[name].attributes)) for name, values in coords.items()
+        },
         attrs=dataset_attributes(study),
     )
 

@@ -165,7 +165,7 @@ class ThisProcess:
 
     def __post_init__(self) -> None:
         self.began = time.perf_counter()
-        self.first_results: Iterator[tuple[Block, Arrays, Arrays]] | None = None
+        self.block_results: Iterator[tuple[Block, Arrays, Arrays]] | None = None
 
     def machinery(self) -> Manifest:
         """See :func:`dssc_jax.engine.batching.computing`."""
@@ -174,12 +174,12 @@ class ThisProcess:
     def start(self, layout: Layout, blocks: list[Block]) -> Iterator[tuple[Block, Arrays, Arrays]]:
         """Start the first of some blocks; see :func:`dssc_jax.engine.batching.execute`."""
         self.engine = Engine(self.study, layout.lanes, self.tile, self.devices)
-        self.first_results = execute(self.engine, blocks)
-        return self.first_results
+        self.block_results = execute(self.engine, blocks)
+        return self.block_results
 
     def fill(self, target: Store, advance: Callable[[int], None]) -> Manifest:
         """Compute the missing blocks of a folder, and return the times for the manifest."""
-        for box, results, values in self.first_results or self.start(target.layout, target.pending):
+        for box, results, values in self.block_results or self.start(target.layout, target.pending):
             target.write(box, results, values)
             advance(lanes_in(box))
         return {"times": self.engine.times(self.began)}

@@ -119,9 +119,9 @@ class Drift(NamedTuple):
         transition[:, 1, 1] = decay
         # of p with the driving noise sqrt(2) of v: 2 int (1 - exp(-s))^2, and so on, over 0 < s < w
         position = np.where(w < SHORT, small_drift(w), 2.0 * w - 3.0 + 4.0 * decay - decay**2)
-        squared_loss = np.expm1(-w) ** 2
+        position_speed = np.expm1(-w) ** 2
         speed = -np.expm1(-2.0 * w)
-        covariance = np.stack([np.stack([position, squared_loss], -1), np.stack([squared_loss, speed], -1)], -1)
+        covariance = np.stack([np.stack([position, position_speed], -1), np.stack([position_speed, speed], -1)], -1)
         scale = np.array([1.0 / math.sqrt(self.mean_square), 1.0])
         transition[:, 0, 1] *= scale[0]
         return transition, covariance * np.outer(scale, scale)
@@ -138,8 +138,8 @@ class Drift(NamedTuple):
         early = np.minimum(first, second) / self.time
         decay = np.exp(-early)
         at = np.where(early < SHORT, small_drift(early), 2.0 * early - 3.0 + 4.0 * decay - decay**2)
-        difference_loss = -np.expm1(-np.abs(first - second) / self.time)
-        return (at + np.expm1(-early) ** 2 * difference_loss) / self.mean_square
+        relaxation = -np.expm1(-np.abs(first - second) / self.time)
+        return (at + np.expm1(-early) ** 2 * relaxation) / self.mean_square
 
 
 def small_drift(w: np.ndarray) -> np.ndarray:
@@ -260,9 +260,9 @@ def weighted_products(noise: Noise, times: np.ndarray, columns: np.ndarray) -> t
     factor = cholesky_banded(bands, lower=True, check_finite=False)
     spread = np.zeros((len(times), size, columns.shape[1]))
     spread[:, 0] = columns
-    whitened = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
+    solution = cho_solve_banded((factor, True), spread.reshape(-1, columns.shape[1]), check_finite=False)[::size]
     log_det = len(times) * (math.log(white) - size * math.log(white / noise.share)) - log_det_precision
-    return (plain - columns.T @ whitened) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
+    return (plain - columns.T @ solution) / white, log_det + 2.0 * float(np.log(factor[0]).sum())
 
 
 class NoiseFit(NamedTuple):

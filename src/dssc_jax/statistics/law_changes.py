@@ -146,10 +146,10 @@ class Widening(Change):
     def log_second_moment(self, amounts: np.ndarray) -> float:
         """Of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""
         inverse = np.exp(-amounts)
-        reduced_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
-        if np.linalg.eigvalsh(reduced_precision)[0] <= 0.0:
+        moment_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
+        if np.linalg.eigvalsh(moment_precision)[0] <= 0.0:
             return np.inf
-        return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(reduced_precision)[1] - self._log_determinant()))
+        return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(moment_precision)[1] - self._log_determinant()))
 
     def corner(self, size: float, free: np.ndarray) -> float:
         """That of the same width of all."""

@@ -254,8 +254,8 @@ class NoiseSearch:
         logs = [math.log(WHITE_PRIOR)]
         fits = [self.with_sensor(WHITE, self.white)]
         for (kind, _), mode in zip(self.kinds, self.modes, strict=True):
-            points, proposal_densities = drawn_points(mode)
-            for point, log_proposed in zip(points, proposal_densities, strict=True):
+            points, log_proposals = drawn_points(mode)
+            for point, log_proposed in zip(points, log_proposals, strict=True):
                 log_density, fit = self.density(kind, point)
                 logs.append(math.log((1.0 - WHITE_PRIOR) / len(NOISE_KINDS) / len(points)) + log_density - log_proposed)
                 fits.append(self.with_sensor(kind(point, self.scale), fit))

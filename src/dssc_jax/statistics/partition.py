@@ -98,7 +98,7 @@ def removed_share(counts: np.ndarray, draws: int, confidence: float) -> tuple[fl
     pairs = failures * (failures - 1.0)
     variance = (2.0 * (second - second**2) + 4.0 * (failures - 2.0) * (third - second**2)) / pairs
     odds = failures / max(draws - failures, 1)
-    removed_variance = odds * (parts * same_part - 1.0)
-    spread = np.hypot(odds * parts * np.sqrt(variance), removed_variance / np.sqrt(failures))
+    share_removed = odds * (parts * same_part - 1.0)
+    spread = np.hypot(odds * parts * np.sqrt(variance), share_removed / np.sqrt(failures))
     reach = float(special.stdtrit(parts - 1, 0.5 * (1.0 + confidence)) * spread)
-    return removed_variance, (removed_variance - reach, removed_variance + reach)
+    return share_removed, (share_removed - reach, share_removed + reach)

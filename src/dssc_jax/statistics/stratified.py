@@ -102,9 +102,9 @@ def allocation(
         return np.argmin(numbers + np.exp(logarithm) * (below + above), axis=1)
 
     def excess(logarithm: float) -> float:
-        sizes = best(logarithm)
-        length = np.sqrt(below[rows, sizes].sum()) + np.sqrt(above[rows, sizes].sum())
-        total = numbers[sizes].sum()
+        columns = best(logarithm)
+        length = np.sqrt(below[rows, columns].sum()) + np.sqrt(above[rows, columns].sum())
+        total = numbers[columns].sum()
         return 1.0 if length > width and total < most else -1.0
 
     cheapest, narrowest = -20.0, 80.0

@@ -206,9 +206,9 @@ class Hunt:
             starts.append(next(apart, unused[0]))
         return points[starts], targets
 
-    def is_apart(self, point: np.ndarray, neighbours: np.ndarray) -> bool:
-        """Whether a point is far enough from each of its neighbours, shape (n, laws)."""
-        return all(self.region.separate(point, neighbour) for neighbour in neighbours)
+    def is_apart(self, point: np.ndarray, other_starts: np.ndarray) -> bool:
+        """Whether a point is far enough from each of the other starts, shape (n, laws)."""
+        return all(self.region.separate(point, other) for other in other_starts)
 
     def climb(self) -> None:
         """Run projected gradient descents simultaneously, each of one slack and with its own step length.

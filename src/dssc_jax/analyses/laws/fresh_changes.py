@@ -89,5 +89,5 @@ def farthest(holds: Callable[[float], bool]) -> float:
             return LARGEST
         inside = outside
         outside = 2.0 * outside
-    largest_size, _ = bisect(lambda largest_size: holds(float(largest_size)), inside, outside, HALVINGS)
+    largest_size, _ = bisect(lambda size: holds(float(size)), inside, outside, HALVINGS)
     return float(largest_size)

@@ -245,7 +245,7 @@ class Simulated:
         self.failed = np.empty(0, dtype=bool)
 
     def mixture(self, count: int) -> RangedDraws:
-        """A number of draws of the mixtures; existing draws are used again."""
+        """The first ``count`` draws of the mixtures; those that exist are not simulated again."""
         indices = np.arange(len(self.failed), count)
         values = draw(self.middle, indices)
         points = unit_points(self.middle, indices)

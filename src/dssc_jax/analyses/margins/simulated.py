@@ -210,15 +210,15 @@ def sample_time_margins(study: Study, walk: Walk, clock: Clock, progress: Progre
     violated = FirstViolated(study.config.draws, walk.start)
 
     def slack_at(draws: np.ndarray, values: np.ndarray) -> np.ndarray:
-        first_study = studies[values[0]]
-        layout = Layout.of(first_study)
-        engine = Engine(first_study, layout.lanes, clock=clock)
+        study_at_value = studies[values[0]]
+        layout = Layout.of(study_at_value)
+        engine = Engine(study_at_value, layout.lanes, clock=clock)
         blocks = list(execute(engine, layout.blocks()))
-        for name in first_study.laws:
+        for name in study_at_value.laws:
             numbers[name] = np.concatenate([laws[name] for _, _, laws in blocks])
         progress(clock.lanes, len(studies) * len(draws))
         results = {name: np.concatenate([block[name] for _, block, _ in blocks]) for name in blocks[0][1]}
-        return violated.slack(draws, values, first_study, results)
+        return violated.slack(draws, values, study_at_value, results)
 
     critical = search_critical(slack_at, study.config.draws, walk, bisections=0)
     return critical._replace(violated=violated.requirement), numbers

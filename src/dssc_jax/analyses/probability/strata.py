@@ -121,9 +121,9 @@ def improved(surrogate: Surrogate, sample: np.ndarray, extra_draws: int, counter
     border_points = sample[nearest[::BAND]]
     points = np.concatenate([surrogate.points, border_points])
     slacks = np.concatenate([surrogate.slacks, counter(border_points, counter.fresh(extra_draws))])
-    pilot_in_band = PILOT * len(nearest) / len(sample)
+    expected_in_band = PILOT * len(nearest) / len(sample)
     in_band = np.abs(surrogate(points)) <= distances[nearest[-1]]
-    return Surrogate(points, slacks, np.where(in_band, pilot_in_band / (pilot_in_band + extra_draws), 1.0))
+    return Surrogate(points, slacks, np.where(in_band, expected_in_band / (expected_in_band + extra_draws), 1.0))
 
 
 def planned_strata(

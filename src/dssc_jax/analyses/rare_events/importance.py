@@ -139,7 +139,7 @@ class Candidates(NamedTuple):
     failing: np.ndarray
 
     def chances(self, scores: np.ndarray, count: int) -> np.ndarray:
-        """Chances of the points to be simulated, of about ``count`` in all: by their scores, a small part equal."""
+        """Chance of each point to be simulated, ``count`` in all: a share ``BLIND`` equally, the rest by the scores."""
         total = float(scores.sum())
         shares = scores / total if total else np.full(len(scores), 1.0 / len(scores))
         return np.minimum(1.0, count * ((1.0 - BLIND) * shares + BLIND / len(scores)))

@@ -186,6 +186,7 @@ def split(
     for _ in range(MOST_LEVELS):
         moving = []
         for repeat in repeats:
+            repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
             if not is_finished(repeat, splitting):
                 clones = raised(repeat, splitting)
                 if clones is not None:
@@ -221,8 +222,7 @@ def started(rng: np.random.Generator, dimension: int, splitting: Splitting, coun
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:
-    """Whether the next level would be at failure or beyond; also marks repeats too small to continue."""
-    repeat.dead = repeat.dead or repeat.estimate < splitting.smallest
+    """Whether a repeat is dead, or its next level would be at failure or beyond."""
     return repeat.dead or bool(np.partition(repeat.slacks, -splitting.killed)[-splitting.killed] < 0.0)
 
 

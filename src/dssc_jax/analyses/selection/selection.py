@@ -191,10 +191,12 @@ def select(
                 progress(simulation_count, goal)
         return np.concatenate(rows)
 
-    outcome = race(failing, candidates, keep, within, most)
-    dataset = selection_dataset(study, points, outcome)
+    race_result = race(failing, candidates, keep, within, most)
+    dataset = selection_dataset(study, points, race_result)
     seconds = time.perf_counter() - began
-    return Selection(study, dataset, extents, outcome.within, within, outcome.remaining, outcome.simulations, seconds)
+    return Selection(
+        study, dataset, extents, race_result.within, within, race_result.remaining, race_result.simulations, seconds
+    )
 
 
 def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
@@ -213,16 +215,16 @@ def extents_of(study: Study, over: Mapping[str, tuple[float, float]] | None) -> 
     return dict(over)
 
 
-def selection_dataset(study: Study, points: Mapping[str, np.ndarray], outcome: Race) -> xr.Dataset:
+def selection_dataset(study: Study, points: Mapping[str, np.ndarray], race_result: Race) -> xr.Dataset:
     """The dataset of :class:`Selection`."""
-    place = np.full(len(outcome.draws), -1)
-    place[outcome.chosen] = np.arange(len(outcome.chosen))
+    place = np.full(len(race_result.draws), -1)
+    place[race_result.chosen] = np.arange(len(race_result.chosen))
     columns = {}
     for name, column in points.items():
         quantity = study.quantities[name]
         columns[name] = ("candidate", column, {"units": quantity.unit, "long_name": quantity.meaning})
-    columns["draws"] = ("candidate", outcome.draws, {"units": "1", "long_name": "number of draws"})
-    columns["failures"] = ("candidate", outcome.failures, {"units": "1", "long_name": "draws that failed"})
+    columns["draws"] = ("candidate", race_result.draws, {"units": "1", "long_name": "number of draws"})
+    columns["failures"] = ("candidate", race_result.failures, {"units": "1", "long_name": "draws that failed"})
     columns["place"] = (
         "candidate",
         place,

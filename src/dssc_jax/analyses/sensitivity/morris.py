@@ -77,8 +77,8 @@ def screening(effects: np.ndarray, confidence: float) -> tuple[np.ndarray, np.nd
     sizes = np.abs(effects)
     spread = effects.std(1, ddof=1)
     squares = (effects - effects.mean(1, keepdims=True)) ** 2
-    unbiased_squares = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
-    parts = (count - 1) * np.sqrt(np.maximum(unbiased_squares, 0.0))  # sigma without one trajectory, (n - 1) times
+    variances_without_one = ((count - 1) * spread[:, None] ** 2 - squares * count / (count - 1)) / (count - 2)
+    parts = (count - 1) * np.sqrt(np.maximum(variances_without_one, 0.0))  # sigma without one trajectory, (n - 1) times
     size_table = with_interval(sizes.mean(1), reach * sizes.std(1, ddof=1))
     spread_table = with_interval(spread, reach * parts.std(1, ddof=1))
     if np.all(np.isin(sizes, (0.0, 1.0))):

@@ -152,14 +152,14 @@ class Sensitivity(Analysis):
     @property
     def headline(self) -> str:
         """The answer in one line."""
-        outputs_with_indices = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
-        if not outputs_with_indices:
+        answered_outputs = [name for name in shown_outputs(self.study, self.reasons) if name not in self.reasons]
+        if not answered_outputs:
             return f"nothing to tell of {FAILURE}; it {self.reasons[FAILURE]}"
         ranking = self.description.ranking
-        values = self.dataset[ranking].sel(output=outputs_with_indices[0])
+        values = self.dataset[ranking].sel(output=answered_outputs[0])
         first = int(np.argmax(values.values))
         meaning = self.description.quantities[ranking].meaning
-        return f"{outputs_with_indices[0]} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
+        return f"{answered_outputs[0]} depends most on {self.factors[first]}: {meaning} {float(values[first]):.3g}"
 
     def figure(self) -> Figure:
         """Plot the answer."""

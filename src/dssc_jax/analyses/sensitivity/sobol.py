@@ -106,8 +106,8 @@ def corrected(shares: np.ndarray, variance: np.ndarray, predicted: Predicted) ->
     replicate = np.arange(len(variance)) % REPLICATES
     missing = len(g_ab) - predicted.alone.shape[1]  # in-loop noise, of which the prediction knows nothing
     means = [np.pad(part, ((0, 0), (0, missing)))[replicate].T for part in (predicted.alone, predicted.total)]
-    prediction_errors = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
-    return shares - prediction_errors, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
+    predicted_deviations = np.concatenate([g_b * g_ab, 0.5 * (g_a - g_ab) ** 2]) - np.concatenate(means)
+    return shares - predicted_deviations, variance - (0.5 * (g_a**2 + g_b**2) - predicted.variance[replicate])
 
 
 def controlled(

@@ -61,13 +61,15 @@ def limit_cycles(study: Study, points: Sequence[Mapping[str, float]]) -> list[Li
             f"the describing function of '{kind_of(resting, 'controller')}' is not known",
         )
     require_continuous_dynamics(resting, resting.loop.unmodelled[0])
-    open_loops = jax.jit(lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options())
+    compiled_open_loop = jax.jit(
+        lambda lane: open_loop(resting.loop, resting.params(lane)), compiler_options=plain_options()
+    )
     middle = medians(resting)
     cycles = []
     for point in points:
         values = {**middle, **point}
         with jax.enable_x64(True):
-            response = jax.tree.map(np.asarray, open_loops(values))
+            response = jax.tree.map(np.asarray, compiled_open_loop(values))
         cycles.append(solve_balance(response, describing(resting.params(values).controller[0])))
     return cycles
 

@@ -63,12 +63,12 @@ def evolve(problem: Problem, first: tuple[Point, Point], progress: ProgressCallb
 
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * size
     start = np.clip(first[0].z, -BOX_HALF_WIDTH, BOX_HALF_WIDTH)
-    optimum = differential_evolution(
+    evolution = differential_evolution(
         cost, box, x0=start, rng=plan.seed, popsize=POPULATION, maxiter=table.steps,
         polish=False, vectorized=True, updating="deferred", callback=after_generation,
     )  # fmt: skip
     if generation % UPDATE:
-        record(optimum.x)
+        record(evolution.x)
     return search
 
 
@@ -135,8 +135,8 @@ def optimise_proof(problem: Problem, first: tuple[Point, Point], progress: Progr
     simplex = origin + EDGE * np.vstack([np.zeros(len(origin)), np.eye(len(origin))])
     options = {"initial_simplex": simplex, "maxfev": steps, "xatol": FINE_EDGE, "fatol": FINE_SCORE}
     box = [(-BOX_HALF_WIDTH, BOX_HALF_WIDTH)] * len(origin)
-    optimum = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
-    if optimum.success:
+    nelder_mead = minimize(cost, origin, method="Nelder-Mead", bounds=box, options=options)
+    if nelder_mead.success:
         search.stopped = "the simplex has shrunk to a point"
     return search
 

@@ -66,8 +66,10 @@ class Multipliers:
         """Update the multipliers in the usual way, and compute the gaps anew."""
         self.values = self.pushes(train)
         if not validation.merit.ended:
-            training = train.merit.excess
-            self.gaps = {name: max(0.0, excess - training[name]) for name, excess in validation.merit.excess.items()}
+            training_excess = train.merit.excess
+            self.gaps = {
+                name: max(0.0, excess - training_excess[name]) for name, excess in validation.merit.excess.items()
+            }
 
 
 def descend(problem: Problem, first: tuple[Point, Point], progress: ProgressCallback | None) -> Search:

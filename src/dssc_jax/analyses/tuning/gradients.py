@@ -125,7 +125,7 @@ def compare_derivatives(
 
 
 def check_gradients(problem: Problem, points: int, seed: int = 0) -> GradientAgreement:
-    """Compare derivatives of single draws' metrics with respect to the search's coordinates with central differences.
+    """Compare the derivatives of single draws' metrics by the search's coordinates with central differences.
 
     Points are uniform in the logarithms of the tuned numbers, over the middle 90 % of each interval's logarithm.
 

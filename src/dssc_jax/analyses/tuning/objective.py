@@ -284,17 +284,19 @@ def judge_tuning(
     start_results = simulated(start)
     results = simulated(best)
     costs = {"start": goal.cost(start_results), "tuned": goal.cost(results)}
-    return compare_objectives(plan, goal, start_results, results), costs
+    return compare_objectives(plan, goal, (start_results, results), (costs["start"], costs["tuned"])), costs
 
 
-def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: Arrays) -> Verdict:
-    """The verdict, from the results at the start and at the end."""
-    start_costs = goal.cost(start_results)
-    costs = goal.cost(results)
+def compare_objectives(
+    plan: Plan, goal: Goal, results_of_both: tuple[Arrays, Arrays], costs_of_both: tuple[np.ndarray, np.ndarray]
+) -> Verdict:
+    """The verdict, from the results and the costs of every draw, both at the start and at the end."""
+    start_results, results = results_of_both
+    start_costs, costs = costs_of_both
     start_objective = goal.value(start_costs)
     objective = goal.value(costs)
     level = goal.level if goal.aggregate == "cvar" else 0.5
-    difference = compare_metrics(costs, start_costs)
+    cost_difference = compare_metrics(costs, start_costs)
     start_failed = np.asarray(start_results["outcome"] != Outcome.OK)
     failed = np.asarray(results["outcome"] != Outcome.OK)
     failures = compare_failures(failed, start_failed)
@@ -315,7 +317,7 @@ def compare_objectives(plan: Plan, goal: Goal, start_results: Arrays, results: A
         reduction=1.0 - objective / start_objective,
         reduction_interval=reduction_interval(goal, start_costs, costs),
         quantile=(quantile_interval(start_costs, level), quantile_interval(costs, level)),
-        difference=(difference.difference, *difference.interval),
+        difference=(cost_difference.difference, *cost_difference.interval),
         limits=limits,
         failures=(start_count, count),
         requirements=by_requirement,

@@ -51,10 +51,10 @@ class Family:
         """Matrices at points of shape (n, sides); NaN where there is no equilibrium."""
         points = np.round(points, DIGITS) + 0.0  # one key for 0.0 and -0.0
         keys = [point.tobytes() for point in points]
-        new_points = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
-        missing_points = list(new_points.values())
-        for first in range(0, len(missing_points), BATCH_POINTS):
-            batch = np.array(missing_points[first : first + BATCH_POINTS])
+        new_by_key = {key: point for key, point in zip(keys, points, strict=True) if key not in self.row_of_point}
+        new_points = list(new_by_key.values())
+        for first in range(0, len(new_points), BATCH_POINTS):
+            batch = np.array(new_points[first : first + BATCH_POINTS])
             padded_batch = np.concatenate([batch, np.repeat(batch[-1:], BATCH_POINTS - len(batch), axis=0)])
             matrices = self.linearised(padded_batch, np.zeros(BATCH_POINTS, int))
             for row, point in enumerate(batch):
@@ -70,8 +70,8 @@ class Family:
 
     def allowance(self, points: int) -> RemainingPoints:
         """A function that returns how many of ``points`` further points may still be linearised."""
-        last_row = len(self.cache) + points
-        return lambda: max(0, last_row - len(self.cache))
+        most_rows = len(self.cache) + points
+        return lambda: max(0, most_rows - len(self.cache))
 
     def linearised(self, points: np.ndarray, indices: np.ndarray) -> StateMatrices:
         """Matrices at points, with the random keys of the draws ``indices``."""

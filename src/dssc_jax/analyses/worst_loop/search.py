@@ -154,12 +154,12 @@ def nearest_instability(
         first = np.argmax(unstable, axis=0)
         low = grid[np.maximum(first - 1, 0)]
         high = np.where(unstable.any(axis=0), grid[first], np.inf)
-        finite_columns = np.flatnonzero(np.isfinite(high) & (high > 0.0))
-        for _ in range(BISECTIONS if finite_columns.size else 0):
-            middle = 0.5 * (low[finite_columns] + high[finite_columns])
-            beyond = radii_of(evaluate(middle[:, None] * directions[finite_columns])) >= 1.0
-            high[finite_columns] = np.where(beyond, middle, high[finite_columns])
-            low[finite_columns] = np.where(beyond, low[finite_columns], middle)
+        unstable_directions = np.flatnonzero(np.isfinite(high) & (high > 0.0))
+        for _ in range(BISECTIONS if unstable_directions.size else 0):
+            middle = 0.5 * (low[unstable_directions] + high[unstable_directions])
+            beyond = radii_of(evaluate(middle[:, None] * directions[unstable_directions])) >= 1.0
+            high[unstable_directions] = np.where(beyond, middle, high[unstable_directions])
+            low[unstable_directions] = np.where(beyond, low[unstable_directions], middle)
         return high
 
     directions = start_points(sides)[1:][: max(1, remaining_points() // points_per_direction)]
