@@ -84,7 +84,9 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     replay = replay_log(study, log)
     replay_summary = replay.summary(study)
     try:
-        with progress_bar(study, quiet=as_json, of="simulations", early="the search is complete") as advance:
+        with progress_bar(
+            study, quiet=as_json, of="simulations", early=lambda: log_fit.cut or "the search is complete"
+        ) as advance:
             log_fit = fit_log(
                 study,
                 log,
