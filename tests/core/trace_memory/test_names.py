@@ -26,9 +26,9 @@ OTHER = np.where(np.arange(2000) == 1000, 0.25, LONG)  # NumPy prints both as th
 def known(monkeypatch):
     """As if this file were the package's own."""
     monkeypatch.setattr(naming, "DESCRIBED", (*naming.DESCRIBED, "tests"))
-    naming.place.cache_clear()
+    naming.qualified_name.cache_clear()
     yield
-    naming.place.cache_clear()
+    naming.qualified_name.cache_clear()
 
 
 def test_things_that_differ_in_anything_have_different_names():
