@@ -5,9 +5,12 @@ import pytest
 
 import dssc_jax as dj
 from dssc_jax.flight_logs.attitudes import attitude_hints
-from dssc_jax.flight_logs.fit import wind_doubts
+from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.reader import Column, FlightLog, read_log
+from dssc_jax.flight_logs.refusals import Unexplained
+from dssc_jax.flight_logs.start_doubts import wind_doubts
 from dssc_jax.flight_logs.starts import begins_in_air
+from tests.flight_logs.test_fit import linear, log_of, output
 
 WIND = [{"kind": "constant", "x": 3.0, "y": 0.0, "z": 0.0}]
 RISING = {"velocity_integral": [0.0, 0.0, 1.5]}
@@ -100,3 +103,29 @@ def test_a_table_has_the_attitude_under_its_own_names(tmp_path):
 def test_a_log_without_an_attitude_says_nothing():
     signals, time, start = flight(0.12, -0.05, (0.3, 0.0, -0.4))
     assert not hints_of(study({}, []), {"x_y": signals["x_y"]}, time, start)
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.3, -0.3])
+def test_an_output_that_begins_beside_the_study_is_told(beside):
+    """The command excites the plant enough that the residual is a small share of the output."""
+    random = np.random.default_rng(8)
+    u = np.repeat(random.normal(size=40), 10)
+    y = output(1.1, 0.8, u, (0.5 + beside, 0.0)) + 0.01 * random.normal(size=400)
+    try:
+        texts = [doubt.text for doubt in fit_log(linear(), log_of(y, u)).doubts]
+    except Unexplained as refusal:
+        texts = str(refusal).split(". ")
+    told = [text for text in texts if text.startswith("y begins at ")]
+    if not beside:
+        assert told == []
+        return
+    (text,) = told
+    logged, initial = (float(text.split(" m, ")[i].split()[-1]) for i in range(2))
+    assert logged == pytest.approx(0.5 + beside, abs=0.03)
+    assert initial == pytest.approx(0.5, abs=0.03)
+    table = linear().table["plant"] | {"initial": [{"normal": [0.5, 0.3]}, 0.0]}
+    fitted = fit_log(linear(plant=table), log_of(y, u))
+    assert not any("begins at" in doubt.text for doubt in fitted.doubts)
+    assert dict(zip(fitted.names, fitted.estimates, strict=True))["plant.initial.0"] == pytest.approx(
+        0.5 + beside, abs=0.02
+    )

@@ -203,3 +203,19 @@ def test_a_fault_of_a_record_is_named_with_its_line(folder, text, complaint):
 def test_rows_with_an_empty_cell_are_left_out(tmp_path):
     (tmp_path / "log.csv").write_text("t,y,z\n0,1,\n0.1,,5\n0.2,3,\n")
     assert recorded_columns(tmp_path / "log.csv", ["t", "y"]) == [[0.0, 0.2], [1.0, 3.0]]
+
+
+@pytest.mark.parametrize("zone", [None, "Europe/Zurich"])
+def test_dates_and_time_spans_of_parquet_are_seconds(tmp_path, zone):
+    """Whatever the unit in which the file holds them."""
+    seconds = [0.5, 1.25, 3.0]
+    spans = pd.to_timedelta(seconds, unit="s")
+    dates = pd.to_datetime([10.5, 11.25, 13.0], unit="s", utc=zone is not None)
+    frame = pd.DataFrame({"t": spans, "date": dates if zone is None else dates.tz_convert(zone), "y": [1.0, 2.0, 3.0]})
+    for unit in ("ms", "ns"):
+        columns = frame.assign(t=frame["t"].dt.as_unit(unit), date=frame["date"].dt.as_unit(unit))
+        columns.to_parquet(tmp_path / "log.parquet")
+        assert recorded_columns(tmp_path / "log.parquet", ["t", "date"]) == [seconds, [10.5, 11.25, 13.0]]
+    columns.loc[1, "date"] = pd.NaT
+    columns.to_parquet(tmp_path / "log.parquet")
+    assert recorded_columns(tmp_path / "log.parquet", ["date"]) == [[10.5, 13.0]]  # without the empty row

@@ -10,6 +10,7 @@ from dssc_jax.console.terminal import output, show_files, show_table
 from dssc_jax.flight_logs.command_gaps import HELD
 from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
+from dssc_jax.study import Study
 
 SIGNIFICANCE = 0.05  # of the test of a log
 
@@ -62,7 +63,7 @@ def show_log_comparison(comparison: LogComparison, files: list[Path]) -> None:
     for name, signal in answer.signals.items():
         if signal.replay is not None:
             replays[name] = asdict(signal.replay) | {"unit": signal.unit}
-    show_replay(asdict(answer) | {"replay": replays})
+    show_replay(asdict(answer) | {"replay": replays}, comparison.study)
     show_files(files)
 
 
@@ -78,12 +79,13 @@ def samples_text(answer: LogAnswer) -> str:
     return f"{text}; its file is cut off within a message" if answer.cut else text
 
 
-def show_replay(summary: Mapping[str, Any]) -> None:
+def show_replay(summary: Mapping[str, Any], study: Study) -> None:
     """Print how the analysed controller's commands and the study's references differ from the log's.
 
     Args:
         summary: ``replay``, ``dropped_rows`` and ``held_samples`` by signal, ``replayed_samples``, ``not_replayed``,
             ``reference_differences`` and ``reference_rate_differences`` by channel, and ``hints`` by signal.
+        study: The study, whose channels have the references' units.
     """
     say = partial(output().print, soft_wrap=True, markup=False)
     for name, replay in summary["replay"].items():
@@ -99,11 +101,17 @@ def show_replay(summary: Mapping[str, Any]) -> None:
         say(held_text(summary["held_samples"], summary["replayed_samples"], "replay"))
     for channel, reason in summary["not_replayed"].items():
         say(f"not replayed{f', {channel}' if channel else ''}: {reason}")
+    differences = summary["reference_differences"]
     rates = summary["reference_rate_differences"]
-    for channel, largest in summary["reference_differences"].items():
+    for channel, units in zip(study.loop.channels, study.units, strict=True):
+        if channel not in differences:
+            continue
         place = f" of {channel}" if channel else ""
-        rate = f", its rate by at most {rates[channel]:.4g}" if channel in rates else ""
-        say(f"the logged reference{place} differs from the study's by at most {largest:.4g}{rate}")
+        largest = f"{differences[channel]:.4g} {units.output}"
+        text = f"the logged reference{place} differs from the study's by at most {largest}"
+        if channel in rates:
+            text += f", its rate by at most {rates[channel]:.4g} {units.of('y/s')}"
+        say(text)
     for name, text in summary["hints"].items():
         say(f"warning: {name} {text}")
 
@@ -206,6 +214,11 @@ def show_fit(summary: Mapping[str, Any]) -> None:
     say = partial(output().print, soft_wrap=True, markup=False)
     commands = "replayed commands, because the log lacks some" if summary["replayed"] else "logged commands"
     say(f"{summary['study']}: {summary['samples']} outputs, simulated for the {commands}")
+    if summary["simulated_samples"] < summary["study_samples"]:
+        say(
+            f"the log ends at {summary['simulated_samples']} of the study's {summary['study_samples']} samples: "
+            "it says nothing of what comes later"
+        )
     if summary["held_commands"]:
         course = summary["between_commands"]
         say(held_text(summary["held_commands"], summary["simulated_samples"], "commands", course))

@@ -176,6 +176,7 @@ class Fitted:
             "study": self.study.name,
             "samples": self.samples,
             "simulated_samples": self.simulated,
+            "study_samples": self.study.loop.steps,
             "held_commands": self.held_samples,
             "between_commands": self.between,
             "replayed": list(self.replayed),

@@ -56,10 +56,10 @@ from dssc_jax.flight_logs.reader import (
 from dssc_jax.flight_logs.reading_noise import reading_noise
 from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.refusals import (
-    Doubt,
     NotIdentifiable,
     Unexplained,
     doubts,
+    explain,
     noise_doubts,
     require_description,
     require_identifiable,
@@ -75,10 +75,10 @@ from dssc_jax.flight_logs.reset_hints import require_no_jumps
 from dssc_jax.flight_logs.roughness import roughness, roughness_doubts, widening
 from dssc_jax.flight_logs.sampled_log import SampledLog
 from dssc_jax.flight_logs.search_limits import USUAL_LIMITS, SearchCount, SearchLimits
-from dssc_jax.flight_logs.starts import begins_in_air, begins_level, fixed_integrals
+from dssc_jax.flight_logs.start_doubts import output_start_doubts, wind_doubts
+from dssc_jax.flight_logs.starts import fixed_integrals
 from dssc_jax.flight_logs.width_reasons import open_numbers, widest_growth, width_reasons
 from dssc_jax.study import Study
-from dssc_jax.study.actuators import kind_in
 
 PLANT_SLOTS = ("plant", "unmodelled", "actuator", "disturbance", "wind")
 """Parts of a study whose numbers show in the output for given commands."""
@@ -277,18 +277,6 @@ def sampled_log(study: Study, log: FlightLog) -> SampledLog:
     )
 
 
-def wind_doubts(study: Study) -> tuple[Doubt, ...]:
-    """The doubt about a vehicle that begins in the air in wind, but without the tilt that the wind requires."""
-    if not begins_in_air(study) or not begins_level(study) or kind_in(study.config, "wind") == "none":
-        return ()
-    text = (
-        "the study begins in the air, level and without body rates, and a vehicle in wind is tilted: estimates of "
-        "wind, drag and integrals may be wrong by more than their intervals. Set plant.inner_loop.start = 'settled', "
-        "which is the equilibrium in the wind, or plant.roll, plant.pitch and plant.body_rate, or begin at the take-off"
-    )
-    return (Doubt("", text),)
-
-
 def information_by_names(names: Sequence[str], information: np.ndarray) -> dict[str, dict[str, float]]:
     """The information matrix by pairs of names."""
     return {name: dict(zip(names, map(float, row), strict=True)) for name, row in zip(names, information, strict=True)}
@@ -344,7 +332,11 @@ def fitted_minimum(
     try:
         results = require_description(problem, x)
     except Unexplained as refusal:
-        causes = (*outlier_doubts(problem, x), *delay_doubts(problem, search.best))
+        causes = (
+            *output_start_doubts(problem, x, explain(problem, x)),
+            *outlier_doubts(problem, x),
+            *delay_doubts(problem, search.best),
+        )
         reasons = "".join(f". {doubt.text}" for doubt in causes)
         raise Unexplained(f"{refusal}{reasons}") from None
     require_identifiable(problem.names, search.best.equations.information)
@@ -389,6 +381,7 @@ def fitted_minimum(
         problem.count.reason,
         (
             *doubts(problem, x, results),
+            *output_start_doubts(problem, x, results),
             *doubts_of_outliers,
             *(doubt for doubt in noise_doubts(problem, x, results) if doubt.signal not in with_outliers),
             *doubts_of_delays,

@@ -314,7 +314,7 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
         names, lateness.channels, lateness.unshifted, lateness.shifted, strict=True
     ):
         sizes.append(f"that of {name} from {unshifted:.3g} to {shifted:.3g} {study.units[channel].output} rms")
-    side = "later" if lateness.delay > 0.0 else "earlier"
+    side, opposite_side = ("later", "earlier") if lateness.delay > 0.0 else ("earlier", "later")
     number = max(lateness.moves, key=lambda name: abs(lateness.moves[name]))
     estimate = problem.named_values(minimum.x)[number]
     remedy = (
@@ -327,9 +327,10 @@ def delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
     margin_text = f" ± {lateness.deviation:.2g}" if math.isfinite(lateness.deviation) else ""
     verb = "are" if len(names) > 1 else "is"
     text = (
-        f"{', '.join(names)} {verb} {abs(lateness.delay):.3g}{margin_text} s {side} than the study predicts "
-        f"(p = {lateness.p_value:.1g}): moved by that, the residual falls, {', '.join(sizes)}, and {number} is "
-        f"{lateness.values[number]:.4g} in place of {estimate:.4g}. {remedy}"
+        f"{', '.join(names)} {verb} {abs(lateness.delay):.3g}{margin_text} s {side} than the study predicts for the "
+        f"logged commands, or these are as much {opposite_side} (p = {lateness.p_value:.1g}): moved by that, the "
+        f"residual falls, {', '.join(sizes)}, and {number} is {lateness.values[number]:.4g} in place of "
+        f"{estimate:.4g}. {remedy}"
     )
     return tuple(Doubt(name, text) for name in names[:1])
 

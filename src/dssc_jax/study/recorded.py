@@ -237,6 +237,8 @@ def require_different_columns(path: Path, names: list[str]) -> None:
 def recorded_frame(path: Path) -> Any:
     """The table of a CSV or Parquet file, as a data frame of pandas.
 
+    Dates and time spans of a Parquet file are in seconds: dates since the beginning of 1970, UTC unless they say else.
+
     Raises:
         ConfigError: the file cannot be read.
     """
@@ -251,7 +253,7 @@ def recorded_frame(path: Path) -> Any:
             raise ConfigError("file", f"'{path}' is a ULog: `dssc-jax log FILE --topic TOPIC --csv OUT` writes a table")
         if parquet:
             require_few_columns(path, parquet_columns(content))
-            return pd.read_parquet(io.BytesIO(content))
+            return with_seconds(pd.read_parquet(io.BytesIO(content)))
         form = csv_form(path, content)
         header = csv_header(content).decode(errors="replace").split(form.separator)
         require_few_columns(path, len(header))
@@ -264,3 +266,15 @@ def recorded_frame(path: Path) -> Any:
         raise
     except Exception as error:  # readers of files raise errors of many kinds
         raise ConfigError("file", f"'{path}' cannot be read: {' '.join(str(error).split())}") from error
+
+
+def with_seconds(frame: Any) -> Any:
+    """A data frame whose dates and time spans are numbers of seconds, NaN where one is missing."""
+    spans = frame.select_dtypes("timedelta")
+    dates = frame.select_dtypes(["datetime", "datetimetz"])
+    epoch = np.datetime64(0, "s")
+    numbers = {name: column.dt.total_seconds() for name, column in spans.items()}
+    for name, column in dates.items():
+        plain_dates = column if column.dt.tz is None else column.dt.tz_convert("UTC").dt.tz_localize(None)
+        numbers[name] = (plain_dates - epoch).dt.total_seconds()
+    return frame.assign(**numbers)

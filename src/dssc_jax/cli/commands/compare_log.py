@@ -101,7 +101,7 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
             verdict = {"identifiable": False} if isinstance(refusal, NotIdentifiable) else {"explained": False}
             print(json.dumps({"study": study.name, **verdict, "reason": str(refusal), **replay_summary}))
         else:
-            show_replay(replay_summary)
+            show_replay(replay_summary, study)
             output().print(str(refusal), soft_wrap=True, markup=False)
         return FAILS
     replay = replay._replace(hints=replay.hints._replace(starts={}))  # the fit has found that the flight starts there
@@ -116,6 +116,6 @@ def fit(study: Study, log: FlightLog, options: CompareLog) -> int:
     if as_json:
         print(json.dumps(summary, allow_nan=False))
     else:
-        show_replay(replay_summary)
+        show_replay(replay_summary, study)
         show_fit(summary)
     return DONE
