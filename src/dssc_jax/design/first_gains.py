@@ -95,7 +95,7 @@ class FirstGains(NamedTuple):
             at the command [s].
         linear_kinds: Kinds of the actuators in that loop.
         left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
-        loop: That loop.
+        loop: The sampled closed loop.
         plant: The plant at its start, with its operating point.
     """
 

@@ -40,7 +40,7 @@ class IntegrationError(NamedTuple):
         substeps: Substeps of the study.
         change: Largest change of a required metric in shares of its bound; without requirements, of any metric in
             shares of its median size. Infinite if a draw ends early with one of the two numbers of substeps alone.
-        metric: That metric; empty if none changes.
+        metric: The metric with the largest change; empty if none changes.
         scale: ``bound`` or ``median size``.
         verdicts: Number of draws whose outcome changes.
         remedy: Number of substeps that is expected to make the change negligible.

@@ -82,7 +82,7 @@ def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method
         amounts: One amount.
         study: The study, without a sweep.
         failed: Whether each draw failed, shape (draws,).
-        method: Of the interval of the failure probability.
+        method: Method of the interval of the failure probability.
     """
     try:
         amounts.require(study)

@@ -32,7 +32,7 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
     """Commands at all samples, by the reconstructions that are possible; the first one is the likeliest.
 
     Args:
-        commands: Of each channel, NaN where the log lacks it, shape (samples,).
+        commands: The command of each channel, NaN where the log lacks it, shape (samples,).
     """
     held_commands = np.array([forward_filled(command) for command in commands])
     if not any(is_rare(command) for command in commands):
@@ -139,8 +139,8 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
 
     Args:
         problem: The problem.
-        moves: Of :func:`command_moves`.
-        deviations: Standard deviations of the coordinates without them, shape (p,).
+        moves: The moves by :func:`command_moves`, shape (k, p).
+        deviations: Standard deviations of the coordinates without these moves, shape (p,).
     """
     log = problem.log
     if not log.rare:

@@ -25,9 +25,9 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
-        replayed: That of the analysed controller, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
         sample_time: Time between two samples [s].
-        unit: Of the command.
+        unit: Unit of the command.
     """
     factor = multiple_of(logged, replayed)
     if factor != 1.0:

@@ -81,7 +81,7 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
         logged: Values, NaN where missing, shape (samples,).
         expected: Values at the same times.
         tolerance: Largest root mean square of the difference, as a share of the expected signal's.
-        unit: Of the expected signal.
+        unit: Unit of the expected signal.
     """
     expected_rms = rms(expected[np.isfinite(logged)])
     if expected_rms == 0.0 or not np.isfinite(expected_rms):
@@ -127,7 +127,7 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
     Args:
         logged: The output, NaN where missing, shape (samples,).
         reference: The reference of its channel in the study at the same times.
-        unit: Of the output.
+        unit: Unit of the output.
     """
     is_finite = np.isfinite(logged)
     if not is_finite.any():
@@ -159,8 +159,8 @@ def likeness_text(
         index: Position of its channel.
         logged: Values, NaN where missing, shape (samples,).
         expected: The expected output of each channel at the same times.
-        names: Of the outputs.
-        unit: Of the output.
+        names: Names of the outputs.
+        unit: Unit of the output.
     """
     multiple = conversion_text(logged, expected[index], PREDICTED, unit)
     if multiple:
@@ -193,7 +193,7 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
 
     Args:
         ratio: The law's ends over the number.
-        units: Of the study's outputs and commands; a multiple of angles counts only where one is an angle.
+        units: Units of the study's outputs and commands; a multiple of angles counts only where one is an angle.
     """
     low, high = np.sort(ratio)
     candidates = []
@@ -212,9 +212,9 @@ def reference_conversion(
     Args:
         index: Position of the channel.
         logged: Its logged reference, NaN where missing, shape (samples,).
-        references: The study's, shape (channels, samples).
-        channels: Their names.
-        unit: Of the channel's output.
+        references: The study's references, shape (channels, samples).
+        channels: Names of the channels.
+        unit: Unit of the channel's output.
     """
     reference = references[index]
     distance = rms(logged - reference)

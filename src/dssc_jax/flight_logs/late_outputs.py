@@ -242,8 +242,8 @@ def climbed_shift(
     Args:
         shifts: The problems.
         start: The minimum from which fits start.
-        unshifted_end: That without a shift.
-        channels: Those that are shifted.
+        unshifted_end: The end of the fit without a shift.
+        channels: Indices of the channels that are shifted.
         shift: The first shift.
         margin: The longest one.
     """

@@ -39,7 +39,7 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     """Find the changes of a residual that stand out, in order of time; none where there are many.
 
     Args:
-        times: Of the readings [s], shape (n,).
+        times: Times of the readings [s], shape (n,).
         residual: Readings less prediction, shape (n,).
         sensor: Standard deviation of the noise that the study's sensor adds to a reading.
     """

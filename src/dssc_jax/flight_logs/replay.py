@@ -159,7 +159,7 @@ def replayed_command(time: np.ndarray, logged: np.ndarray, command: np.ndarray) 
     """The difference of a replayed command from the logged one; None if no sample has both.
 
     Args:
-        time: Of the samples [s], shape (samples,).
+        time: Time of each sample [s], shape (samples,).
         logged: The logged command, NaN where it is missing.
         command: The analysed controller's command, NaN where it is missing.
     """

@@ -48,7 +48,7 @@ class Rows(NamedTuple):
 
     Args:
         columns: Attributes of the columns, in order.
-        datatypes: Of each column.
+        datatypes: Data type of each column.
         pieces: The rows, a part at a time.
     """
 

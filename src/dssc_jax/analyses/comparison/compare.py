@@ -200,7 +200,7 @@ class Comparison(Analysis):
     Args:
         corresponding_part: Controllers with the gains that the study gives, or that follow from it.
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
-        budget: That budget.
+        budget: The budget; None if nothing was tuned.
         seconds: Computing time.
         untuned: For each controller that should have been tuned, but none of whose gains could be, why.
     """

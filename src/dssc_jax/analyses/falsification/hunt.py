@@ -65,9 +65,9 @@ class SimulatedPoints(NamedTuple):
 
     Args:
         points: Coordinates, shape (n, laws).
-        slacks: That of the worst requirement, relative to its scale, shape (n,).
+        slacks: Slack of the worst requirement, relative to its scale, shape (n,).
         binding: Index of that requirement, shape (n,).
-        distances: Its slack in the metric's unit, shape (n,).
+        distances: Slack of that requirement in its metric's unit, shape (n,).
         simulation_counts: Simulations spent until then, shape (n,).
         ended: Code of how the draw ended early; 0 if it ran to its end, shape (n,).
         failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).

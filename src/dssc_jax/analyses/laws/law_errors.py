@@ -65,8 +65,8 @@ class LawErrors(Analysis):
         limit: Largest failure probability allowed.
         failures: Failed draws.
         draws: Number of draws.
-        interval: Of the failure probability.
-        interval_method: Its method.
+        interval: Interval of the failure probability.
+        interval_method: Method of that interval.
         guaranteed: Changes within which the limit is kept whatever set of draws fails.
         weights: What the weights say of a shift of all means and of a widening of all laws.
         stated: Intervals of the failure probability if the laws are wrong by stated amounts.

@@ -71,10 +71,10 @@ class RangedDraws:
     """Draws of the mixtures of all numbers whose laws have ranges for arguments.
 
     Args:
-        laws: Of these numbers.
-        values: Of these numbers in each draw, shape (n,) each.
+        laws: Law of each of these numbers.
+        values: Value of each of these numbers in each draw, shape (n,) each.
         failed: Whether each draw failed, shape (n,).
-        confidence: Of the intervals.
+        confidence: Confidence of the intervals.
     """
 
     laws: Mapping[str, RangedLaw]

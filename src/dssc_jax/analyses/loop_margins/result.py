@@ -64,10 +64,10 @@ class BrokenLoop(NamedTuple):
     """Margins of all draws at one break point and one operating point.
 
     Args:
-        margins: By name, each of shape (draws,); NaN for a draw without margins.
+        margins: Margins by name, each of shape (draws,); NaN for a draw without margins.
         status: A :class:`Status` for each draw.
         response: G on the common grid, shape (draws, frequencies).
-        poles: Of L, shape (draws, states); NaN for a draw without an operating point within the limits.
+        poles: Poles of L, shape (draws, states); NaN for a draw without an operating point within the limits.
     """
 
     margins: dict[str, np.ndarray]
@@ -293,8 +293,8 @@ def margins_dataset(
 
     Args:
         study: The study.
-        answers: By operating point and break point.
-        frequencies: Of the responses [rad/s].
+        answers: The broken loops by operating point and break point.
+        frequencies: Frequencies of the responses [rad/s].
     """
     points = list(answers)
     loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))

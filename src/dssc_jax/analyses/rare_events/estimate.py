@@ -41,7 +41,7 @@ class Plain(NamedTuple):
 
     Args:
         draws: Their number.
-        points: Those that failed, in standard normal space, shape (failures, d).
+        points: The draws that failed, in standard normal space, shape (failures, d).
     """
 
     draws: int

@@ -225,7 +225,7 @@ def importance_sampling(
     Args:
         slack: Computes slacks; -inf or NaN if there is none.
         dimension: d of the standard normal space.
-        seeds: Of the random numbers.
+        seeds: Seeds of the random numbers.
         settings: The settings.
 
     Returns:

@@ -32,7 +32,7 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
     Args:
         count: Number of trajectories.
         factors: Number of factors.
-        seeds: Of the random generator.
+        seeds: Seeds of the random generator.
 
     Returns:
         Levels, shape (factors + 1, count, factors), and the order in which the factors move, shape (count, factors).

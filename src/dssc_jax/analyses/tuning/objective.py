@@ -268,7 +268,7 @@ def judge_tuning(
         plan: The plan; the study's own draws decide.
         goal: Costs, aggregate and level.
         start: The loop's numbers at the start.
-        best: Those of the result.
+        best: The loop's numbers in the result.
 
     Returns:
         The verdict, and the costs of every draw at the start and of the result.

@@ -35,7 +35,7 @@ class Slopes(NamedTuple, Generic[Array]):
     Args:
         value: Its outputs, shape (outputs,).
         slope: Their derivative, shape (outputs,).
-        inner: That of its substitute for its inner side; without a substitute, that of the part.
+        inner: The derivative of its substitute for its inner side; without a substitute, that of the part.
     """
 
     value: Array

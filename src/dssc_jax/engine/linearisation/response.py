@@ -139,9 +139,9 @@ def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray
     """The angles at which margins of stable loops are looked for, shape (n, angles): those of the poles, too.
 
     Args:
-        a: Of the closed loops, shape (n, states, states).
-        b: From the point at which they are broken, shape (n, states).
-        c: To it, shape (n, states).
+        a: State matrices of the closed loops, shape (n, states, states).
+        b: Input columns from the point at which the loops are broken, shape (n, states).
+        c: Output rows to that point, shape (n, states).
         poles: Eigenvalues of a, shape (n, states).
     """
     open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])

@@ -50,8 +50,8 @@ class LoopPart(NamedTuple):
         slot: Name of the field of :class:`Loop`.
         channel: Index of its channel; 0 for the plant.
         label: Slot, channel and kind in words.
-        smoothness: Its declaration.
-        remaining: That of what is differentiated: of its substitute, if that is always taken, else its own.
+        smoothness: What it declares about its derivatives.
+        remaining: The declaration of what is differentiated: of its substitute, if that is always taken, else its own.
         imported: Whether its model is code of the user's, of the form ``module:object``.
     """
 

@@ -78,7 +78,7 @@ class SetStage:
         level: Bound of |d| [m/s].
         slope: Bound of |d'| [m/s^2].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
-        degree: Of the polynomial in 1/mu that stands for the held plant.
+        degree: Degree of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.

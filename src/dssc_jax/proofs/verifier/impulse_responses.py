@@ -27,11 +27,11 @@ UNDERFLOW = 1e-290
 
 
 class ResponseBounds(NamedTuple):
-    """Upper bounds.
+    """Upper bounds of responses.
 
     Args:
-        sums: Of the sums over k of |row A^k input|, (rows, inputs).
-        peaks: Of the largest |offset + row A^k start| over all k, (rows, starts).
+        sums: Bounds of the sums over k of |row A^k input|, (rows, inputs).
+        peaks: Bounds of the largest |offset + row A^k start| over all k, (rows, starts).
     """
 
     sums: np.ndarray

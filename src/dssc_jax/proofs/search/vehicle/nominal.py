@@ -98,9 +98,9 @@ class Answer:
     """The steady answer of an axis to one frequency: phasors.
 
     Args:
-        state: Of z, (n,).
-        signals: Of each signal at the points of a sample, (points,).
-        slopes: Of its slope within the sample, at some times, (times,).
+        state: Phasor of z, (n,).
+        signals: Phasors of each signal at the points of a sample, (points,).
+        slopes: Phasors of each signal's slope within the sample, at some times, (times,).
     """
 
     state: np.ndarray
