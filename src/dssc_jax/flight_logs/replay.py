@@ -150,7 +150,7 @@ class ReplayedCommand:
     """The difference of the analysed controller's command from the logged one, in the signal's unit."""
 
     largest_difference: Annotated[float, Quantity("that of the signal", "largest difference")]
-    largest_difference_at: Annotated[float, Quantity("s", "its time")]
+    largest_difference_at: Annotated[float, Quantity("s", "time of the largest difference")]
     rms_difference: Annotated[float, Quantity("that of the signal", "root mean square of the difference")]
     rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
 

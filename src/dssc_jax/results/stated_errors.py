@@ -32,7 +32,7 @@ class StatedError:
     ]
     weighted_interval: Annotated[
         tuple[float, float] | None,
-        Quantity("1", "the same from the draws' weights; None: they say nothing, or are not needed"),
+        Quantity("1", "interval by the draws' weights; None: they say nothing, or are not needed"),
     ]
 
     @property

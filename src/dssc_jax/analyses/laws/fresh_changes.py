@@ -25,7 +25,8 @@ class FreshLimit:
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[
-        float | None, Quantity("that of the change", "the same without it; None: the limit is not reached")
+        float | None,
+        Quantity("that of the change", "largest change by the share of failing draws; None: the limit is not reached"),
     ]
     failures: Annotated[int, Quantity("1", "new draws that fail at the bound")]
     interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability at the bound")]

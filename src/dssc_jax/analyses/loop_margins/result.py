@@ -80,9 +80,9 @@ class BrokenLoop(NamedTuple):
 class MarginStatistics:
     """A margin over all draws, at one break point and one operating point."""
 
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the margin")]
     median: Annotated[float, Quantity(MARGIN_UNIT, "median; None: infinite, or the loop is unstable")]
-    median_interval: Annotated[tuple[float, float], Quantity(MARGIN_UNIT, "its interval")]
+    median_interval: Annotated[tuple[float, float], Quantity(MARGIN_UNIT, "interval of the median")]
     worst: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: a loop is unstable, or all are infinite")]
     tolerance_limit: Annotated[float, Quantity(MARGIN_UNIT, "limit that holds for the share of all draws (Wilks)")]
     side: Annotated[str, Quantity("", "side of the limit: lower if large margins are good, upper if small ones are")]
@@ -106,7 +106,7 @@ class MultiloopStatistics:
     found: Annotated[float, Quantity("1", "worst alpha of a perturbation that makes a loop singular; None: unstable")]
     frequency: Annotated[float, Quantity("rad/s", "critical frequency of that draw")]
     factors: Annotated[dict[str, float], Quantity("1", "gain of that perturbation in each channel")]
-    phases: Annotated[dict[str, float], Quantity("rad", "its phase in each channel")]
+    phases: Annotated[dict[str, float], Quantity("rad", "phase of that perturbation in each channel")]
 
 
 @dataclass(frozen=True)

@@ -240,7 +240,7 @@ class Verdict:
     draws: Annotated[int, Quantity("1", "number of fresh draws")]
     objective: Annotated[Pair, Quantity("1", "aggregate of the costs at the start and of the result")]
     reduction: Annotated[float, Quantity("1", "1 - result/start")]
-    reduction_interval: Annotated[Pair, Quantity("1", "its bootstrap interval over the draws")]
+    reduction_interval: Annotated[Pair, Quantity("1", "bootstrap interval of the reduction over the draws")]
     quantile: Annotated[tuple[Pair, Pair], Quantity("1", "interval of the cost's quantile, start and result")]
     difference: Annotated[Triple, Quantity("1", "median and interval of the cost's difference, result minus start")]
     limits: Annotated[
