@@ -145,7 +145,7 @@ def update_following(acc: Following, sample: Sample, window: Window) -> Followin
 
 
 def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
-    """The amplitudes of the part of y in phase with a sine r and of the part 90 degrees ahead, over that of r.
+    """Two amplitudes over that of a sine r: of the part of y in phase with r, and of the part 90 degrees ahead.
 
     They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
     and the frequency squared is var r'/var r. Both are NaN if r does not move.

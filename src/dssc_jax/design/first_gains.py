@@ -285,7 +285,7 @@ def rounded_table(table: TomlTable, digits: int = DIGITS) -> TomlTable:
 
 
 def rounded_value(value: Any, digits: int) -> Any:
-    """A number rounded to so many digits; a list or a table of numbers entry by entry."""
+    """A number rounded to ``digits`` significant digits; a list or a table of numbers entry by entry."""
     if isinstance(value, list):
         return [rounded_value(item, digits) for item in value]
     if isinstance(value, dict):

@@ -23,7 +23,8 @@ CHECKED_DRAWS = 16
 NEGLIGIBLE = 0.01
 """Change of a required metric, in shares of its bound, below which nothing is said (assumed)."""
 DIVERGING = 1e3
-"""The same above which the plant or its integration diverges (assumed)."""
+"""Change of a metric, in shares of its bound or median size, above which the plant or its integration diverges
+(assumed)."""
 
 MOST_SUBSTEPS = 1000  # that a study may have
 

@@ -179,8 +179,8 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) ->
         may_drop: Whether rows may be left out.
 
     Raises:
-        ConfigError: Times fall, and rows may not be left out; or so many would be, of all or in a row, that the clock
-            is another one.
+        ConfigError: Times fall, and rows may not be left out. Or too many rows would be left out, in all or in a row,
+            so that the log's clock must have been set back.
     """
     falls = np.flatnonzero(np.diff(time) < 0.0)
     if not falls.size:

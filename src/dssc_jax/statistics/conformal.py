@@ -62,7 +62,10 @@ def line_rank(draws: int) -> int:
 
 
 def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
-    """Probability that so many flights of the draws' law, or more, are beyond the draws' line.
+    """p-value of the test that the flights have the draws' law.
+
+    It is the probability that at least ``beyond`` of such flights exceed the draws' line. The line is the
+    :func:`line_rank`-th largest number of the draws.
 
     Args:
         beyond: Flights beyond the line.

@@ -128,7 +128,7 @@ class Drift(NamedTuple):
 
     @property
     def mean_square(self) -> float:
-        """The mean over the span of the variance of the integral of v/T, for v of unit variance."""
+        """The variance of the integral of v/T, averaged over the span; v has variance 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w

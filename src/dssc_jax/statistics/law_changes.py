@@ -1,4 +1,4 @@
-"""Changes of the law of the scores, and the density of the changed law relative to that of the draws.
+"""Changes of the scores' law, and the density of the changed law relative to that of the draws.
 
 The score of a number is the standard normal quantile at the level of its value. Together the scores of the draws have
 the law N(0, R), with the correlations R of the Gaussian copula. A change has one amount for each number.

@@ -102,7 +102,7 @@ class RangedDraws:
         return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
-        """Logarithm of the density of laws of the box relative to that of the draws, shape (n,)."""
+        """Logarithm of the draws' density by laws of the box, relative to that by which they were drawn, shape (n,)."""
         return np.sum([log_density(law, self.values[name]) for name, law in laws.items()], axis=0) - self.log_proposal
 
     def estimate(self, laws: dict[str, Law]) -> WeightedLaws:

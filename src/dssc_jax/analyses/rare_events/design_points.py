@@ -59,12 +59,12 @@ class DesignPoint(NamedTuple):
 def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
     """Search for design points from several starts at once.
 
-    Each search steps to the point of the border's tangent that is nearest to the origin. If this improves the merit
-    |u|^2/2 + c |g| of the point u with slack g too little, the step is shortened.
+    Each search steps to the point of the border's tangent that is nearest to the origin. A step that lowers the merit
+    |u|^2/2 + c |g| by too little is shortened; g is the slack at the point u, and c = 2 |u|/|grad g|.
 
     Args:
         slope: Computes slacks and slopes.
-        starts: Shape (n, d).
+        starts: The points at which the searches start, shape (n, d).
 
     Returns:
         Different design points, the nearest first, without those far beyond the nearest.

@@ -120,7 +120,7 @@ class WeightedEstimate(Estimate):
 
 
 def variation_of(weights: np.ndarray) -> float:
-    """Coefficient of variation of a sum of weights of rare events; infinite without weights."""
+    """Coefficient of variation of the weights' sum; infinite without weights."""
     size = effective_size(weights)
     return size**-0.5 if size else np.inf
 

@@ -64,8 +64,8 @@ class ProvedAim(NamedTuple):
 
     Args:
         value: Bound of |e| once settled, or the last value at which the loop is proved; None if it is not proved.
-        proof: The proof of that value; None likewise.
-        reason: Why there is none; empty otherwise.
+        proof: The proof of that value; None if it is not proved.
+        reason: Why there is no proof; empty otherwise.
     """
 
     value: float | None

@@ -47,7 +47,7 @@ class WindGrid(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
-        """The grid with about so many segments over a flight, each of whole samples."""
+        """The grid with at most ``segments`` segments over a flight, each of whole samples."""
         samples = -(-study.loop.steps // segments)
         count = -(-study.loop.steps // samples)
         return cls(samples * study.loop.sample_time, count + BEYOND * smooth, smooth)

@@ -24,7 +24,7 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
 SEMI_MAJOR_AXIS = 6378137.0  # a [m] of WGS 84 (TR8350.2, table 3.1)
-FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (likewise)
+FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there

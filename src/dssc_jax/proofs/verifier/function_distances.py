@@ -20,9 +20,9 @@ from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
 SHARED_ROOM = 0.02
-"""The same of what a share is taken from."""
+"""Largest excess, as a share of the distances at points, for phi_2 less its share of the command."""
 DISTANCE_ROUNDING = 2.0**-42
-"""The same, in sizes of the function."""
+"""Largest excess that rounding needs, in sizes of the function."""
 MOST_PIECES = 6000
 MOST_CELLS = 200_000
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}

@@ -1,4 +1,4 @@
-"""The gains of a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and of Section V."""
+"""The gains in a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and Section V."""
 
 import math
 
@@ -232,7 +232,10 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
 
 
 def defect_ratio(size: tuple[float, float], scale: arb) -> arb:
-    """:func:`ratio_to_defect` of r over a scale, for |sigma| in an interval."""
+    """Enclosure of :func:`ratio_to_defect` of r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
+
+    The ratio rises, so that its values at both ends suffice.
+    """
     low, high = ends_of(size)
     at_low = ratio_to_defect(low / scale)
     return at_low if low is high else at_low.union(ratio_to_defect(high / scale))

@@ -45,7 +45,7 @@ REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
 FloatBounds = dict[str, dict[str, float]]
 """Bounds of the signals, rounded up, by channel and name."""
 Envelope = Mapping[str, Mapping[str, list[float]]]
-"""The same in each time cell."""
+"""Bounds of the signals in each time cell, rounded up, by channel and name."""
 
 
 class VehicleVerdict(NamedTuple):
