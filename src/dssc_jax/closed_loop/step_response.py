@@ -22,7 +22,7 @@ from dssc_jax.lanes.functions.approximations import atan2
 
 LOW = 0.1
 HIGH = 0.9
-STILL = 1e-6  # of a step: a desired output that moves by less does not move
+STILL = 1e-6  # share of a step: a desired output that moves by less does not move
 BEGINS_WITH_STEP = "the window must begin with a step of the reference, which then stays; set `after` to its time"
 MOVES = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]

@@ -58,8 +58,8 @@ from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
 """Frequencies below which the integral acts, in bandwidths, that are tried."""
-SLOW_ERROR = 3.0  # of the bandwidth to l0
-MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
+SLOW_ERROR = 3.0  # ratio of the bandwidth to l0
+MOST_SHARE = 0.2  # largest bandwidth, in pi/T_s
 DIGITS = 4
 STATED_DIGITS = 12  # of the plant's own numbers
 STATED = ("resting_output", "resting_command", "resting_signals", "model")

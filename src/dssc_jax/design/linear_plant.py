@@ -28,8 +28,8 @@ from dssc_jax.study.fitting import nominal_params
 from dssc_jax.study.study import Study
 
 GRID = 600  # frequencies of the sensitivity's peak
-DECADES = 6.0  # of this grid, below the Nyquist frequency
-SETTLED = 0.02  # of the largest distance from the end
+DECADES = 6.0  # decades of this grid, below the Nyquist frequency
+SETTLED = 0.02  # share of the largest distance from the end
 FADED = 7.0  # time constants of the slowest pole, over which an output is looked at
 INSTANTS = 2000
 

@@ -17,7 +17,7 @@ from dssc_jax.statistics import Method, rounded_probability
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.study import Study
 
-MOST, STEP = 1.0, 0.01  # of the slider
+MOST, STEP = 1.0, 0.01  # end and step of the slider
 ALL_MEANS = "shift of all means [standard deviations]"
 ALL_WIDTHS = "widening of all laws [share of their width]"
 AMOUNTS: dict[str, Callable[[float], StatedAmounts]] = {

@@ -15,12 +15,12 @@ MOST_DROPPED = 0.05
 LONG_GAP = 10.0
 """Of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
-STEADY = 0.5  # of the time outside of the longest gap that messages at the usual interval fill
+STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
 """Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
 MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
-SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
+SAME_STEP = 0.1  # share of the length of a fall or gap: closer, those of two topics are the same
 
 
 class ClockStep(NamedTuple):

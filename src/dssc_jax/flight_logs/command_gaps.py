@@ -16,12 +16,12 @@ from dssc_jax.flight_logs.reader import forward_filled
 from dssc_jax.flight_logs.refusals import Doubt
 from dssc_jax.flight_logs.sampled_log import Reconstruction, SampledLog
 
-LACKING = 0.25  # of the samples: a command that lacks more is logged more rarely than it is given
-STAIRCASE = 0.2  # of the logged values that repeat the one before: the controller itself is as slow
-REGULAR = 2.5  # of the median gap: over longer gaps a command is held
-JUMP = 5.0  # of the changes before and after: a larger change is a jump, and no straight line
-LEVEL = 0.95  # of chi squared, below which two reconstructions describe a flight equally well
-TOLD = 0.5  # of a standard deviation: a reconstruction that moves an estimate by less is not told
+LACKING = 0.25  # share of the samples: a command that lacks more is logged more rarely than it is given
+STAIRCASE = 0.2  # share of the logged values that repeat the one before: with more, the controller itself is as slow
+REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
+JUMP = 5.0  # factor on the changes before and after: a larger change is a jump, and no straight line
+LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
+TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
 
 HELD = "its last value is held"
 LATE = "it follows straight lines, and jumps with the next logged value"

@@ -37,12 +37,12 @@ from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import rank_p_value
 from dssc_jax.study import Study
 
-MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
+MOST_NUMBERS = 40_000_000  # numbers in the curves of all draws, kept in memory
 NO_SPREAD = (
     "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
     "numbers, disturbances or sensors their laws"
 )
-RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
+RANGE_ROUNDING = 1e-9  # share of a signal's size: closer to the range of the draws, a value is within it
 
 
 @dataclass(frozen=True)

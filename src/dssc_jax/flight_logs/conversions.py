@@ -8,12 +8,12 @@ import numpy as np
 
 from dssc_jax.core.flag_runs import longest_run
 
-MOST_PRODUCTS = 20_000_000  # of samples and shifts
-SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
-PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
-FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
+MOST_PRODUCTS = 20_000_000  # number of samples times number of shifts
+SAME_REFERENCE = 0.01  # share of a reference's root mean square: closer, two references are the same
+PREDICTED = 0.5  # share of a predicted output's root mean square: closer, a converted output looks like that one
+FOLLOWED = 0.7  # share of a reference's root mean square: closer, a converted output follows it
 IN_PHASE = 0.2  # relative difference of the part in phase with a reference from a multiple of it
-FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
+FEWER = 1.0 / 3.0  # share of the present distance: a conversion that leaves more says nothing
 
 
 class Conversion(NamedTuple):
@@ -54,9 +54,9 @@ CONVERSIONS = (
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
-MEAN = 0.3  # of a reference's root mean square: the least mean that says something
+MEAN = 0.3  # share of a reference's root mean square: the least mean that says something
 FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
-SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
+SHIFTED = 0.1  # largest deviation of an output from the shifted one, as a share of the shift
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 

@@ -16,9 +16,9 @@ from dssc_jax.flight_logs.refusals import FitRefused
 from dssc_jax.flight_logs.starts import fixed_integrals, start_remedy
 from dssc_jax.statistics.correlated_noise import weighted_products
 
-SIGNIFICANCE = 1e-4  # of integrals that differ from those of the study
-LARGE_MOVE = 1.0  # of an estimate by free integrals, in its standard deviations
-ROUNDING = 1e-9  # of the information along each coordinate
+SIGNIFICANCE = 1e-4  # p-value below which integrals differ from those of the study
+LARGE_MOVE = 1.0  # least move of an estimate by free integrals that matters, in its standard deviations
+ROUNDING = 1e-9  # share of the information along each coordinate that is added, against rounding
 
 
 class StartsElsewhere(FitRefused):

@@ -40,9 +40,9 @@ from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
 """Share of the samples at which a replay needs the measured output."""
-REFERENCE_TOLERANCE = 1e-3  # of a reference's size: resolution and rounding of a log
+REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
-SAME_COMMAND = 0.1  # of a command's root mean square: closer, a converted command is that of the replay
+SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
 REMEDY = (

@@ -39,7 +39,7 @@ SETPOINTS = {
 """Topics in the frame of the position, with the field of the position for each of theirs."""
 NAMED = 3  # resets that a message names
 SETPOINT_DELAY = 0.1  # s after the estimate's first message, within which setpoints follow it
-SAME_JUMP = 0.5  # of the estimate's jump: a step of a setpoint that is closer to it follows it
+SAME_JUMP = 0.5  # share of the estimate's jump: a step of a setpoint that is closer to it follows it
 
 
 class Counter(NamedTuple):

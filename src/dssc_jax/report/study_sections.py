@@ -15,7 +15,7 @@ from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
 from dssc_jax.study.laws import RangedLaw
 
-BINS = 36  # of a density's sketch
+BINS = 36  # bins of a density's sketch
 BIN_LEVELS = 60
 SKETCH = (132, 34)
 

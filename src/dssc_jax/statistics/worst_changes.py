@@ -28,7 +28,7 @@ LEAST_FAILING = 20.0
 """Fewest failing draws of the changed law that the weighted failing draws have to be worth."""
 
 STARTS = 5  # corners from which the worst change is sought, besides no change
-HALVINGS = 24  # of a size: seven digits
+HALVINGS = 24  # halvings of a size: seven digits
 LARGEST_SIZE = 8.0  # beyond, weights of no number of draws say anything
 
 

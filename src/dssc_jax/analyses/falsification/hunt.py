@@ -26,7 +26,7 @@ from dssc_jax.study import Study
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
-MEMBERS_PER_COORDINATE = 4  # of the evolution, for each coordinate
+MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
 
 
 class Programs(NamedTuple):

@@ -15,7 +15,7 @@ from dssc_jax.statistics import clopper_pearson
 from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
 SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
-HALVINGS = 8  # of the last doubling
+HALVINGS = 8  # halvings of the last doubling
 TRIAL = 0.3  # size at which the direction is taken from draws whose weights are not trusted
 
 

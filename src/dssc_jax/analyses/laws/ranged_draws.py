@@ -16,8 +16,8 @@ from dssc_jax.statistics.weighted import effective_size, weighted_interval
 from dssc_jax.statistics.worst_changes import LEAST_EFFECTIVE
 from dssc_jax.study.laws import LAWS, Law, RangedLaw
 
-MOST_CORNERS = 256  # of the whole box that are tried
-EVALUATIONS = 100  # of the search by DIRECT, for each range
+MOST_CORNERS = 256  # corners of the whole box that are tried
+EVALUATIONS = 100  # evaluations in the search by DIRECT, for each range
 TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, which may be 0 in many places
 
 

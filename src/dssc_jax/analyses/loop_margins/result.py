@@ -19,7 +19,7 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, 
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
 
-SHARE_WITHIN = 0.95  # of all draws, within the tolerance limit
+SHARE_WITHIN = 0.95  # share of all draws within the tolerance limit
 LINES = 60  # draws whose frequency responses are stored
 MARGIN_UNIT = "that of the margin"
 

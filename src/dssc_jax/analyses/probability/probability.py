@@ -21,7 +21,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, draws_as_narrow
 from dssc_jax.study import Study, takes_file
 
-LANES = 2048  # of a batch
+LANES = 2048  # lanes of a batch
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ SETTLED = 0.02  # length of the last step of a search
 ON_BORDER = 0.05  # distance from the border of failure of a point that counts as on it
 SAME = 0.7  # distance of two design points that count as one
 FARTHER = 2.5  # design points that lie so much farther out than the nearest contribute nothing
-CURVATURE_STEP = 0.05  # of a difference of slopes
+CURVATURE_STEP = 0.05  # step of a difference of slopes
 
 
 class DesignPoint(NamedTuple):

@@ -26,7 +26,7 @@ from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
-LANES = 2048  # of a batch
+LANES = 2048  # lanes of a batch
 
 Method: TypeAlias = ImportanceSampling | Splitting
 """The settings of a method."""

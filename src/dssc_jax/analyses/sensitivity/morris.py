@@ -22,7 +22,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study import Study
 
-GRID_LEVELS = 4  # of a factor: the middles of quarters of its probability
+GRID_LEVELS = 4  # levels of a factor: the middles of quarters of its probability
 FEWEST = 10  # trajectories, for intervals of some use
 
 

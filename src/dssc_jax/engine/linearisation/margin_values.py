@@ -23,7 +23,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 BATCH_LANES = 2048  # linearised at once
-STEP = 1e-4  # of a difference, relative to the number
+STEP = 1e-4  # step of a difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):

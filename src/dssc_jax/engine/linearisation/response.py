@@ -23,7 +23,7 @@ from scipy.linalg import matrix_balance, schur
 FREQUENCIES = 240  # of the common grid
 FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
 DECADES = 6.0  # largest span below the Nyquist frequency
-MOST_ENTRIES = 2_000_000  # of the states of all loops at the angles that are computed at once
+MOST_ENTRIES = 2_000_000  # complex numbers: the states of all loops at the angles that are computed at once
 ROOT_STEPS = 14
 PEAK_STEPS = 24
 SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain

@@ -15,7 +15,7 @@ from dssc_jax.lanes.lanes import CompiledLanes
 if TYPE_CHECKING:
     from dssc_jax.lanes.gpu.kernel_text import TracedKernel
 
-THREADS = 256  # of a block, as many as a multiprocessor holds of the vehicle
+THREADS = 256  # threads of a block, as many as a multiprocessor holds of the vehicle
 
 
 class KernelLanes(CompiledLanes):

@@ -12,7 +12,7 @@ PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths 
 ROUNDING = 2.0**-40  # and in sizes of the gain
 MOST_PIECES = 6000
 SMALLEST_ROOM = 1e-300
-SMALLEST_REGION = 1e-12  # of the starts
+SMALLEST_REGION = 1e-12  # smallest bound of |sigma| and |e| at the start
 
 
 class PointHull:
