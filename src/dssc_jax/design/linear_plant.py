@@ -128,7 +128,7 @@ class Subject(NamedTuple):
     Args:
         study: The study.
         plant: Its plant at the start, in continuous time.
-        bare_plant: The same, sampled without actuators.
+        bare_plant: The plant sampled without actuators.
         actuators: Its actuators.
         actuated_plant: The plant sampled behind the linear ones.
         limit: Largest size of the command, in its unit; None: none.

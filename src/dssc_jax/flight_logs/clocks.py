@@ -13,7 +13,7 @@ from dssc_jax.flight_logs.ulog_scan import LogTopic, Stamps
 MOST_DROPPED = 0.05
 """Share of the rows that may be left out: more of them are no stray rows, but another clock."""
 LONG_GAP = 10.0
-"""Of a topic's usual interval: a longer time without a message is told."""
+"""Multiple of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
 STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
@@ -104,7 +104,7 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
 
 
 def repeated_times_text(time: np.ndarray) -> str:
-    """That many rows of a column share their time with the row before, in words; empty if few do.
+    """A sentence that says how many rows of a column share their time with the row before; empty if few do.
 
     Args:
         time: Finite times that do not fall [s], shape (n,).

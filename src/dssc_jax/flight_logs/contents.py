@@ -51,9 +51,9 @@ class FieldValues(NamedTuple):
         name: The column's name, as a table of columns takes it.
         derived: Whether it is in the model's axes, and not a field of the log itself.
         finite: Number of its finite values.
-        lowest: Their minimum; NaN if there are none.
-        median: Their median.
-        highest: Their maximum.
+        lowest: Minimum of the finite values; NaN if there are none.
+        median: Median of the finite values.
+        highest: Maximum of the finite values.
     """
 
     name: str

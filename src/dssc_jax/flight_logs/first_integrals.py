@@ -30,7 +30,7 @@ class FreeIntegrals(NamedTuple):
 
     Args:
         names: Names of the integrals.
-        values: Their values that the flight shows, to first order.
+        values: Value of each integral that the flight shows, to first order.
         deviations: Standard deviations of these values.
         p_value: Probability of as large a reduction of the sum of squares if the study's integrals were right.
         moves: How far the estimates would move, by number, in their standard deviations.

@@ -62,7 +62,7 @@ class LateOutput(NamedTuple):
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
         values: The numbers with the shift.
         unshifted: Root mean squares of the residuals of the shifted channels without the shift.
-        shifted: The same with it.
+        shifted: Root mean squares of the residuals of the shifted channels with the shift.
     """
 
     channels: tuple[int, ...]

@@ -24,7 +24,7 @@ class ProofProblem:
         k_p: Interval of the high-frequency gain [1/s].
         a_p: Interval of the damping [1/s].
         zero_a: Characteristic coefficients of the zero dynamics, ascending; empty for order two.
-        zero_c: Their output row.
+        zero_c: Output row of the zero dynamics.
         numerator: Numerator of G(mu s), the unmodelled dynamics, in rising powers of mu s; empty for none.
         denominator: Denominator in rising powers; both begin with the same number, so that G(0) = 1.
         mu: Interval of the time constant mu [s]; (0, 0) for none.

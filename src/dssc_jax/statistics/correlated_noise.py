@@ -23,9 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-SHORT = (
-    0.3  # share of a time constant: below, the process noise of a gap comes from a quadrature, which does not cancel
-)
+SHORT = 0.3  # share of a time constant: below, a quadrature, which does not cancel, gives a gap's process noise
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 EQUAL_GAPS = 1e-9  # relative difference of gaps that are the same but for rounding
 RANK = 1e-10  # share of the largest eigenvalue: below, a combination of numbers does not show

@@ -34,7 +34,7 @@ class Guaranteed:
 
 @dataclass(frozen=True)
 class Estimates:
-    """The same amounts without the draws' own uncertainty."""
+    """How wrong the laws may be, without the draws' own uncertainty."""
 
     total_variation: Annotated[float, Quantity("1", "total variation")]
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]

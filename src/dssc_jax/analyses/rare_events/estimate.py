@@ -40,7 +40,7 @@ class Plain(NamedTuple):
     """Plain independent draws in addition to those of the method.
 
     Args:
-        draws: Their number.
+        draws: Number of plain draws.
         points: The draws that failed, in standard normal space, shape (failures, d).
     """
 

@@ -25,7 +25,7 @@ AXES = ("x", "y", "z")
 KINDS = ("error_max", "error_rate_max", "sigma_max", "tilt_max", "rotor_thrust_max", "rotor_thrust_min")
 """Metrics of a flight."""
 SMALLEST = ("rotor_thrust_min",)
-"""Those of which the smallest value is the worst."""
+"""Metrics of which the smallest value is the worst."""
 REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
 """Tables of a study that say nothing of a flight in a given wind."""
 BEYOND = 3

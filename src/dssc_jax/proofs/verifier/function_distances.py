@@ -121,7 +121,7 @@ def phi_1(problem: Problem, sigma: float) -> arb:
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
-    """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+    """Upper bounds of the distances of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
     at_points = dict.fromkeys(DISTANCES, 0.0)

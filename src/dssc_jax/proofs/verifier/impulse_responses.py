@@ -54,8 +54,8 @@ class Block(NamedTuple):
 
     Args:
         response: The samples, (samples, rows, columns).
-        error: Bound of the error of any one of them but for ``radius_effect``, (rows, columns).
-        error_sum: The same of the sum of their errors.
+        error: Bound of any sample's error but for ``radius_effect``, (rows, columns).
+        error_sum: Bound of the sum of the samples' errors but for ``radius_effect``, (rows, columns).
         radius_effect: Bound of what the states' radii, dropped so far, do to any sample from this block on.
         tail: Bound of every sample after this block, with ``radius_effect``.
     """

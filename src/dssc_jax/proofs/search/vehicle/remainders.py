@@ -161,7 +161,7 @@ def couplings(inertia: tuple[Interval, ...]) -> tuple[float, float]:
 
 
 def believed_couplings(problem: VehicleProblem) -> tuple[float, float]:
-    """The same of the believed inertia."""
+    """:func:`couplings` of the believed inertia."""
     return couplings(tuple((value, value) for value in problem.believed_inertia))
 
 
@@ -349,7 +349,7 @@ def exact_torques(
 
 
 def lagged_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:
-    """The same with a rotor lag."""
+    """Remainders of alpha'' and of psi'' with a rotor lag."""
     delta = problem.turn_deviation
     s, t = at.tilt, at.tangent
     i_h, i_z = couplings(problem.inertia)

@@ -16,7 +16,7 @@ from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
 LEAST_ROTORS = 4
-"""Of these, net thrust and moments determine the thrusts."""
+"""Number of rotors whose thrusts follow from net thrust and moments."""
 SignalBalls = Mapping[str, Mapping[str, arb]]
 """Bounds of the signals, by channel and name."""
 
@@ -330,7 +330,7 @@ def torques(
 def torques_behind(
     problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, behind: Behind
 ) -> tuple[Balls, Balls]:
-    """The same with a rotor lag."""
+    """The remainders of the rotation, of x and of psi, with a rotor lag."""
     s, t, psi_1 = body.s, body.t, body.psi_1
     g = at.gravity
     lag = arb(problem["rotor_lag"])

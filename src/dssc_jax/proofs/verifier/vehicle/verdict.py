@@ -37,7 +37,7 @@ from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
 from dssc_jax.proofs.verifier.verdict import ball_precision
 
 MOST_ITERATIONS = 40
-"""Of F_s."""
+"""Largest number of iterations of F_s."""
 LEAST_FALL = 1e-4
 """Fall of a bound, as a share of it, below which no more is gained."""
 REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
