@@ -125,12 +125,13 @@ def sampler(
     advance = held_between_samples(loop, params)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
+        """Advance a draw by one sample; once it has ended, its outcome and number of samples are kept."""
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         integer = integer_type()
         code = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
         is_ended = recorded.broken
-        if recorded.grounded is not False:
+        if recorded.grounded is not False:  # a plain False: the plant has no ground
             code = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), code)
             is_ended = jnp.logical_or(is_ended, recorded.grounded)
         code = jnp.where(recorded.finite, code, integer(Outcome.NON_FINITE))

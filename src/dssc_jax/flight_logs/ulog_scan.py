@@ -314,9 +314,9 @@ class UndamagedPart:
 
     def __init__(self, file: BinaryIO, damages: list[Damage], size: int) -> None:
         self._file = file
-        self._begins = [0, *(damage.end for damage in damages)]  # of the parts, in the file
+        self._begins = [0, *(damage.end for damage in damages)]  # the parts' beginnings in the file
         ends = [*(damage.begin for damage in damages), size]
-        self._places = [0]  # of the parts' ends in what is read
+        self._places = [0]  # the parts' beginnings in what is read, and its end
         for begin, end in zip(self._begins, ends, strict=True):
             self._places.append(self._places[-1] + end - begin)
         self._place = 0

@@ -8,8 +8,8 @@ from scipy import linalg, special
 from dssc_jax.statistics.weighted import effective_size
 
 WIDE = 2.5  # standard deviations of the wide normal law
-WIDE_SHARE = 0.1  # of the points
-LEAST_SHARE = 0.05  # of a narrow law
+WIDE_SHARE = 0.1  # share of the points from the wide law
+LEAST_SHARE = 0.05  # least share of a narrow law
 FEWEST = 5.0  # effective number of failures to which a law is fitted
 
 
