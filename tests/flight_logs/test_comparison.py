@@ -14,7 +14,7 @@ from dssc_jax.console.flight import show_log_comparison
 from dssc_jax.flight_logs.reader import Column, FlightLog, nearest_values, read_log, samples_within
 from dssc_jax.flight_logs.references import study_references
 from dssc_jax.flight_logs.replay import analysed_command, curves_of_draws, replayed_channel
-from dssc_jax.statistics.exchangeable import largest_departures, rank_p_value
+from dssc_jax.statistics.exchangeable import extremeness, largest_departures, rank_p_value
 from tests.cli.conftest import last_json
 from tests.flight_code.test_code import table
 
@@ -48,7 +48,7 @@ def flown(study):
 
 def p_values(groups):
     """The p-value of each group's last curve among the others."""
-    return np.array([rank_p_value(largest_departures(group[:-1], group[-1])[0]) for group in groups])
+    return np.array([rank_p_value(extremeness(largest_departures(group[:-1], group[-1])[0])) for group in groups])
 
 
 def test_every_curve_of_a_set_has_another_rank(curves):
@@ -67,13 +67,14 @@ def test_p_is_uniform_for_flights_of_the_study(curves):
 
 def test_departures_by_hand():
     drawn = np.array([[[0.0, 1.0]], [[1.0, np.nan]], [[2.0, 3.0]]])
-    statistics, departure = largest_departures(drawn, np.array([[5.0, np.nan]]))
+    largest, departure = largest_departures(drawn, np.array([[5.0, np.nan]]))
     np.testing.assert_allclose(
         departure, [[3.5, np.nan]]
     )  # median 1.5, deviations 1.5, 0.5, 0.5, 3.5: their median is 1
-    np.testing.assert_allclose(statistics, [1.5, 0.5, 0.5, 3.5])
+    np.testing.assert_allclose(largest[:, 0], [1.5, 0.5, 0.5, 3.5])
+    np.testing.assert_array_equal(extremeness(largest), [1.0, 0.0, 0.0, 2.0])
     ended = np.array([[[0.0]], [[np.nan]], [[2.0]]])
-    assert largest_departures(ended, np.array([[1.0]]))[0][1] == np.inf
+    assert largest_departures(ended, np.array([[1.0]]))[0][1, 0] == np.inf
     with pytest.raises(ValueError, match="nothing"):
         largest_departures(drawn, np.full((1, 2), np.nan))
 
@@ -251,11 +252,11 @@ def test_signals_without_spread_are_left_out_of_the_rank():
     curves = np.zeros((9, 2, 4))
     curves[:, 1] = np.arange(9)[:, None]
     tested = np.array([np.full(4, 1e-9), np.full(4, 4.0)])
-    statistics, departure = largest_departures(curves, tested)
+    largest, departure = largest_departures(curves, tested)
     assert np.isnan(departure[0]).all()
-    assert rank_p_value(statistics) > 0.5
+    assert rank_p_value(extremeness(largest)) > 0.5
     alone, _ = largest_departures(curves[:, :1], tested[:1])
-    assert np.isnan(alone).all()
+    assert np.isnan(extremeness(alone)).all()
 
 
 def test_a_signal_of_rounding_is_left_out_of_the_rank():
@@ -264,20 +265,32 @@ def test_a_signal_of_rounding_is_left_out_of_the_rank():
     still = 1e-15 * rng.standard_normal((40, 1, 30))
     moving = rng.standard_normal((40, 1, 30))
     tested = np.stack([np.full(30, 0.3), rng.standard_normal(30)])
-    statistics, departures = largest_departures(np.concatenate([still, moving], axis=1), tested)
+    largest, departures = largest_departures(np.concatenate([still, moving], axis=1), tested)
     assert np.isnan(departures[0]).all()
     assert np.isfinite(departures[1]).all()
     alone, _ = largest_departures(moving, tested[1:])
-    np.testing.assert_array_equal(statistics, alone)
+    np.testing.assert_array_equal(extremeness(largest), extremeness(alone))
 
 
 def test_few_draws_differ_from_a_median_of_zero():
     """The median absolute deviation is 0 where most draws are 0; departures stay finite."""
     curves = np.zeros((19, 1, 3))
     curves[:3] = 1.0
-    statistics, _ = largest_departures(curves, np.full((1, 3), 5.0))
-    assert np.isfinite(statistics).all()
-    assert rank_p_value(statistics) == 1 / 20
+    largest, _ = largest_departures(curves, np.full((1, 3), 5.0))
+    assert np.isfinite(largest).all()
+    assert rank_p_value(extremeness(largest)) == 1 / 20
+
+
+def test_a_signal_with_spikes_hides_no_other():
+    """All curves have spikes of any height in the second signal; the first shows that the flight is none of them."""
+    rng = np.random.default_rng(1)
+    smooth = rng.standard_normal((99, 1, 1)) * np.ones(20)
+    spikes = 0.01 * rng.standard_normal((99, 1, 20))
+    spikes[np.arange(99), 0, rng.integers(0, 20, 99)] = np.exp(5.0 * rng.random(99))
+    tested = np.array([np.full(20, 6.0), 1.1 * spikes[0, 0]])
+    largest, _ = largest_departures(np.concatenate([smooth, spikes], axis=1), tested)
+    assert largest[:-1].max() > largest[-1].max()
+    assert rank_p_value(extremeness(largest)) <= 2 / 100
 
 
 def test_a_stamp_beyond_all_numbers():

@@ -13,6 +13,7 @@ from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, Study
 from dssc_jax.study import Study
 
 SIGNIFICANCE = 0.05  # level of the test of a log
+LONG_OUTSIDE = 0.05  # share of the samples outside the range of all draws that the verdict tells
 
 Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
 """Head and rows."""
@@ -202,11 +203,21 @@ def show_rank(answer: LogAnswer, p_value: float) -> None:
     missing = answer.logged_samples < answer.samples
     sample_text = f", by the {answer.logged_samples} samples that it has" if missing else ""
     if p_value > SIGNIFICANCE:
-        say(f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}")
+        verdict = f"at the {100 * SIGNIFICANCE:g} % level, nothing in the log contradicts the study{sample_text}"
+        say(f"{verdict}{outside_text(answer)}")
     else:
         say(f"at the {100 * SIGNIFICANCE:g} % level, the log is not a flight of the study")
     if answer.least_p_value > SIGNIFICANCE:
         say(f"p cannot be below {answer.least_p_value:.3g}: take more draws")
+
+
+def outside_text(answer: LogAnswer) -> str:
+    """The signals that are outside the range of the draws for long, in words; empty if there are none."""
+    shares = []
+    for name, signal in answer.signals.items():
+        if signal.outside_share is not None and signal.outside_share > LONG_OUTSIDE:
+            shares.append(f"{name} for {100 * signal.outside_share:.3g} % of its samples")
+    return f", but it leaves the range of all draws: {', '.join(shares)}" if shares else ""
 
 
 def show_fit(summary: Mapping[str, Any]) -> None:

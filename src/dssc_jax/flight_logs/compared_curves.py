@@ -10,7 +10,7 @@ from dssc_jax.core.signals import ProgressCallback
 from dssc_jax.flight_logs.conversions import likeness_text
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.replay import curves_of_draws, signal_unit
-from dssc_jax.statistics.exchangeable import largest_departures
+from dssc_jax.statistics.exchangeable import extremeness, largest_departures
 from dssc_jax.study import Study
 
 DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
@@ -53,11 +53,13 @@ def compared_dataset(
     data = {}
     for name, (values, meaning) in columns.items():
         data[name] = (dimensions, values, {"long_name": meaning, "units": "that of the signal"})
-    statistics, departure = largest_departures(curves, tested)
+    largest, departure = largest_departures(curves, tested)
     meaning = "departure of the log from the draws' median, by their spread"
     data["departure"] = (dimensions, departure, {"long_name": meaning, "units": "1"})
-    meaning = "largest departure of each draw, and of the log as the last one"
-    data["statistic"] = (("curve",), statistics, {"long_name": meaning, "units": "1"})
+    meaning = "largest departure of each draw, and of the log as the last curve"
+    data["largest_departure"] = (("curve", "signal"), largest, {"long_name": meaning, "units": "1"})
+    meaning = "order of the curves by how few others depart as far in one signal; the log is the last one"
+    data["statistic"] = (("curve",), extremeness(largest), {"long_name": meaning, "units": "1"})
     times = study.loop.sample_time * (stride * np.arange(tested.shape[1]))
     coords = {
         "signal": ("signal", [signal.name for signal in signals], {"long_name": "signal"}),

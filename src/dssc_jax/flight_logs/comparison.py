@@ -1,7 +1,7 @@
 """A logged flight beside the analysed set: replayed through the controller, and laid over the study's draws.
 
 The test is one of exchangeable curves (:mod:`dssc_jax.statistics.exchangeable`): its statistic is fixed in advance, the
-largest standardised departure over all logged signals and times, and its p-value is exact for any time series.
+rank of the largest standardised departure in each logged signal, and its p-value is exact for any time series.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ from dssc_jax.flight_logs.replay import (
 )
 from dssc_jax.results.analysis import Analysis
 from dssc_jax.results.fields import MERGED
-from dssc_jax.statistics.exchangeable import rank_p_value
+from dssc_jax.statistics.exchangeable import departure_ranks, rank_p_value
 from dssc_jax.study import Study
 
 MOST_NUMBERS = 40_000_000  # numbers in the curves of all draws, kept in memory
@@ -75,13 +75,13 @@ class LogAnswer:
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
     least_p_value: Annotated[float, Quantity("1", "smallest p-value that this number of draws allows")]
     draws_at_least_as_extreme: Annotated[int | None, Quantity("1", "draws that depart at least as far")]
-    statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure")]
+    statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure in the decisive signal")]
     statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of the draws' largest departures")]
     without_spread: Annotated[
         dict[str, float], Quantity("that of the signal", "largest distance from signals that are the same in all draws")
     ]
-    decisive_signal: Annotated[str | None, Quantity("", "signal with the largest departure")]
-    decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure")]
+    decisive_signal: Annotated[str | None, Quantity("", "signal in which the fewest draws depart as far")]
+    decisive_time: Annotated[float | None, Quantity("s", "time of the largest departure in it")]
     signals: dict[str, SignalAnswer]
     replayed_samples: Annotated[int, Quantity("1", "samples of the replay")]
     dropped_rows: Annotated[dict[str, int], Quantity("1", "rows that are left out, because their times fall")]
@@ -112,8 +112,8 @@ class LogComparison(Analysis):
 
     The dataset has along ``signal`` and ``t``: ``logged``, ``commanded`` (the analysed controller's command for the
     logged measurements; for commands only), ``lowest``, ``low``, ``median``, ``high`` and ``highest`` of the draws (low
-    and high are quantiles of 5 and 95 %), ``departure`` of the log; and along ``curve`` the ``statistic`` of each draw,
-    and of the log at the end.
+    and high are quantiles of 5 and 95 %), ``departure`` of the log; and along ``curve``, which has all draws and the
+    log at the end, the ``statistic`` and, along ``signal`` too, the ``largest_departure``.
 
     Args:
         log: Name of the log.
@@ -155,7 +155,7 @@ class LogComparison(Analysis):
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a statistic as large as the log's, or larger, if the flight were another draw.
+        """Probability of a statistic at least as large as the log's, if the flight were another draw.
 
         None if no logged signal differs between the draws, so that a rank among them means nothing.
         """
@@ -175,12 +175,24 @@ class LogComparison(Analysis):
         return largest_distances
 
     def decisive(self) -> tuple[str, float] | None:
-        """Signal and time [s] of the log's largest departure; None without a p-value."""
+        """The signal in which the fewest draws depart as far as the log, and the time [s] at which the log does so.
+
+        Of several such signals it is the one with the largest departure. None without a p-value.
+        """
         if self.p_value is None:
             return None
-        departure = np.nan_to_num(self.dataset["departure"].values, nan=-1.0)
-        signal, sample = np.unravel_index(np.argmax(departure), departure.shape)
-        return str(self.dataset["signal"].values[signal]), float(self.dataset["t"].values[sample])
+        with_spread = self.dataset.isel(signal=np.isfinite(self.dataset["largest_departure"].values[0]))
+        ranks = departure_ranks(with_spread["largest_departure"].values)[-1]
+        departure = np.nan_to_num(with_spread["departure"].values, nan=-1.0)
+        candidates = np.flatnonzero(ranks == ranks.min())
+        signal = candidates[np.argmax(departure[candidates].max(axis=1))]
+        time = self.dataset["t"].values[np.argmax(departure[signal])]
+        return str(with_spread["signal"].values[signal]), float(time)
+
+    def decisive_departures(self) -> np.ndarray | None:
+        """Largest departures of all curves in the decisive signal, the log's last, shape (n + 1,); None without one."""
+        decisive = self.decisive()
+        return None if decisive is None else self.dataset["largest_departure"].sel(signal=decisive[0]).values
 
     @property
     def headline(self) -> str:
@@ -189,10 +201,10 @@ class LogComparison(Analysis):
         if decisive is None:
             return NO_SPREAD
         signal, time = decisive
-        largest = self.dataset["statistic"].values[-1]
+        largest = float(self.dataset["largest_departure"].sel(signal=signal).values[-1])
         return (
             f"p = {self.p_value:.3g} for the flight as one more draw, by the {self.logged_samples} samples it has; "
-            f"its largest departure is {largest:.3g}, in {signal} at {time:.4g} s"
+            f"most in {signal}, by {largest:.3g} spreads at {time:.4g} s"
         )
 
     def figure(self) -> Figure:
@@ -207,9 +219,10 @@ class LogComparison(Analysis):
         draws = len(draw_statistics)
         has_rank = self.p_value is not None
         signal, time = self.decisive() or (None, None)
+        departures = self.decisive_departures()
         quantiles = None
-        if np.isfinite(draw_statistics).all():
-            quantiles = {name: float(np.quantile(draw_statistics, level)) for name, level in DRAWN_LEVELS.items()}
+        if departures is not None and np.isfinite(departures[:-1]).all():
+            quantiles = {name: float(np.quantile(departures[:-1], level)) for name, level in DRAWN_LEVELS.items()}
         return LogAnswer(
             log=self.log,
             cut=self.cut,
@@ -222,7 +235,7 @@ class LogComparison(Analysis):
             p_value=self.p_value,
             least_p_value=1.0 / (draws + 1),
             draws_at_least_as_extreme=int(np.count_nonzero(draw_statistics >= statistics[-1])) if has_rank else None,
-            statistic=float(statistics[-1]) if has_rank else None,
+            statistic=None if departures is None else float(departures[-1]),
             statistic_of_draws=quantiles,
             without_spread=self.without_spread(),
             decisive_signal=signal,
@@ -275,9 +288,9 @@ def start_of_last_excursion(time: np.ndarray, is_outside: np.ndarray) -> float |
 def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | None = None) -> LogComparison:
     """Replay a logged flight through the analysed controller, and lay it over the study's draws.
 
-    p = (1 + number of draws at least as extreme)/(n + 1), by the largest standardised departure over all logged
-    signals and times. It is exact, for any law of the curves, if the flight has the law of the draws. Values may be
-    missing in the log only for reasons that have nothing to do with the flight.
+    p = (1 + number of draws at least as extreme)/(n + 1). A curve is extreme where few others depart as far from the
+    median at any time in one of the logged signals. p is exact, for any law of the curves, if the flight has the law of
+    the draws. Values may be missing in the log only for reasons that have nothing to do with the flight.
 
     Args:
         study: The study that analysed the flight: its reference, initial state and sensors are part of what is tested.

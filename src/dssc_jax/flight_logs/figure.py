@@ -44,13 +44,12 @@ def log_comparison(comparison: "LogComparison") -> Figure:
     axes[len(plotted_names) - 1].set_xlabel("time [s]")
     position = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5, "fontsize": 10}
     axes[0].legend(list(handles.values()), list(handles), frameon=False, **position)
-    statistics = data["statistic"].values
-    draw_statistics(axes[-1], statistics, comparison.p_value)
+    draw_statistics(axes[-1], comparison)
     hidden = len(facts) - len(plotted_names)
     note = f"; {hidden} signals with smaller departures are not shown" if hidden else ""
     config = comparison.study.config
     name = config.description or config.name
-    title(figure, f"{name}: {comparison.log} over {len(statistics) - 1} draws{note}")
+    title(figure, f"{name}: {comparison.log} over {data.sizes['curve'] - 1} draws{note}")
     return figure
 
 
@@ -118,19 +117,22 @@ def draw_signal(ax: Axes, signal: xr.Dataset, answer: "SignalAnswer") -> None:
         ax.axvline(first_outside, color=RED, linestyle="--", linewidth=1.2, label="first outside")
 
 
-def draw_statistics(ax: Axes, statistics: np.ndarray, p_value: float | None) -> None:
-    """Draw the share of draws above each value of the statistic, and the log's own."""
-    if p_value is None:
+def draw_statistics(ax: Axes, comparison: "LogComparison") -> None:
+    """Draw the share of draws above each departure in the decisive signal, and the log's departure."""
+    decisive = comparison.decisive()
+    departures = comparison.decisive_departures()
+    if decisive is None or departures is None:
         ax.set_axis_off()
         ax.text(0.5, 0.5, "every draw is the same; ranks say nothing", ha="center", va="center")
         return
-    ordered = np.sort(statistics[:-1])
+    ordered = np.sort(departures[:-1])
     ordered = ordered[np.isfinite(ordered)]
-    share = 1.0 - np.arange(len(ordered)) / (len(statistics) - 1)
+    share = 1.0 - np.arange(len(ordered)) / (len(departures) - 1)
     ax.step(ordered, share, where="pre", color=BLUE, label="share of draws at or above")
-    if np.isfinite(statistics[-1]):
-        ax.axvline(statistics[-1], color=RED, label=f"the log: p = {p_value:.3g}")
+    if np.isfinite(departures[-1]):
+        ax.axvline(departures[-1], color=RED, label=f"the log: p = {comparison.p_value:.3g}")
     else:
-        ax.plot([], [], color=RED, label=f"the log: beyond all, p = {p_value:.3g}")
-    ax.set(xlabel="largest standardised departure of a curve", ylabel="share", xscale="log", ylim=(0.0, 1.02))
+        ax.plot([], [], color=RED, label=f"the log: beyond all, p = {comparison.p_value:.3g}")
+    ax.set(xlabel=f"largest standardised departure of a curve in {decisive[0]}", ylabel="share")
+    ax.set(xscale="log", ylim=(0.0, 1.02))
     ax.legend(frameon=False, loc="best")

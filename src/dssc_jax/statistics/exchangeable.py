@@ -4,6 +4,10 @@ One number is computed for each curve, in a way that does not depend on the orde
 them. If the tested curve has the law of the others, all n + 1 numbers are exchangeable, so that its rank among them is
 uniform (G. A. Barnard, J. Royal Statistical Society B 25 (1963) 294; for curves, M. Myllymäki and others, J. Royal
 Statistical Society B 79 (2017) 381-404). Nothing is assumed of how the values of a curve depend on each other.
+
+The number is the curve's place in the order of extreme rank lengths of the same article, with a signal in the place
+of a point: a curve is extreme where few others depart as far in one of its signals. So every signal counts alike, also
+beside one in which all curves have spikes.
 """
 
 from typing import NamedTuple
@@ -65,7 +69,7 @@ def distances_from_median(curves: np.ndarray, tested: np.ndarray) -> tuple[np.nd
 
 
 def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest departure of each curve from the median of all, and the tested curve's departures.
+    """The largest departure of each curve from the median of all in each signal, and the tested curve's departures.
 
     A departure is the distance from the pointwise median in units of the pointwise median absolute deviation, or of
     a floor where the curves hardly differ. Medians are those of all n + 1 curves, which makes the test exact. Signals
@@ -76,7 +80,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
         tested: Shape (signals, times). NaN: missing, and left out of all curves.
 
     Returns:
-        Largest departure of each curve, the tested one last, shape (n + 1,), NaN without a signal that has spread;
+        Largest departure of each curve, the tested one last, NaN in a signal without spread, shape (n + 1, signals);
         departures of the tested curve, NaN where missing or without spread, shape (signals, times).
 
     Raises:
@@ -85,7 +89,7 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
     is_measured = np.isfinite(tested)
     if not is_measured.any():
         raise ValueError("nothing of the tested curve is known")
-    statistics = np.full(len(curves) + 1, np.nan)
+    largest = np.full((len(curves) + 1, len(tested)), np.nan)
     departures_of_tested = np.full(tested.shape, np.nan)
     for signal in np.flatnonzero(spread_signals(curves, tested)):
         at = is_measured[signal]
@@ -94,9 +98,48 @@ def largest_departures(curves: np.ndarray, tested: np.ndarray) -> tuple[np.ndarr
         spread = np.nanmedian(finite, axis=0)
         scale = np.sqrt(np.mean(spread**2)) or np.sqrt(np.nanmean(finite**2))
         departures = distance / np.maximum(spread, max(FLOOR * scale, LEAST_SPREAD * size))
-        statistics = np.fmax(statistics, departures.max(axis=1))
+        largest[:, signal] = departures.max(axis=1)
         departures_of_tested[signal, at] = departures[-1]
-    return statistics, departures_of_tested
+    return largest, departures_of_tested
+
+
+def departure_ranks(largest: np.ndarray) -> np.ndarray:
+    """The number of curves that depart at least as far as each curve in each signal, itself among them.
+
+    Args:
+        largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
+
+    Returns:
+        Ranks from 1, the most extreme, to n + 1, shape (n + 1, signals that have spread).
+    """
+    columns = []
+    for departures in largest.T:
+        if not np.isnan(departures).any():
+            columns.append(len(departures) - np.searchsorted(np.sort(departures), departures))
+    return np.array(columns, int).reshape(len(columns), len(largest)).T
+
+
+def extremeness(largest: np.ndarray) -> np.ndarray:
+    """Numbers that order curves by how few others depart as far in one of their signals, then in the next one.
+
+    Curves are compared by their ranks, the least one first; those of equal ranks by their largest departure.
+
+    Args:
+        largest: Largest departures, NaN in a signal without spread, shape (n + 1, signals).
+
+    Returns:
+        Shape (n + 1,), larger for a more extreme curve; NaN without a signal that has spread.
+
+    Example:
+        >>> extremeness(np.array([[1.0, 9.0], [3.0, 7.0], [2.0, 8.0]]))
+        array([2., 1., 0.])
+    """
+    ranks = np.sort(departure_ranks(largest), axis=1)
+    if not ranks.shape[1]:
+        return np.full(len(largest), np.nan)
+    keys = np.column_stack([ranks, -np.nanmax(largest, axis=1)])
+    _, order = np.unique(keys, axis=0, return_inverse=True)
+    return float(order.max()) - order.reshape(-1)
 
 
 def rank_p_value(statistics: np.ndarray) -> float:

@@ -1,0 +1,105 @@
+"""Whether a vehicle gets its commands later or earlier than they are logged: a dead time that a fit takes for a lag.
+
+Where a force acts from the start, or the plant begins at another state than rest, outputs at other times are no outputs
+for commands at other times. So the commands are shifted, too. Each shift is another simulation, for which the compiled
+prediction of several channels would have to be compiled again; studies of one channel are checked alone.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dssc_jax.flight_logs.least_squares import FitProblem, Minimum, NormalEquations
+from dssc_jax.flight_logs.reader import signal_name
+from dssc_jax.flight_logs.refusals import Doubt
+from dssc_jax.flight_logs.search_limits import SearchCount
+from dssc_jax.flight_logs.shifts import Delay, fitted_delay, longest_shift
+
+
+class ShiftedCommands:
+    """The problem of a fit with commands that are shifted by whole samples; all shifts have the same readings.
+
+    Args:
+        problem: The problem, with the noise of its minimum; its simulations are not counted any more.
+    """
+
+    def __init__(self, problem: FitProblem) -> None:
+        self.problem = problem
+        self.noises = problem.noises
+        self.variances = problem.variances
+
+    def at(self, channels: Sequence[int], shift: int) -> FitProblem:
+        """The problem if the commands of some channels are later by a number of samples, with the same noise."""
+        commands = self.problem.log.commands.copy()
+        samples = commands.shape[1]
+        sources = np.clip(np.arange(samples) - shift, 0, samples - 1)
+        for channel in channels:
+            commands[channel] = commands[channel, sources]
+        log = self.problem.log._replace(commands=commands)
+        shifted = replace(self.problem, log=log, count=SearchCount())
+        shifted.noises = list(self.noises)
+        shifted.variances = list(self.variances)
+        return shifted
+
+
+def linear_reduction(equations: NormalEquations) -> float:
+    """The weighted sum of squares after one step of Gauss and Newton, if the prediction is linear in the numbers."""
+    if not math.isfinite(equations.cost):
+        return math.inf
+    step = np.linalg.lstsq(equations.information, equations.gradient, rcond=None)[0]
+    return equations.cost - float(equations.gradient @ step)
+
+
+def late_command(problem: FitProblem, minimum: Minimum) -> Delay | None:
+    """The delay of the commands that lowers the residual at a minimum most, in a study of one channel.
+
+    Args:
+        problem: The problem, with the noise of the minimum.
+        minimum: The minimum.
+
+    Returns:
+        None if the log is too short, no shift is better, or the study has several channels.
+    """
+    margin = longest_shift(problem)
+    channels = (0,)
+    if len(problem.study.loop.channels) > 1 or margin < 1:
+        return None
+    shifts = ShiftedCommands(problem)
+    costs = {}
+    for shift in range(-margin, margin + 1):
+        costs[shift] = linear_reduction(shifts.at(channels, shift).normal_equations(minimum.x))
+    best = min(costs, key=lambda shift: (costs[shift], abs(shift)))
+    if best == 0:
+        return None
+    return fitted_delay(shifts, minimum, channels, best, margin)
+
+
+def command_delay_doubts(problem: FitProblem, minimum: Minimum) -> tuple[Doubt, ...]:
+    """The doubt about commands that act later or earlier than they are logged, with the remedy.
+
+    The estimates are those without a shift all the same: whether a delay is the log's or the vehicle's is not known.
+    """
+    study = problem.study
+    delay = late_command(problem, minimum)
+    if delay is None or not delay.matters(study.loop.sample_time) or not delay.explains:
+        return ()
+    name = signal_name(study.loop.channels[0], "u_total")
+    number = max(delay.moves, key=lambda name: abs(delay.moves[name]))
+    estimate = problem.named_values(minimum.x)[number]
+    margin_text = f" ± {delay.deviation:.2g}" if math.isfinite(delay.deviation) else ""
+    remedy = (
+        "Log the time at which the vehicle gets the command, or give the study the delay that the vehicle has "
+        "(unmodelled, actuator)"
+        if delay.time > 0.0
+        else "Log the time of the command itself, not that of its arrival, and look for a delay in the study that the "
+        "vehicle does not have"
+    )
+    text = (
+        f"{name} acts {abs(delay.time):.3g}{margin_text} s {'later' if delay.time > 0.0 else 'earlier'} than it is "
+        f"logged (p = {delay.p_value:.1g}): moved by that, the residual falls from {delay.unshifted[0]:.3g} to "
+        f"{delay.shifted[0]:.3g} {study.units[0].output} rms, and {number} is {delay.values[number]:.4g} in place of "
+        f"{estimate:.4g}. {remedy}"
+    )
+    return (Doubt(name, text),)
