@@ -15,6 +15,8 @@ from dssc_jax.study import Study
 
 DRAWN_LEVELS = {"low": 0.05, "median": 0.5, "high": 0.95}
 DIMENSIONS = ("signal", "t")
+LARGE_SHARE = 0.1  # share of the largest median: where the median is larger, another unit shows
+MOSTLY = 0.5  # share of these samples that is beyond all draws in another unit
 
 
 class Signal(NamedTuple):
@@ -79,13 +81,22 @@ def pointwise_quantiles(curves: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def output_hints(study: Study, dataset: xr.Dataset) -> dict[str, str]:
-    """Logged outputs that look like the draws' median in another unit, sign or channel, with the words for it."""
+    """Logged outputs that look like the draws' median in another unit, sign or channel, with the words for it.
+
+    Where the draws' median is large, such an output is beyond all draws for most of the time.
+    """
     logged = {str(name) for name in dataset["signal"].values}
     names = [signal_name(channel, "y") for channel in study.loop.channels]
     names = [name for name in names if name in logged]
     expected = [dataset["median"].sel(signal=name).values for name in names]
-    likenesses = {}
+    hints = {}
     for index, name in enumerate(names):
-        values = dataset["logged"].sel(signal=name).values
-        likenesses[name] = likeness_text(index, values, expected, names, signal_unit(study, name))
-    return {name: text for name, text in likenesses.items() if text}
+        signal = dataset.sel(signal=name)
+        values = signal["logged"].values
+        text = likeness_text(index, values, expected, names, signal_unit(study, name))
+        size = np.abs(expected[index])
+        is_large = np.isfinite(values) & (size > LARGE_SHARE * np.nanmax(size))
+        is_outside = (values < signal["lowest"].values) | (values > signal["highest"].values)
+        if text and np.count_nonzero(is_outside & is_large) > MOSTLY * np.count_nonzero(is_large):
+            hints[name] = text
+    return hints
