@@ -77,7 +77,13 @@ def initial_progress(
     state = initial_state(loop, params, key)
     first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
     return Progress(
-        zero, state, as_arrays(starts(measures, margins)), no_samples, no_samples, in_band, first_violations
+        k=zero,
+        state=state,
+        accumulators=as_arrays(starts(measures, margins)),
+        outcome=no_samples,
+        steps=no_samples,
+        in_band=in_band,
+        violations=first_violations,
     )
 
 
@@ -146,7 +152,15 @@ def sampler(
                 (at.state, at.in_band, at.violations),
             )
             accumulators = jax.tree.map(partial(kept_number, is_completed), accumulators, at.accumulators)
-        return Progress(at.k + 1, state, accumulators, outcome, at.steps + is_completed, in_band, violations), recorded
+        return Progress(
+            k=at.k + 1,
+            state=state,
+            accumulators=accumulators,
+            outcome=outcome,
+            steps=at.steps + is_completed,
+            in_band=in_band,
+            violations=violations,
+        ), recorded
 
     return sample
 

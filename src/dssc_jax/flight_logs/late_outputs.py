@@ -162,7 +162,14 @@ def late_output(problem: FitProblem, minimum: Minimum) -> LateOutput | None:
     unshifted = residuals(unshifted_problem, channels, unshifted_end.x)
     shifted = residuals(shifted_problem, channels, end.x)
     return LateOutput(
-        channels, delay, sample_time * deviation, p_value, moves, problem.named_values(end.x), unshifted, shifted
+        channels=channels,
+        delay=delay,
+        deviation=sample_time * deviation,
+        p_value=p_value,
+        moves=moves,
+        values=problem.named_values(end.x),
+        unshifted=unshifted,
+        shifted=shifted,
     )
 
 

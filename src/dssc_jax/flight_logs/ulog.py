@@ -201,7 +201,15 @@ def list_topics(path: Path) -> LogTopics:
     damaged = scan.damages[0].begin if scan.damages else None
     lost_bytes = sum(damage.end - damage.begin for damage in scan.damages)
     return LogTopics(
-        system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost_bytes, scan.cut, tuple(late_messages)
+        system=system,
+        duration=duration,
+        topics=topics,
+        dropouts=scan.dropouts,
+        damaged=damaged,
+        damages=len(scan.damages),
+        lost=lost_bytes,
+        cut=scan.cut,
+        late=tuple(late_messages),
     )
 
 

@@ -147,7 +147,16 @@ class TopicCount:
 
         begin_time, last = seconds(None if self.first is None else (self.first, self.last))
         gap = seconds(self.gap if self.gap[1] else None)
-        return LogTopic(name, self.messages, begin_time, last, self.falls, seconds(self.fall), self.usual(), gap)
+        return LogTopic(
+            name=name,
+            messages=self.messages,
+            first=begin_time,
+            last=last,
+            falls=self.falls,
+            fall=seconds(self.fall),
+            usual=self.usual(),
+            gap=gap,
+        )
 
 
 class Damage(NamedTuple):

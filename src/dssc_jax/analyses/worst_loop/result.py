@@ -245,11 +245,11 @@ class WorstLoop(Analysis):
         for name in MARGINS:
             values = data.sel(margin=name)
             margins[name] = WorstMargin(
-                MARGIN_KINDS[name].unit,
-                float(values["drawn"]),
-                float(values["found"]),
-                float(values["bounded"]),
-                self.numbers(loop, name),
+                unit=MARGIN_KINDS[name].unit,
+                drawn=float(values["drawn"]),
+                found=float(values["found"]),
+                bounded=float(values["bounded"]),
+                numbers=self.numbers(loop, name),
             )
         growth_found = float(data["growth_found"])
         growth_bounded = float(data["growth_bounded"])
@@ -260,15 +260,15 @@ class WorstLoop(Analysis):
         unstable = self.unstable(loop)
         has_operating_point = bool(data["has_operating_point"])
         return LoopWorst(
-            stable,
-            growth_bounded,
-            growth_found,
-            growable,
-            unstable,
-            has_operating_point,
-            names,
-            int(data["cells"]),
-            margins,
+            stable=stable,
+            growth_bounded=growth_bounded,
+            growth_found=growth_found,
+            growable=growable,
+            unstable=unstable,
+            has_operating_point=has_operating_point,
+            depends_on=names,
+            cells=int(data["cells"]),
+            margins=margins,
         )
 
     @property

@@ -145,7 +145,15 @@ def worst_loop(
         multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remainder(most))
     notes = (*substitute_notes(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
-    return WorstLoop(study, dataset, sigma, notes, len(family.cache), most, time.perf_counter() - began)
+    return WorstLoop(
+        study=study,
+        dataset=dataset,
+        sigma=sigma,
+        taken=notes,
+        points=len(family.cache),
+        most_points=most,
+        seconds=time.perf_counter() - began,
+    )
 
 
 def signal_text(study: Study, name: str) -> str:

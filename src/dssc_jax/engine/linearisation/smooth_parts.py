@@ -175,7 +175,9 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     if smoothness.substitute is not None and smoothness.extent == SmoothExtent.NOWHERE:
         substitute, values = smoothness.substitute(params)
         remaining = declared_smoothness(substitute, values)
-    return LoopPart(slot, index, label, smoothness, remaining, ":" in kind)
+    return LoopPart(
+        slot=slot, channel=index, label=label, smoothness=smoothness, remaining=remaining, imported=":" in kind
+    )
 
 
 def substitute_notes(places: Sequence[LoopPart]) -> list[str]:
