@@ -161,7 +161,9 @@ class Margins(Analysis):
         value = np.sort(self.reached)[rank - 1]
         if np.isposinf(value):
             return self.walk.end
-        return None if np.isneginf(value) else float(value if self.walk.end > self.walk.start else -value)
+        if np.isneginf(value):
+            return None
+        return float(value if self.walk.end > self.walk.start else -value)
 
     @property
     def median(self) -> float | None:

@@ -253,20 +253,19 @@ class WorstLoop(Analysis):
             )
         growth_found = float(data["growth_found"])
         growth_bounded = float(data["growth_bounded"])
-        stable = True if growth_bounded >= 1.0 else (False if growth_found <= 1.0 else None)
-        depends = data["depends"].values
-        names = tuple(map(str, self.dataset["number"].values[depends]))
-        growable = float(data["growable"])
-        unstable = self.unstable(loop)
-        has_operating_point = bool(data["has_operating_point"])
+        stable = None
+        if growth_bounded >= 1.0:
+            stable = True
+        elif growth_found <= 1.0:
+            stable = False
         return LoopWorst(
             stable=stable,
             growth_bounded=growth_bounded,
             growth_found=growth_found,
-            growable=growable,
-            unstable=unstable,
-            has_operating_point=has_operating_point,
-            depends_on=names,
+            growable=float(data["growable"]),
+            unstable=self.unstable(loop),
+            has_operating_point=bool(data["has_operating_point"]),
+            depends_on=tuple(map(str, self.dataset["number"].values[data["depends"].values])),
             cells=int(data["cells"]),
             margins=margins,
         )
