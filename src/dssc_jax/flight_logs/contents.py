@@ -264,10 +264,9 @@ def topic_table(
         data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS, *estimate_topics([name])])
         signals = data.get(key)
         if signals is None:
-            topic_names = [topic.name for topic in list_topics(path).topics]
+            topic_names = [logged_topic.name for logged_topic in list_topics(path).topics]
             raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, topic_names)}")
         time = stamps(signals, begin)
-        finite_times = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
         span = log_span if segment is None else named_segment(segment, segments_of(data, begin))
         origin = span.begin if start is None else start
@@ -276,11 +275,13 @@ def topic_table(
         is_inside = (time >= first) & (time <= span.end)
         if not is_inside.any():
             span_text = "none has a stamp"
+            finite_times = time[np.isfinite(time)]
             if finite_times.size:
                 span_text = f"its messages are from {finite_times.min():.4g} s to {finite_times.max():.4g} s"
             raise ConfigError(topic, f"has no message from {first:.4g} s on in the part asked for; {span_text}")
         earlier = np.flatnonzero(time < first)
-        is_inside[earlier[-1:]] = True
+        if earlier.size:
+            is_inside[earlier[-1]] = True
         table = {TIME: time[is_inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)
