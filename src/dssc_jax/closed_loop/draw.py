@@ -134,14 +134,14 @@ def sampler(
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         integer = integer_type()
-        code = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
+        outcome_now = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
         is_ended = recorded.broken
-        if recorded.grounded is not False:
-            code = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), code)
+        if recorded.grounded is not False:  # False itself: the plant has no ground
+            outcome_now = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), outcome_now)
             is_ended = jnp.logical_or(is_ended, recorded.grounded)
-        code = jnp.where(recorded.finite, code, integer(Outcome.NON_FINITE))
+        outcome_now = jnp.where(recorded.finite, outcome_now, integer(Outcome.NON_FINITE))
         is_active = is_running(loop, at)
-        outcome = jnp.where(is_active, code, at.outcome)
+        outcome = jnp.where(is_active, outcome_now, at.outcome)
         is_completed = is_active & jnp.logical_and(recorded.finite, jnp.logical_not(is_ended))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
