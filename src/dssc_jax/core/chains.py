@@ -214,7 +214,7 @@ def time_constant_path(models: Sequence[Unmodelled]) -> str:
 
 def stages_of(models: Sequence[Unmodelled], indices: Sequence[int], params: Values, dt: Scalar) -> list[Stage]:
     """The stages of a step in order: consecutive linear elements as one, every other element alone."""
-    stages: list[Stage] = []
+    stages: list[Stage] = []  # only the first one's input, the held command, is constant
     for is_linear, group in groupby(indices, key=lambda index: models[index].linear is not None):
         if is_linear:
             stages.append(linear_stage(models, tuple(group), params, dt, constant=not stages))

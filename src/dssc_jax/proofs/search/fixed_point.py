@@ -90,8 +90,8 @@ class BoundsStage:
     level: float
     slope: float
     rate: float
-    gains: list[float]
-    bounds: list[float]
+    gains: list[float]  # in the order of GAIN_NAMES
+    bounds: list[float]  # at CHANGE, SIGMA, ERROR, COMMAND and EQUIVALENT, and of the states from STATES on
     p: list[list[float]]
     coordinate: str
     method: str = "small gain"
