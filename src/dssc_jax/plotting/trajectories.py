@@ -157,9 +157,11 @@ def flight(run: xr.Dataset) -> Figure:
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     path_axes: list[Axes] = []
     if vehicle:
-        path_axes = [figure.add_subplot(grid[0, 0], projection="3d"), figure.add_subplot(grid[0, 1])]
-        path_in_space(path_axes[0], run)
-        path_from_above(path_axes[1], run)
+        in_space = figure.add_subplot(grid[0, 0], projection="3d")
+        path_in_space(in_space, run)
+        from_above = figure.add_subplot(grid[0, 1])
+        path_from_above(from_above, run)
+        path_axes = [in_space, from_above]
     for index, draw in enumerate(panels):
         draw(figure.add_subplot(grid[1 + index // 2, index % 2]), run)
     for row, channel in enumerate(active, first_channel_row):
