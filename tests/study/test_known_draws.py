@@ -64,3 +64,14 @@ def test_plain_numbers_stay_where_nothing_follows_from_nominal_ones():
     alone = study_of_draw(study, {"plant.k_p": 1.1, "unmodelled.mu": 0.02})
     assert alone.table["plant"]["k_p"] == 1.1
     assert alone.table["unmodelled"]["mu"] == 0.02
+
+
+def test_records_are_the_same_in_every_draw():
+    """A record is an array, which has no truth value."""
+    record = {"kind": "record", "time": [0.0, 1.0, 2.0], "position": [0.0, 0.01, 0.0], "velocity": [0.0, 0.0, 0.0]}
+    reference = {"kind": "record", "time": [0.0, 1.0, 2.0], "value": [0.0, 0.5, 0.0]}
+    study = dj.Study.from_table({**SPRING, "sensor": record, "reference": reference})
+    alone = study_of_draw(study, {"parameters.k": 10.0})
+    assert alone.table["parameters"]["k"]["point"][0] == 10.0  # its controller is fitted
+    study = study.override({"controller": {"kind": "pid", "k_p": 1.0}})
+    assert study_of_draw(study, {"parameters.k": 10.0}).table["parameters"]["k"]["value"] == 10.0

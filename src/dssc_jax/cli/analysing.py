@@ -75,7 +75,7 @@ def finish(
     Args:
         analysis: The analysis.
         folder: Its folder.
-        options: Of the command.
+        options: Options of the command.
         show: Prints the analysis for people, and the files written.
     """
     print_analysis(analysis, save_analysis(analysis, folder, options), options, show, {"result": folder})
@@ -103,7 +103,7 @@ def print_analysis(
     Args:
         analysis: The analysis.
         figures: Files of its figure.
-        options: Of the command.
+        options: Options of the command.
         show: Prints the analysis for people, and the files written.
         files_by_name: Folders and other files written, by their names in the JSON.
     """

@@ -22,7 +22,7 @@ ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if h
 """Signals that end a command as Ctrl-C does: finished work is kept."""
 INTERRUPTED = [128 + number for number in ENDING]
 """Exit codes of a command that a signal ended."""
-CRASHED = 1  # by an exception, as Python has it
+CRASHED = 1  # exit code after an exception, as Python has it
 HUNG_UP = 129  # as if the terminal's signal had come
 RECEIVED: list[int] = []
 """Exit codes of the signals that have come to this process."""

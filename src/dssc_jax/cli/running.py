@@ -44,7 +44,7 @@ def computed_result(study: Study, out: Path, options: Run | Sweep, amounts: Stat
     Args:
         study: The study.
         out: The folder.
-        options: Of the command.
+        options: Options of the command.
         amounts: Amounts by which the laws may be wrong; a complete result is kept, and gets them.
     """
     resume = options.resume

@@ -132,7 +132,7 @@ def first_signals(
 
 
 def required_signals(loop: Loop, i: int, signals: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-    """Of the measured signals, those that the controller of channel i takes, in its order."""
+    """The measured signals that the controller of channel i takes, in its order."""
     signals_of_controller = loop.controller[i].signals
     if not signals_of_controller:
         return signals

@@ -131,12 +131,13 @@ def sampler(
     advance = held_between_samples(loop, params)
 
     def sample(at: Progress) -> tuple[Progress, Recorded]:
+        """Advance a draw by one sample; once it has ended, its outcome and number of samples are kept."""
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         integer = integer_type()
         outcome_now = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
         is_ended = recorded.broken
-        if recorded.grounded is not False:  # False itself: the plant has no ground
+        if recorded.grounded is not False:  # a plain False: the plant has no ground
             outcome_now = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), outcome_now)
             is_ended = jnp.logical_or(is_ended, recorded.grounded)
         outcome_now = jnp.where(recorded.finite, outcome_now, integer(Outcome.NON_FINITE))

@@ -242,7 +242,7 @@ def judgement(formula: Formula, latches: Iterator[Latch], extremes: Extremes, at
 
     Args:
         formula: The formula.
-        latches: Those of :func:`latched_formulas`, in its order.
+        latches: The latches of the formulas of :func:`latched_formulas`, in its order.
         extremes: Exact or smooth minimum and maximum.
         at: The sample at which the formula is evaluated.
     """

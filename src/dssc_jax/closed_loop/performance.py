@@ -23,7 +23,7 @@ from dssc_jax.closed_loop.metrics import (
 from dssc_jax.core.numerics import at_least, root_abs, sign
 from dssc_jax.core.signals import Scalar
 
-SHARE_OF_SAMPLING = 0.05  # of the sampling frequency, a tenth of Nyquist's: faster is chattering (assumed)
+SHARE_OF_SAMPLING = 0.05  # share of the sampling frequency, a tenth of Nyquist's: faster is chattering (assumed)
 
 
 def integral(acc: Scalar, window: Window, span: Span) -> Scalar:

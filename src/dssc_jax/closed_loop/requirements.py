@@ -151,8 +151,8 @@ def watch(
     Args:
         requirements: The requirements.
         measures: The metrics.
-        accumulators: Those of the metrics, after the last sample.
-        violations: What was noted before it; one number for each watched requirement.
+        accumulators: The metrics' accumulators after the last sample.
+        violations: What was noted before that sample; one number for each watched requirement.
         samples: Number of samples so far.
         steps: Number of samples of the run.
         sample_time: T_s [s].

@@ -108,7 +108,7 @@ def sampled_signals(
         plant_fields: Field names of the plant's info.
         units: Units and meanings of each channel.
         reports: The quantities that each channel's controller declares.
-        outputs: Those that the plant declares.
+        outputs: The quantities that the plant declares.
         measured: The measured signals.
 
     Raises:
@@ -191,12 +191,12 @@ class SignalMetric(NamedTuple):
     """A metric of any signal: its meaning before the signal's, and how it is computed.
 
     Args:
-        meaning: In words before the signal's own.
+        meaning: Words before the signal's own meaning.
         update: ``(signal) -> update`` of a :class:`~dssc_jax.closed_loop.metrics.Metric`.
-        value: That of the metric.
-        start: That of the metric.
-        course: That of the metric.
-        least: That of the metric.
+        value: The metric's field ``value``.
+        start: The metric's field ``start``.
+        course: The metric's field ``course``.
+        least: The metric's field ``least``.
     """
 
     meaning: str

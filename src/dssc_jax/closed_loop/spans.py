@@ -26,7 +26,7 @@ LONGEST = 2**31 - 1  # samples of a run
 
 
 def samples_before_end(window: Window, sample_time: float, steps: Scalar) -> Scalar:
-    """Number of samples up to the last one at t <= until, of a run of ``steps``, robust to rounding of t = k T_s."""
+    """Number of samples at t <= until in a run of ``steps`` samples, robust to rounding of t = k T_s."""
     if math.isinf(window.until):
         return steps
     count = min(LONGEST, math.floor(window.until / sample_time + 1e-9) + 1)

@@ -22,7 +22,7 @@ from dssc_jax.lanes.functions.approximations import atan2
 
 LOW = 0.1
 HIGH = 0.9
-STILL = 1e-6  # of a step: a desired output that moves by less does not move
+STILL = 1e-6  # share of a step: a desired output that moves by less does not move
 BEGINS_WITH_STEP = "the window must begin with a step of the reference, which then stays; set `after` to its time"
 MOVES = "the reference must move within the window"
 Points = tuple[tuple[float, float], ...]
@@ -145,7 +145,7 @@ def update_following(acc: Following, sample: Sample, window: Window) -> Followin
 
 
 def in_phase(acc: Following, span: Span) -> tuple[Scalar, Scalar]:
-    """The amplitudes of the part of y in phase with a sine r and of the part 90 degrees ahead, over that of r.
+    """Two amplitudes over that of a sine r: of the part of y in phase with r, and of the part 90 degrees ahead.
 
     They are the regression coefficients of y on r, and on r' over the angular frequency. r' is 90 degrees ahead of r,
     and the frequency squared is var r'/var r. Both are NaN if r does not move.

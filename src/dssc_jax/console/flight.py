@@ -12,7 +12,7 @@ from dssc_jax.flight_logs.comparison import NO_SPREAD, LogAnswer, LogComparison
 from dssc_jax.flight_logs.next_flight import NextFlight, NextFlightAnswer, StudyTest
 from dssc_jax.study import Study
 
-SIGNIFICANCE = 0.05  # of the test of a log
+SIGNIFICANCE = 0.05  # level of the test of a log
 
 Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
 """Head and rows."""

@@ -246,7 +246,7 @@ def metric_description(metric: Metric) -> MetricDescription:
 
 
 def show_kind(name: str) -> None:
-    """Print the fields of the kinds of a name, a law, a metric, or a field with the kinds that have it.
+    """Print all that has this name: kinds with their fields, a law, a metric, and the kinds that have such a field.
 
     Arguments and errors are those of :func:`entries_named`.
     """

@@ -71,7 +71,7 @@ def show_result(result: "Result") -> None:
 
 
 def equal_text(result: "Result") -> str:
-    """That all draws are the same, and what they say."""
+    """A sentence that says that all draws are the same, and what they show."""
     draws = result.study.config.draws
     remedy = "set draws = 1, or give uncertain numbers, disturbances or sensors their laws"
     text = f"nothing in the study is random, so all {draws} draws are the same, and there is no interval: {remedy}"

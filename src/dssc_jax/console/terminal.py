@@ -158,17 +158,17 @@ class PairedDifference(Protocol):
 
     @property
     def difference(self) -> float:
-        """That of a minus that of b."""
+        """The compared number of a, minus that of b."""
         ...
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of the difference."""
+        """Interval of the difference."""
         ...
 
     @property
     def p_value(self) -> float:
-        """Of no difference."""
+        """p-value of the test that there is no difference."""
         ...
 
 

@@ -107,7 +107,7 @@ def as_mimo_reference(reference: Reference[ReferencePoint]) -> Reference[Referen
 
 
 class ReplacedParams(NamedTuple):
-    """Parameters of a reference of several channels, and those of the channels that have a reference of their own."""
+    """Parameters of a joint reference, and of the references of those channels that have their own."""
 
     joint: Params
     replaced: tuple[Params, ...]
@@ -169,7 +169,10 @@ def sum_of_winds(parts: tuple[Wind, ...]) -> Wind:
 
 
 def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
-    """The sum of several disturbances at one place; the parameters are a tuple, and each draws numbers of its own."""
+    """The sum of several disturbances at one place; a single one is returned as it is.
+
+    The parameters of several are a tuple. Each disturbance draws random numbers of its own.
+    """
     if len(parts) == 1:
         return parts[0]
 

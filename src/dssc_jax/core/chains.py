@@ -52,7 +52,7 @@ class Course(NamedTuple):
 
     Args:
         nodes: Its values at :data:`NODES`.
-        line: Its moments.
+        line: The straight line with its mean and first moment.
     """
 
     nodes: tuple[Scalar, ...]

@@ -254,7 +254,7 @@ class Reference(NamedTuple, Generic[Desired]):
 
 
 class Variation(StrEnum):
-    """The kind of a disturbance's variation within a sample, by which the loop selects the integration."""
+    """What a disturbance varies with in a sample, which selects the integration; from the least to the most varying."""
 
     HELD = "held"  # nothing: it is constant from one sample to the next
     TIME = "time"  # time alone

@@ -15,10 +15,10 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-ROUNDS = 60  # of subdivision
+ROUNDS = 60  # rounds of subdivision
 MOST_BOXES = 4096
 MOST_CORNERS = 8  # of a box's sides, whose corners are all tried
-TOLERANCE = 1e-4  # of the range's width
+TOLERANCE = 1e-4  # share of the range's width
 LARGEST = float(np.finfo(float).max)
 SMALLEST = math.ulp(0.0)
 TURN = 2.0 * math.pi

@@ -122,11 +122,11 @@ class Constants(NamedTuple):
     csigma_bar: Annotated[Numeric, Quantity("1/s", "bound of |k_p u_d + (l_0 - a_p) sigma|/|sigma| (69)")]
     k_sigma: Annotated[Numeric, Quantity("1/s^2", "constant part of the bound of |beta_2/sigma| (72)")]
     kappa_e: Annotated[Numeric, Quantity("1/s^3", "bound of beta_e growing with |e| (71), derived")]
-    kappa_e_printed: Annotated[Numeric, Quantity("1/s^3", "the same as printed")]
+    kappa_e_printed: Annotated[Numeric, Quantity("1/s^3", "bound of beta_e growing with |e| (71), as printed")]
     c_eta_a_eta: Annotated[Numeric, Quantity("SI", "|C_eta A_eta| (71)")]
     c_eta_b_eta: Annotated[Numeric, Quantity("SI", "|C_eta B_eta| (72)")]
     beta_m: Annotated[Numeric, Quantity("m/s^3", "bound of beta_m, and of the constant rest of beta_e (70), (71)")]
-    beta_m_printed: Annotated[Numeric, Quantity("m/s^3", "the same term by term as printed, lost dots restored")]
+    beta_m_printed: Annotated[Numeric, Quantity("m/s^3", "beta_m term by term as printed, lost dots restored")]
 
 
 def derive(bounds: Bounds, l0: Numeric) -> Constants:

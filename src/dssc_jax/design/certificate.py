@@ -149,7 +149,7 @@ def certified(parameters: Parameters, bounds: Bounds) -> Numeric:
 
     Args:
         parameters: Arrays, traced or not, of shapes that broadcast.
-        bounds: Likewise; the zero dynamics are plain numbers.
+        bounds: Arrays of such shapes, too; the zero dynamics are plain numbers.
 
     Returns:
         True or False for each design; False where a number is out of its range. JAX's arrays must be float64.

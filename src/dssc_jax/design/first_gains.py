@@ -58,8 +58,8 @@ from dssc_jax.study.study import Study
 
 INTEGRAL_RATIOS = (SLOWEST, 0.2, 0.4)
 """Frequencies below which the integral acts, in bandwidths, that are tried."""
-SLOW_ERROR = 3.0  # of the bandwidth to l0
-MOST_SHARE = 0.2  # of the bandwidth in pi/T_s
+SLOW_ERROR = 3.0  # ratio of the bandwidth to l0
+MOST_SHARE = 0.2  # largest bandwidth, in pi/T_s
 DIGITS = 4
 STATED_DIGITS = 12  # of the plant's own numbers
 STATED = ("resting_output", "resting_command", "resting_signals", "model")
@@ -95,7 +95,7 @@ class FirstGains(NamedTuple):
             at the command [s].
         linear_kinds: Kinds of the actuators in that loop.
         left_out: Kinds of the parts that it lacks: actuators that are not linear, sensors and differentiators.
-        loop: That loop.
+        loop: The sampled closed loop.
         plant: The plant at its start, with its operating point.
     """
 
@@ -302,7 +302,7 @@ def rounded_table(table: TomlTable, digits: int = DIGITS) -> TomlTable:
 
 
 def rounded_value(value: Any, digits: int) -> Any:
-    """A number rounded to so many digits; a list or a table of numbers entry by entry."""
+    """A number rounded to ``digits`` significant digits; a list or a table of numbers entry by entry."""
     if isinstance(value, list):
         return [rounded_value(item, digits) for item in value]
     if isinstance(value, dict):

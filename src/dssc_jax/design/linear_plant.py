@@ -28,8 +28,8 @@ from dssc_jax.study.fitting import nominal_params
 from dssc_jax.study.study import Study
 
 GRID = 600  # frequencies of the sensitivity's peak
-DECADES = 6.0  # of this grid, below the Nyquist frequency
-SETTLED = 0.02  # of the largest distance from the end
+DECADES = 6.0  # decades of this grid, below the Nyquist frequency
+SETTLED = 0.02  # share of the largest distance from the end
 FADED = 7.0  # time constants of the slowest pole, over which an output is looked at
 INSTANTS = 2000
 
@@ -128,7 +128,7 @@ class Subject(NamedTuple):
     Args:
         study: The study.
         plant: Its plant at the start, in continuous time.
-        bare_plant: The same, sampled without actuators.
+        bare_plant: The plant sampled without actuators.
         actuators: Its actuators.
         actuated_plant: The plant sampled behind the linear ones.
         limit: Largest size of the command, in its unit; None: none.

@@ -45,8 +45,8 @@ class Behaviour(NamedTuple):
         rate: The y' that the plant measures, shape (channels,).
         effects: Derivatives of slopes and measurements by matched disturbances and named inputs, shape
             (..., channels + inputs).
-        slopes: Those of ``derivative``, shape (states,).
-        slopes_of_parts: Those of ``linear`` and ``remainder``, which a run takes; of a plant without them the same.
+        slopes: Slopes of the states by ``derivative``, shape (states,).
+        slopes_of_parts: Slopes by ``linear`` and ``remainder``, which a run takes; without these parts, ``slopes``.
     """
 
     along: jax.Array

@@ -25,7 +25,7 @@ class Practice(NamedTuple):
 
     Args:
         sample_time_origin: Sampling period for half the sampling limit at sigma = e = 0 and k_p = k_max [s].
-        sample_time: The same over the guaranteed residual set [s].
+        sample_time: Sampling period for half the sampling limit over the guaranteed residual set [s].
         proportional_gain: Bound of 1/(k_o tau_av), the synthesised proportional gain, over that set [1].
         u_av: Bound of |u_av| over that set [m/s].
         drift: Bound of |sigma' + sigma/tau_m| over that set [m/s^2]. By (20) k_o u_eq = k_o u_av + sigma' +

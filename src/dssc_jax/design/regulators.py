@@ -11,7 +11,7 @@ from dssc_jax.design.linear_plant import LinearPlant, Subject
 from dssc_jax.design.pid_gains import acts_at_rest, limits
 from dssc_jax.models.controllers.lqg import filter_gain, gain_at_rest, regulator_gain, sampled_system
 
-FILTER_RATIO = 4.0  # of the filter's bandwidth to the regulator's
+FILTER_RATIO = 4.0  # ratio of the filter's bandwidth to the regulator's
 PLACES = 9  # bisections' decades of a weight on either side
 FITS = 1e-9  # share of the regulator's gains that measured signals may leave out
 

@@ -47,7 +47,7 @@ class Inequality(NamedTuple):
         equation: Its location in the article.
         value: Left side.
         bound: Right side as derived; NaN if it has no meaning.
-        printed_bound: Right side as printed; NaN likewise.
+        printed_bound: Right side as printed; NaN if it has no meaning.
         rounding: Relative rounding error of the bound.
     """
 

@@ -23,7 +23,8 @@ CHECKED_DRAWS = 16
 NEGLIGIBLE = 0.01
 """Change of a required metric, in shares of its bound, below which nothing is said (assumed)."""
 DIVERGING = 1e3
-"""The same above which the plant or its integration diverges (assumed)."""
+"""Change of a metric, in shares of its bound or median size, above which the plant or its integration diverges
+(assumed)."""
 
 MOST_SUBSTEPS = 1000  # that a study may have
 
@@ -40,7 +41,7 @@ class IntegrationError(NamedTuple):
         substeps: Substeps of the study.
         change: Largest change of a required metric in shares of its bound; without requirements, of any metric in
             shares of its median size. Infinite if a draw ends early with one of the two numbers of substeps alone.
-        metric: That metric; empty if none changes.
+        metric: The metric with the largest change; empty if none changes.
         scale: ``bound`` or ``median size``.
         verdicts: Number of draws whose outcome changes.
         remedy: Number of substeps that is expected to make the change negligible.

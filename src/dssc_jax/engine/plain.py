@@ -14,7 +14,7 @@ from jax.sharding import Mesh, PartitionSpec
 
 from dssc_jax.lanes.interface import AXIS
 
-LANES = 512  # of a tile on a CPU, so that calling the kernels of a sample costs little
+LANES = 512  # lanes of a tile on a CPU, so that calling the kernels of a sample costs little
 TILE_STEP = 16  # every tile is a multiple of it: of 8, a 512-bit vector, the compiler may contract other products
 
 

@@ -110,7 +110,7 @@ class LaneFunction:
             value.
 
         Raises:
-            ConfigError: the study does not have so many draws.
+            ConfigError: ``count`` is below 1, or above the study's number of draws.
         """
         draws = self.study.config.draws
         if count is not None and not 1 <= count <= draws:

@@ -29,7 +29,7 @@ amplify rounding: they contract multiply-adds differently."""
 SHIFT = {64: 2.0**-48, 32: 2.0**-20}
 """Relative change of every number for measuring a lane's sensitivity to rounding: a few rounding errors."""
 
-COPIES = 4  # of a lane, moved in different directions
+COPIES = 4  # copies of a lane, moved in different directions
 ROUNDING_FACTOR = 100.0  # deviation over that of the copies: rounding acts in every operation
 UNDECIDED_BEYOND = 1e-2  # a lane that may deviate by more is no evidence
 

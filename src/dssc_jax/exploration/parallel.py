@@ -10,7 +10,7 @@ from dssc_jax.plotting.style import GREY
 
 MOST_AXES = 8
 LONGEST_LABEL = 18  # letters in a line under an axis
-MOST_LINES = 2000  # of the brushed draws, and of all
+MOST_LINES = 2000  # lines of the brushed draws, and of all draws
 ONE_LINE = 0.7  # opacity of a line among few; among many, less
 LINE_PICTURE = 240, 1000  # rows and columns of the painted lines
 WIDTH = 1240  # px

@@ -14,12 +14,12 @@ from dssc_jax.study.laws import LAWS, Law, RangedLaw
 from dssc_jax.study.numbers import Number
 from dssc_jax.study.parameters import Expression
 
-GAINS = 2  # of a vehicle's controller
+GAINS = 2  # number of sliders for gains of a vehicle's controller
 MOST_SLIDERS = 14  # of a page that names none
 DEFAULT_REACH = 10.0  # a positive number moves between a tenth and ten times its value
 NARROWER = (3.0, 1.5)  # reaches to try where the rules of a model do not admit the widest
 POSITION_COUNT = 81  # positions of a slider
-WIDTHS = (0.1, 10.0)  # of a law, relative to its own
+WIDTHS = (0.1, 10.0)  # least and largest width of a law, relative to its own
 MEDIAN = "median"
 WIDTH = "width"
 CLOCK_SLIDER = "loop.sample_time"

@@ -17,7 +17,7 @@ from dssc_jax.statistics import Method, rounded_probability
 from dssc_jax.statistics.divergence_balls import BALLS
 from dssc_jax.study import Study
 
-MOST, STEP = 1.0, 0.01  # of the slider
+MOST, STEP = 1.0, 0.01  # end and step of the slider
 ALL_MEANS = "shift of all means [standard deviations]"
 ALL_WIDTHS = "widening of all laws [share of their width]"
 AMOUNTS: dict[str, Callable[[float], StatedAmounts]] = {
@@ -82,7 +82,7 @@ def answer_text(amounts: StatedAmounts, study: Study, failed: np.ndarray, method
         amounts: One amount.
         study: The study, without a sweep.
         failed: Whether each draw failed, shape (draws,).
-        method: Of the interval of the failure probability.
+        method: Method of the interval of the failure probability.
     """
     try:
         amounts.require(study)

@@ -48,7 +48,7 @@ class FlightFolder:
 
     Args:
         study: The study; its sweep is further, and uncertain gains have the medians of their laws.
-        premises: Those of the study's certificate, for a monitor of the flight; None: no monitor.
+        premises: The premises of the study's certificate, for a monitor of the flight; None: no monitor.
 
     Raises:
         ConfigError: A controller has no exact form in C.

@@ -106,7 +106,7 @@ def monitored(premises: Premises, state: MonitorState, sample: MonitorSample) ->
 
 
 def recorded_flights(study: Study, traced_monitor: TracedMonitor, draws: int, samples: int) -> Iterator[np.ndarray]:
-    """The rows of both flights of the first draws of a study, shape (samples, members of a row) each."""
+    """The rows of a study's first draws, which fly twice each: an array (samples, members of a row) for each flight."""
     lane = recording_lane(study, traced_monitor.premises, samples)
     for flights in recorded_columns(study, lane, draws, traced_monitor.precision):
         for columns in flights:

@@ -31,17 +31,17 @@ class TracedSoftware:
     """Software on board. The inputs of a function: parameters, laws, readings, held numbers, commands, in this order.
 
     Args:
-        prefix: Of its functions and types in C.
+        prefix: Prefix of its functions and types in C.
         parameters: Its numbers that may be changed in flight.
         laws: Names of the study's other laws, of which it must read none.
         readings: Names of what it measures, in C.
         state_names: Names of its state in C.
         commands: Names of its commands in C, one for each channel.
-        start: The held numbers before the first sample.
-        sample: Those after the part that runs at a sample of the loop.
-        tick: Those after a tick.
-        transfer: Those from which it goes on driving as another software did, and 1 where its limits let it do so, else
-            0; None: it cannot.
+        start: Gives the held numbers before the first sample.
+        sample: Gives the held numbers after the part that runs at a sample of the loop.
+        tick: Gives the held numbers after a tick.
+        transfer: Gives the held numbers from which it goes on driving as another software did, and 1 where its limits
+            let it do so, else 0; None: it cannot.
         drive_names: Names of the held numbers that drive actuators.
         ticks: Ticks in a sample.
         period: Time between two ticks [s].

@@ -28,7 +28,7 @@ class ReplayBench(NamedTuple):
 
     Args:
         label: What is compared, in words, such as ``inner loop``; names of files and targets follow from it.
-        prefix: Of its functions and types in C.
+        prefix: Prefix of its functions and types in C.
         precision: Bits of a number.
         row: What a row belongs to: ``sample`` or ``tick``.
         inputs: Number of inputs in a row.

@@ -24,7 +24,7 @@ class TracedMonitor:
 
     Args:
         premises: Its bounds, rounded outwards to the type of its numbers.
-        prefix: Of its functions and types in C.
+        prefix: Prefix of its functions and types in C.
         inputs: Names of the sample's numbers in C.
         memories: Names of the state's floating-point numbers in C, in the order of its leaves.
         step: The traced step.

@@ -13,14 +13,14 @@ from dssc_jax.flight_logs.ulog_scan import LogTopic, Stamps
 MOST_DROPPED = 0.05
 """Share of the rows that may be left out: more of them are no stray rows, but another clock."""
 LONG_GAP = 10.0
-"""Of a topic's usual interval: a longer time without a message is told."""
+"""Multiple of a topic's usual interval: a longer time without a message is told."""
 LEAST_MESSAGES = 20  # of a topic whose interval is usual
-STEADY = 0.5  # of the time outside of the longest gap that messages at the usual interval fill
+STEADY = 0.5  # least share of the time outside of the longest gap that messages at the usual interval fill
 LATE = 10.0
 """Seconds, and tenths of a log's span, after its end: a topic's last message there is a stray one."""
 MOST_TOGETHER = 4  # rows in a row that may be left out
 MOST_REPEATED = 0.1  # share of rows that may have the time of the row before
-SAME_STEP = 0.1  # of the length of a fall or gap: closer, those of two topics are the same
+SAME_STEP = 0.1  # share of the length of a fall or gap: closer, those of two topics are the same
 
 
 class ClockStep(NamedTuple):
@@ -111,7 +111,7 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
 
 
 def repeated_times_text(time: np.ndarray) -> str:
-    """That many rows of a column share their time with the row before, in words; empty if few do.
+    """A sentence that says how many rows of a column share their time with the row before; empty if few do.
 
     Args:
         time: Finite times that do not fall [s], shape (n,).
@@ -186,8 +186,8 @@ def sound_rows(name: str, time: np.ndarray, rows: np.ndarray, may_drop: bool) ->
         may_drop: Whether rows may be left out.
 
     Raises:
-        ConfigError: Times fall, and rows may not be left out; or so many would be, of all or in a row, that the clock
-            is another one.
+        ConfigError: Times fall, and rows may not be left out. Or too many rows would be left out, in all or in a row,
+            so that the log's clock must have been set back.
     """
     falls = np.flatnonzero(np.diff(time) < 0.0)
     if not falls.size:

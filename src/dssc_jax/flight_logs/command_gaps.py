@@ -16,12 +16,12 @@ from dssc_jax.flight_logs.reader import forward_filled
 from dssc_jax.flight_logs.refusals import Doubt
 from dssc_jax.flight_logs.sampled_log import Reconstruction, SampledLog
 
-LACKING = 0.25  # of the samples: a command that lacks more is logged more rarely than it is given
-STAIRCASE = 0.2  # of the logged values that repeat the one before: the controller itself is as slow
-REGULAR = 2.5  # of the median gap: over longer gaps a command is held
-JUMP = 5.0  # of the changes before and after: a larger change is a jump, and no straight line
-LEVEL = 0.95  # of chi squared, below which two reconstructions describe a flight equally well
-TOLD = 0.5  # of a standard deviation: a reconstruction that moves an estimate by less is not told
+LACKING = 0.25  # share of the samples: a command that lacks more is logged more rarely than it is given
+STAIRCASE = 0.2  # share of the logged values that repeat the one before: with more, the controller itself is as slow
+REGULAR = 2.5  # factor on the median gap: over longer gaps a command is held
+JUMP = 5.0  # factor on the changes before and after: a larger change is a jump, and no straight line
+LEVEL = 0.95  # level of chi squared, below which two reconstructions describe a flight equally well
+TOLD = 0.5  # standard deviations: a reconstruction that moves an estimate by less is not told
 
 HELD = "its last value is held"
 LATE = "it follows straight lines, and jumps with the next logged value"
@@ -32,7 +32,7 @@ def reconstructions(commands: Sequence[np.ndarray]) -> tuple[Reconstruction, ...
     """Commands at all samples, by the reconstructions that are possible; the first one is the likeliest.
 
     Args:
-        commands: Of each channel, NaN where the log lacks it, shape (samples,).
+        commands: The command of each channel, NaN where the log lacks it, shape (samples,).
     """
     held_commands = np.array([forward_filled(command) for command in commands])
     if not any(is_rare(command) for command in commands):
@@ -139,8 +139,8 @@ def command_doubts(problem: FitProblem, moves: np.ndarray, deviations: np.ndarra
 
     Args:
         problem: The problem.
-        moves: Of :func:`command_moves`.
-        deviations: Standard deviations of the coordinates without them, shape (p,).
+        moves: The moves by :func:`command_moves`, shape (k, p).
+        deviations: Standard deviations of the coordinates without these moves, shape (p,).
     """
     log = problem.log
     if not log.rare:

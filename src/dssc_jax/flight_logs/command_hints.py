@@ -13,11 +13,11 @@ from dssc_jax.flight_logs.reader import forward_filled
 
 LONGEST_SHIFT = 0.5  # s
 LONGEST_SHARE = 0.1  # of the log
-EXPLAINED = 0.1  # of the command's deviation from its median: what may be left of a command that is explained
-LARGE_OFFSET = 0.1  # of the same: a smaller one is not told
+EXPLAINED = 0.1  # share of the command's deviation from its median that may be left of a command that is explained
+LARGE_OFFSET = 0.1  # share of that deviation: a smaller offset is not told
 LEAST_VALUES = 20
-ANOTHER = 0.1  # of the command's deviation from its median: a larger difference is that of another controller
-ROUNDING = 1e-3  # of a command's root mean square: no smaller difference says anything
+ANOTHER = 0.1  # share of the command's deviation from its median: a larger difference is that of another controller
+ROUNDING = 1e-3  # share of a command's root mean square: no smaller difference says anything
 
 
 def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, unit: str) -> str:
@@ -25,9 +25,9 @@ def command_hint(logged: np.ndarray, replayed: np.ndarray, sample_time: float, u
 
     Args:
         logged: The logged command, NaN where missing, shape (samples,).
-        replayed: That of the analysed controller, shape (samples,).
+        replayed: The command of the analysed controller, shape (samples,).
         sample_time: Time between two samples [s].
-        unit: Of the command.
+        unit: Unit of the command.
     """
     factor = multiple_of(logged, replayed)
     if factor != 1.0:

@@ -37,12 +37,12 @@ from dssc_jax.results.fields import MERGED
 from dssc_jax.statistics.exchangeable import rank_p_value
 from dssc_jax.study import Study
 
-MOST_NUMBERS = 40_000_000  # of all draws' curves, kept in memory
+MOST_NUMBERS = 40_000_000  # numbers in the curves of all draws, kept in memory
 NO_SPREAD = (
     "no law of the study spreads what is compared, so every draw is the same; ranks say nothing. Give uncertain "
     "numbers, disturbances or sensors their laws"
 )
-RANGE_ROUNDING = 1e-9  # of a signal's size: closer to the range of the draws, a value is within it
+RANGE_ROUNDING = 1e-9  # share of a signal's size: closer to the range of the draws, a value is within it
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class LogAnswer:
     start: Annotated[float, Quantity("s", "time of the log at which the study begins")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     samples: Annotated[int, Quantity("1", "compared samples")]
-    study_samples: Annotated[int, Quantity("1", "those of the whole study; more, if the log ends before it")]
-    logged_samples: Annotated[int, Quantity("1", "those of them at which the log has a value")]
+    study_samples: Annotated[int, Quantity("1", "samples that would be compared if the log covered the whole study")]
+    logged_samples: Annotated[int, Quantity("1", "compared samples at which the log has a value")]
     every: Annotated[int, Quantity("1", "samples from one compared sample to the following one")]
     p_value: Annotated[float | None, Quantity("1", "p-value for the flight as one more draw")]
-    least_p_value: Annotated[float, Quantity("1", "smallest p-value that so many draws allow")]
+    least_p_value: Annotated[float, Quantity("1", "smallest p-value that this number of draws allows")]
     draws_at_least_as_extreme: Annotated[int | None, Quantity("1", "draws that depart at least as far")]
     statistic: Annotated[float | None, Quantity("1", "the log's largest standardised departure")]
-    statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of that of the draws")]
+    statistic_of_draws: Annotated[dict[str, float] | None, Quantity("1", "quantiles of the draws' largest departures")]
     without_spread: Annotated[
         dict[str, float], Quantity("that of the signal", "largest distance from signals that are the same in all draws")
     ]
@@ -95,7 +95,10 @@ class LogAnswer:
     ]
     reference_rate_differences: Annotated[
         dict[str, float],
-        Quantity("that of the output's derivative", "largest difference of the logged reference's rate from its"),
+        Quantity(
+            "that of the output's derivative",
+            "largest difference of the logged reference's rate from the study's",
+        ),
     ]
     hints: Annotated[
         dict[str, str],

@@ -51,9 +51,9 @@ class FieldValues(NamedTuple):
         name: The column's name, as a table of columns takes it.
         derived: Whether it is in the model's axes, and not a field of the log itself.
         finite: Number of its finite values.
-        lowest: Their minimum; NaN if there are none.
-        median: Their median.
-        highest: Their maximum.
+        lowest: Minimum of the finite values; NaN if there are none.
+        median: Median of the finite values.
+        highest: Maximum of the finite values.
     """
 
     name: str
@@ -243,9 +243,9 @@ def topic_table(
 ) -> dict[str, np.ndarray]:
     """A topic as columns of equal length: its times ``t`` [s], and its fields, those in the model's axes first.
 
-    Messages without a stamp, or from before the start, are left out, but for the last one before it: with its negative
-    time a record has a value at 0, too. Jumps of the estimator after the start are taken out, and values that it calls
-    invalid are NaN, as a comparison reads them.
+    Messages without a stamp, or from before the start, are left out. The last one before the start is kept, at a
+    negative time, so that the record has a value at 0. Jumps of the estimator after the start are taken out, and values
+    that it calls invalid are NaN, as a comparison reads them.
 
     Args:
         path: A ULog of PX4.
@@ -254,7 +254,7 @@ def topic_table(
         start: Time of the log at which t is 0 [s]; None: the beginning of the segment, or of the log.
 
     Raises:
-        ConfigError: the file cannot be read, or it lacks the topic or the segment.
+        ConfigError: the file cannot be read, it lacks the topic or the segment, or the part has no message.
 
     Warns:
         LogWarning: The log is damaged, or the table differs from the log because of its estimator.

@@ -8,12 +8,12 @@ import numpy as np
 
 from dssc_jax.core.flag_runs import longest_run
 
-MOST_PRODUCTS = 20_000_000  # of samples and shifts
-SAME_REFERENCE = 0.01  # of a reference's root mean square: closer, two references are the same
-PREDICTED = 0.5  # of a predicted output's root mean square: closer, a converted output looks like the predicted one
-FOLLOWED = 0.7  # of a reference's root mean square: closer, a converted output follows it
+MOST_PRODUCTS = 20_000_000  # number of samples times number of shifts
+SAME_REFERENCE = 0.01  # share of a reference's root mean square: closer, two references are the same
+PREDICTED = 0.5  # share of a predicted output's root mean square: closer, a converted output looks like that one
+FOLLOWED = 0.7  # share of a reference's root mean square: closer, a converted output follows it
 IN_PHASE = 0.2  # relative difference of the part in phase with a reference from a multiple of it
-FEWER = 1.0 / 3.0  # of the present distance: a conversion that leaves more says nothing
+FEWER = 1.0 / 3.0  # share of the present distance: a conversion that leaves more says nothing
 
 
 class Conversion(NamedTuple):
@@ -54,9 +54,9 @@ CONVERSIONS = (
 RATE_CONVERSIONS = (*CONVERSIONS, Conversion(3.6, "times 3.6", "m", "km/h in place of m/s"))
 """Conversions of a rate beside its output, which are told from each other even where they are near."""
 LEAST_FACTOR = 0.02  # difference of a multiple from 1 that is told
-MEAN = 0.3  # of a reference's root mean square: the least mean that says something
+MEAN = 0.3  # share of a reference's root mean square: the least mean that says something
 FEW_SAMPLES = 0.005  # share of single samples at which a reference may differ that is the same: edges between two
-SHIFTED = 0.1  # of a shift: what an output deviates from the shifted one
+SHIFTED = 0.1  # largest deviation of an output from the shifted one, as a share of the shift
 ONLY_WITH_UNIT = ("rad", "deg")  # multiples that mean something in this unit only
 
 
@@ -81,7 +81,7 @@ def conversion_text(logged: np.ndarray, expected: np.ndarray, tolerance: float, 
         logged: Values, NaN where missing, shape (samples,).
         expected: Values at the same times.
         tolerance: Largest root mean square of the difference, as a share of the expected signal's.
-        unit: Of the expected signal.
+        unit: Unit of the expected signal.
     """
     expected_rms = rms(expected[np.isfinite(logged)])
     if expected_rms == 0.0 or not np.isfinite(expected_rms):
@@ -127,7 +127,7 @@ def followed_conversion(logged: np.ndarray, reference: np.ndarray, unit: str) ->
     Args:
         logged: The output, NaN where missing, shape (samples,).
         reference: The reference of its channel in the study at the same times.
-        unit: Of the output.
+        unit: Unit of the output.
     """
     is_finite = np.isfinite(logged)
     if not is_finite.any():
@@ -159,8 +159,8 @@ def likeness_text(
         index: Position of its channel.
         logged: Values, NaN where missing, shape (samples,).
         expected: The expected output of each channel at the same times.
-        names: Of the outputs.
-        unit: Of the output.
+        names: Names of the outputs.
+        unit: Unit of the output.
     """
     multiple = conversion_text(logged, expected[index], PREDICTED, unit)
     if multiple:
@@ -193,7 +193,7 @@ def factor_text(ratio: np.ndarray, units: Sequence[str]) -> str:
 
     Args:
         ratio: The law's ends over the number.
-        units: Of the study's outputs and commands; a multiple of angles counts only where one is an angle.
+        units: Units of the study's outputs and commands; a multiple of angles counts only where one is an angle.
     """
     low, high = np.sort(ratio)
     candidates = []
@@ -212,9 +212,9 @@ def reference_conversion(
     Args:
         index: Position of the channel.
         logged: Its logged reference, NaN where missing, shape (samples,).
-        references: The study's, shape (channels, samples).
-        channels: Their names.
-        unit: Of the channel's output.
+        references: The study's references, shape (channels, samples).
+        channels: Names of the channels.
+        unit: Unit of the channel's output.
     """
     reference = references[index]
     distance = rms(logged - reference)

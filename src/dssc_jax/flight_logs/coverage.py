@@ -49,7 +49,7 @@ def few_samples_remedy(has_signal: np.ndarray, sample_time: float) -> str:
 
     Args:
         has_signal: Whether the log has the signal, at each sample, shape (samples,).
-        sample_time: Of the study [s].
+        sample_time: Sample time of the study [s].
     """
     logged_samples = np.flatnonzero(has_signal)
     steps = np.diff(logged_samples)

@@ -18,7 +18,7 @@ from dssc_jax.statistics.noise_posterior import NoisePosterior
 from dssc_jax.study import Law, Study
 from dssc_jax.study.tables import PARAMETERS, enclosing_list, has_dotted, set_dotted, toml_entries
 
-BOUND_MARGIN = 1e-6  # of the distance from an exclusive bound, that a law stays inside
+BOUND_MARGIN = 1e-6  # share of the distance from an exclusive bound by which a law stays inside
 LAW_WIDTH = 5.0  # standard deviations at which a bounded number's law is truncated
 OUTSIDE_LAW = (
     3.0  # standard deviations of an estimate beyond the middle 99.8 % of its law, from which it is reported as outside

@@ -16,9 +16,9 @@ from dssc_jax.flight_logs.refusals import FitRefused
 from dssc_jax.flight_logs.starts import fixed_integrals, start_remedy
 from dssc_jax.statistics.correlated_noise import weighted_products
 
-SIGNIFICANCE = 1e-4  # of integrals that differ from those of the study
-LARGE_MOVE = 1.0  # of an estimate by free integrals, in its standard deviations
-ROUNDING = 1e-9  # of the information along each coordinate
+SIGNIFICANCE = 1e-4  # p-value below which integrals differ from those of the study
+LARGE_MOVE = 1.0  # least move of an estimate by free integrals that matters, in its standard deviations
+ROUNDING = 1e-9  # share of the information along each coordinate that is added, against rounding
 
 
 class StartsElsewhere(FitRefused):
@@ -29,10 +29,10 @@ class FreeIntegrals(NamedTuple):
     """The integrals at the first sample, estimated together with the numbers of a fit.
 
     Args:
-        names: Of the integrals.
-        values: Those that the flight shows, to first order.
-        deviations: Their standard deviations.
-        p_value: Probability of as large a gain if those of the study were right.
+        names: Names of the integrals.
+        values: Value of each integral that the flight shows, to first order.
+        deviations: Standard deviations of these values.
+        p_value: Probability of as large a reduction of the sum of squares if the study's integrals were right.
         moves: How far the estimates would move, by number, in their standard deviations.
     """
 
@@ -78,10 +78,11 @@ def gauss_newton_step(
     """The step to the minimum over numbers and integrals, from the products of residual and slopes.
 
     Args:
-        names: Of q integrals.
+        names: Names of the q integrals.
         numbers: Names of the p numbers.
         study_integrals: The integrals of the study, shape (q,).
-        products: Of residual, slopes by the numbers and slopes by the integrals, shape (1 + p + q, 1 + p + q).
+        products: Weighted products of the columns, shape (1 + p + q, 1 + p + q). The columns are the residual, its
+            slopes by the numbers, and its slopes by the integrals.
     """
     p = len(numbers)
     scale = np.sqrt(np.maximum(np.diag(products)[1:], TINY))

@@ -11,8 +11,8 @@ import numpy as np
 from dssc_jax.flight_logs.reader import Column, FlightLog
 
 MISSING = 4  # messages in succession that are missing in a gap
-REGULAR = 2.5  # of the median gap: a signal has a rate if nine in ten gaps are shorter
-UNCHANGED = 1e-3  # of a signal's range: a signal that rests before and after, at one value, may not have been sent
+REGULAR = 2.5  # factor on the median gap: a signal has a rate if nine in ten gaps are shorter
+UNCHANGED = 1e-3  # share of a signal's range: one that rests before and after, at one value, may not have been sent
 BESIDE = 5  # messages on either side that tell whether it rests
 NAMED = 3  # gaps that a message names
 

@@ -12,8 +12,8 @@ LEAST_STUCK = 10  # equal readings in a row of a noisy output: fewer may be chan
 NOISY = 0.9  # share of the other readings that differ from the one before
 TURNING = 0.3  # share of their changes that have another sign than the one before: fewer are those of a smooth output
 LEAST_CHANGES = 10  # of an output that is held: fewer do not tell a rate
-REGULAR = 0.9  # of the times between two changes that are the usual one, to a sample
-DIFFERENT = 0.5  # of the changes that differ in size: fewer are those of a coarse scale
+REGULAR = 0.9  # least share of the times between two changes that are the usual one, to a sample
+DIFFERENT = 0.5  # share of the changes that differ in size: fewer are those of a coarse scale
 
 
 def usual_hold(values: np.ndarray) -> int:

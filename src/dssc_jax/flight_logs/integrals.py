@@ -15,18 +15,18 @@ from dssc_jax.flight_logs.reader import Column, FlightLog, signal_name
 from dssc_jax.study import Study
 
 LEAST_VALUES = 20
-LEAST_DIFFERENCE = 0.015  # of the factor from 1
-DEVIATIONS = 5.0  # of the factor from 1, in its standard deviations
-BATCHES = 10  # of the residual: a drift by noise in y' has hardly a correlation from one to another
-DRIFT = 10.0  # of the variance by white noise: the least that a drift is taken to add
+LEAST_DIFFERENCE = 0.015  # least distance of the factor from 1
+DEVIATIONS = 5.0  # least distance of the factor from 1, in its standard deviations
+BATCHES = 10  # parts of the residual: a drift by noise in y' has hardly a correlation from one to another
+DRIFT = 10.0  # factor on the variance by white noise: the least that a drift is taken to add
 FITTED = 3  # numbers of the regression
-SMALL_ERROR = 0.25  # of the difference: errors of the integral, and the bias by noise in y'
+SMALL_ERROR = 0.25  # largest errors of a factor, as a share of its distance from 1: of the integral, and by noise in y'
 SAME_FACTOR = 0.02  # closer, a factor is that of another unit
 ACCURATE = 0.05  # standard deviation of a factor that says anything, as a share of it
 INTEGRAL = 0.9  # correlation: more, and one signal is the integral of the other
 NO_INTEGRAL = 0.7  # correlation: less, and it is not
-JUMP = 5.0  # of the typical change beside the rate: a larger one is hardly noise
-LASTING = 10.0  # of the typical difference of two means beside the rate: a larger one is no noise
+JUMP = 5.0  # factor on the typical change beside the rate: a larger change is hardly noise
+LASTING = 10.0  # factor on the typical difference of two means beside the rate: a larger one is no noise
 NEIGHBOURS = 8  # values of each mean
 MOST_JUMPS = 3  # of an output that has jumps, and no other error
 TO_DEVIATION = 1.4826  # from the median size of normal numbers to their standard deviation

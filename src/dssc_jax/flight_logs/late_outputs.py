@@ -32,9 +32,9 @@ MOST_SHIFTS = 25  # on either side
 LEAST_SHIFT = 0.5  # samples: commands and outputs count at the nearest sample
 ROUNDING = math.sqrt(1.0 / 12.0)  # samples: the standard deviation of a uniform error of one
 SIGNIFICANCE = 1e-4
-LARGE_MOVE = 1.0  # of an estimate, in its standard deviations
-EXPLAINED = 0.97  # of the residual without a shift: what is left of one that a shift explains
-MOST_REMAINING = 0.7  # of the sum of squares that a shift may leave to be told without a fit
+LARGE_MOVE = 1.0  # least move of an estimate that matters, in its standard deviations
+EXPLAINED = 0.97  # share of the residual without a shift that may be left if a shift explains it
+MOST_REMAINING = 0.7  # share of the sum of squares that a shift may leave to be told without a fit
 
 
 class ScreenedShift(NamedTuple):
@@ -62,7 +62,7 @@ class LateOutput(NamedTuple):
         moves: How far the shift moves the estimates, in their standard deviations without it, by number.
         values: The numbers with the shift.
         unshifted: Root mean squares of the residuals of the shifted channels without the shift.
-        shifted: The same with it.
+        shifted: Root mean squares of the residuals of the shifted channels with the shift.
     """
 
     channels: tuple[int, ...]
@@ -249,8 +249,8 @@ def climbed_shift(
     Args:
         shifts: The problems.
         start: The minimum from which fits start.
-        unshifted_end: That without a shift.
-        channels: Those that are shifted.
+        unshifted_end: The end of the fit without a shift.
+        channels: Indices of the channels that are shifted.
         shift: The first shift.
         margin: The longest one.
     """

@@ -39,10 +39,10 @@ SAME_MINIMUM = 0.1  # prior standard deviations between two ends of the search i
 MINIMUM_ROUNDS = 3  # of the search for the best minimum, each with the noise of the minimum before
 NOISE_DRAWS = 512  # of the channels' noises together
 NEIGHBOURS = 48  # points around a minimum whose residuals are compared
-FARTHEST = 5.0  # of them, in standard deviations of the estimate
+FARTHEST = 5.0  # farthest of these neighbours, in standard deviations of the estimate
 RESTARTED = 4  # best of them, from which the search starts again
 NEIGHBOUR_ROUNDS = 4
-LEAST_GAIN = 0.1  # of the weighted sum of squares, by which a round must improve to be followed by another
+LEAST_GAIN = 0.1  # least decrease of the weighted sum of squares by which another round follows
 TINY = 1e-300  # in place of 0 in a denominator
 
 

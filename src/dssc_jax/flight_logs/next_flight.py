@@ -37,7 +37,7 @@ from dssc_jax.statistics.conformal import (
 from dssc_jax.statistics.exchangeable import Yardstick
 from dssc_jax.study import Study
 
-SHORT = 0.9  # of the study, or of the longest log: a shorter log is told
+SHORT = 0.9  # share of the study, or of the longest log: a shorter log is told
 PROBABILITY = 0.9
 SHARES = (0.1, 0.2, 0.5)
 """Shares of flights beyond the draws' line for which the number of flights is told."""
@@ -63,8 +63,8 @@ class StudyTest:
     """Whether the flights refute the study."""
 
     beyond: Annotated[int, Quantity("1", "flights that depart farther than 95 % of the draws")]
-    p_value: Annotated[float, Quantity("1", "probability of so many of them, or more, if the study is right")]
-    refuted: Annotated[bool, Quantity("", "whether this is at most 5 %")]
+    p_value: Annotated[float, Quantity("1", "probability of at least as many such flights, if the study is right")]
+    refuted: Annotated[bool, Quantity("", "whether the p-value is at most 5 %")]
     share_interval: Annotated[tuple[float, float], Quantity("1", "interval of the share of flights beyond")]
     flights_to_refute: Annotated[
         dict[str, int | None],
@@ -349,7 +349,7 @@ def band_columns(yardstick: Yardstick, flights: np.ndarray, is_finite: np.ndarra
 
 
 def with_band(analysis: NextFlight, departure: float) -> NextFlight:
-    """The analysis with the band in which the next flight lies, which departs by no more than so many spreads."""
+    """The analysis with the band of the next flight: the middle, plus and minus ``departure`` times the spread."""
     data = analysis.dataset
     reach = departure * data["spread"]
     lower = (data["middle"] - reach).assign_attrs(data["lower"].attrs)

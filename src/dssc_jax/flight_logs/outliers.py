@@ -9,11 +9,11 @@ from dssc_jax.flight_logs.least_squares import FitProblem
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.refusals import Doubt
 
-OUTSTANDING = 8.0  # of the usual change from one reading to the next: a larger one is no noise
+OUTSTANDING = 8.0  # factor on the usual change from one reading to the next: a larger change is no noise
 MOST_SHARE = 0.02  # of the changes that may stand out: more of them are the study's or the noise's way
 MOST_CHANGES = 4  # that may stand out in a short log
-CLOSE = 1.5  # of the usual time between readings: over a longer one, a change says nothing
-ALONE = 0.3  # of a change: its neighbours are smaller, and an opposite one is as near to it
+CLOSE = 1.5  # factor on the usual time between readings: over a longer one, a change says nothing
+ALONE = 0.3  # share of a change: its neighbours are smaller, and an opposite one is as near to it
 NAMED = 3  # readings that a message names
 
 
@@ -39,7 +39,7 @@ def outliers(times: np.ndarray, residual: np.ndarray, sensor: float) -> list[Out
     """Find the changes of a residual that stand out, in order of time; none where there are many.
 
     Args:
-        times: Of the readings [s], shape (n,).
+        times: Times of the readings [s], shape (n,).
         residual: Readings less prediction, shape (n,).
         sensor: Standard deviation of the noise that the study's sensor adds to a reading.
     """

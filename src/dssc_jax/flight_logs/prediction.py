@@ -103,7 +103,7 @@ def prediction(
     Args:
         study: The study, without a sweep.
         names: The numbers.
-        samples: Of the simulation.
+        samples: Number of samples of the simulation.
         presets: Numbers without laws, whose derivatives are wanted once, with their values; of a plant of several
             channels.
     """

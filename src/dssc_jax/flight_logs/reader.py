@@ -391,7 +391,7 @@ def held_samples(signals: Mapping[str, np.ndarray]) -> dict[str, int]:
 
 
 def forward_filled(values: np.ndarray) -> np.ndarray:
-    """Fill each missing value with the last finite one, or the first finite one before it, shape (samples,)."""
+    """Fill each missing value with the finite one before it, or else the first one, shape (samples,); needs one."""
     finite_rows = np.flatnonzero(np.isfinite(values))
     latest = np.searchsorted(finite_rows, np.arange(len(values)), side="right") - 1
     return values[finite_rows[np.maximum(latest, 0)]]

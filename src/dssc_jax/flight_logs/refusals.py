@@ -19,17 +19,17 @@ from dssc_jax.flight_logs.prediction import study_noise
 from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.statistics.correlated_noise import Noise, independent_samples
 
-MOST_UNEXPLAINED = 0.1  # of the output's variance
-EXPLAINED_CONFIDENCE = 0.95  # that a refused fit leaves more than that
+MOST_UNEXPLAINED = 0.1  # share of the output's variance
+EXPLAINED_CONFIDENCE = 0.95  # confidence that a refused fit leaves more than that
 MUCH_LARGER = 1.25  # than what noise explains of a residual: a larger residual is doubted
-NOISE_CONFIDENCE = 0.9999  # that noise alone is no larger than its limit
-NOISE_DEVIATIONS = 4.0  # of the sizes of simulated noise, up to their limit
-LEAST_DOUBTED = 1e-5  # of the output's variance left unexplained, in a residual that is doubted
+NOISE_CONFIDENCE = 0.9999  # confidence that noise alone is no larger than its limit
+NOISE_DEVIATIONS = 4.0  # standard deviations of the sizes of simulated noise, from their mean up to their limit
+LEAST_DOUBTED = 1e-5  # share of the output's variance left unexplained, in a residual that is doubted
 REMEDY = "Compare the log's columns, units, signs and start with the study, and its initial state"
 NOISIER = 3.0  # than the study's sensor: a residual with as much noise is doubted
-NOISE_REPLICATES = 16  # of the study's noise
+NOISE_REPLICATES = 16  # simulations of the study's noise
 SINGULAR_INFORMATION = 1e-10  # least eigenvalue of the scaled information matrix
-SMALL_COEFFICIENT = 0.1  # of a number in a combination that a message names
+SMALL_COEFFICIENT = 0.1  # least coefficient of a number that a message names in a combination
 TIE = 0.95  # level of chi squared below which two minima describe a log equally well
 
 

@@ -40,9 +40,9 @@ from dssc_jax.study import Study
 
 REPLAY_SHARE = 0.95
 """Share of the samples at which a replay needs the measured output."""
-REFERENCE_TOLERANCE = 1e-3  # of a reference's size: resolution and rounding of a log
+REFERENCE_TOLERANCE = 1e-3  # share of a reference's size: resolution and rounding of a log
 
-SAME_COMMAND = 0.1  # of a command's root mean square: closer, a converted command is that of the replay
+SAME_COMMAND = 0.1  # share of a command's root mean square: closer, a converted command is that of the replay
 SIGNAL_UNITS = {"y": "y", "y_dot": "y/s", "u_total": "u"}
 """Units of the compared signals, by those of the channel."""
 REMEDY = (
@@ -150,7 +150,7 @@ class ReplayedCommand:
     """The difference of the analysed controller's command from the logged one, in the signal's unit."""
 
     largest_difference: Annotated[float, Quantity("that of the signal", "largest difference")]
-    largest_difference_at: Annotated[float, Quantity("s", "its time")]
+    largest_difference_at: Annotated[float, Quantity("s", "time of the largest difference")]
     rms_difference: Annotated[float, Quantity("that of the signal", "root mean square of the difference")]
     rms_logged: Annotated[float, Quantity("that of the signal", "root mean square of the logged command")]
 
@@ -159,7 +159,7 @@ def replayed_command(time: np.ndarray, logged: np.ndarray, command: np.ndarray) 
     """The difference of a replayed command from the logged one; None if no sample has both.
 
     Args:
-        time: Of the samples [s], shape (samples,).
+        time: Time of each sample [s], shape (samples,).
         logged: The logged command, NaN where it is missing.
         command: The analysed controller's command, NaN where it is missing.
     """

@@ -39,7 +39,7 @@ SETPOINTS = {
 """Topics in the frame of the position, with the field of the position for each of theirs."""
 NAMED = 3  # resets that a message names
 SETPOINT_DELAY = 0.1  # s after the estimate's first message, within which setpoints follow it
-SAME_JUMP = 0.5  # of the estimate's jump: a step of a setpoint that is closer to it follows it
+SAME_JUMP = 0.5  # share of the estimate's jump: a step of a setpoint that is closer to it follows it
 
 
 class Counter(NamedTuple):
@@ -50,7 +50,7 @@ class Counter(NamedTuple):
         name: Its field.
         deltas: The fields with the jump.
         fields: The fields that jump.
-        unit: Of the jump.
+        unit: Unit of the jump.
     """
 
     topic: str
@@ -158,7 +158,7 @@ def resets_of(topics: TopicData, begin: float) -> list[Reset]:
     """The resets of a log, in order of time; a first valid estimate is none.
 
     Args:
-        topics: Of the log, as far as it has them: those of the position and of the attitude.
+        topics: Topics of the log; those of the position and of the attitude are read, as far as it has them.
         begin: The time at which it begins [us].
     """
     resets = []
@@ -223,7 +223,7 @@ def invalid_spans(topics: TopicData, begin: float, end: float) -> list[InvalidSp
     """The spans in which the estimator calls position or velocity invalid, in order of their flags.
 
     Args:
-        topics: Of the log.
+        topics: Topics of the log.
         begin: The time at which it begins [us].
         end: Its end [s], up to which the last message holds.
     """
@@ -311,13 +311,14 @@ def first_row_after_reset(
 ) -> int:
     """The first message of a setpoint that is in the frame of the estimate after a reset.
 
-    That is its step by the jump near the reset, if it has one; else the first message published after the estimate's.
+    If the setpoint steps by the jump near the reset, it is the message with that step. Else it is the first one after
+    the estimate's first message.
 
     Args:
         setpoint: The fields of its topic.
         jumps: The change of the frame along some of them.
         begin: The stamp of the estimate's last message before the reset [us].
-        end: That of the first message after it [us].
+        end: The stamp of the estimate's first message after the reset [us].
     """
     time = setpoint["timestamp"].astype(float)
     latest = end + SETPOINT_DELAY / MICROSECOND
@@ -359,10 +360,10 @@ def concerned_resets(
     """The resets of a log after a time that concern some columns.
 
     Args:
-        topics: Of the log.
+        topics: Topics of the log.
         begin: The time at which it begins [us].
         columns: Topic and field of each column.
-        start: From the beginning of the log [s].
+        start: The time, from the beginning of the log [s].
     """
     needs = [(topic, needed_fields(topic, name, topics)) for topic, name in columns]
     later_resets = [reset for reset in resets_of(topics, begin) if reset.time > start]

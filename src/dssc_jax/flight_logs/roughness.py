@@ -12,10 +12,10 @@ import numpy as np
 from dssc_jax.flight_logs.least_squares import TINY, FitProblem, Minimum, random_rays
 from dssc_jax.flight_logs.refusals import Doubt
 
-SEED = 1  # those of the search are even
+SEED = 1  # the seeds of the search are even
 POINTS = 32
-NEAREST, FARTHEST = 0.5, 3.0  # of the points, in standard deviations of the estimate
-SMOOTH = 1.0  # of a weighted sum of squares: the unit of its noise
+NEAREST, FARTHEST = 0.5, 3.0  # distances of the points, in standard deviations of the estimate
+SMOOTH = 1.0  # roughness that is as large as the noise of a weighted sum of squares
 
 
 def roughness(problem: FitProblem, minimum: Minimum) -> float:

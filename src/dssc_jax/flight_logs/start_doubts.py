@@ -17,7 +17,7 @@ from dssc_jax.study.actuators import kind_in
 
 FIRST = 5  # readings whose median counts, so that no single one decides
 LATEST = 10.0  # samples: readings after that are no longer the first
-DEVIATIONS = 5.0  # of the noise
+DEVIATIONS = 5.0  # standard deviations of the noise: a smaller difference of the starts is not told
 LEAST_SHARE = 0.02  # of the output's standard deviation: a smaller difference hardly moves an estimate
 
 

@@ -50,7 +50,7 @@ def start_remedy(name: str) -> str:
     """What to do about integrals that start elsewhere.
 
     Args:
-        name: Of one of them, such as ``plant.inner_loop.velocity_integral.2``.
+        name: Name of one of them, such as ``plant.inner_loop.velocity_integral.2``.
     """
     section, field, _ = name.rsplit(".", 2)
     return (

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pyulog import ULog
 
 HEADER = struct.Struct("<7sBQ")
-ARMED = 2  # of vehicle_status.arming_state
+ARMED = 2  # value of vehicle_status.arming_state
 SEGMENTS = ("armed", "airborne")
 SEGMENT_TOPICS = ("actuator_armed", "vehicle_status", "vehicle_land_detected")
 

@@ -323,9 +323,9 @@ class UndamagedBytes:
 
     def __init__(self, file: BinaryIO, damages: list[Damage], size: int) -> None:
         self._file = file
-        self._begins = [0, *(damage.end for damage in damages)]  # of the parts, in the file
+        self._begins = [0, *(damage.end for damage in damages)]  # the parts' beginnings in the file
         ends = [*(damage.begin for damage in damages), size]
-        self._starts = [0]  # of the parts in what is read; the last one is its size
+        self._starts = [0]  # the parts' beginnings in what is read, and its end
         for begin, end in zip(self._begins, ends, strict=True):
             self._starts.append(self._starts[-1] + end - begin)
         self._position = 0

@@ -10,7 +10,7 @@ from dssc_jax.flight_logs.reader import signal_name
 from dssc_jax.flight_logs.roughness import widening
 from dssc_jax.statistics.correlated_noise import correlation_time
 
-NOTICEABLE = 1.1  # of an interval's width: what widens it by less is not named
+NOTICEABLE = 1.1  # factor on an interval's width: what widens it by less is not named
 
 
 def width_reasons(problem: FitProblem, rough: float = 0.0, growth: float = 1.0) -> str:

@@ -188,7 +188,7 @@ class Builder:
 
 
 def is_normal_or_varies(factor: Value) -> bool:
-    """Whether a factor is neither subnormal, zero nor infinite; one that is not a constant counts as usable."""
+    """Whether a factor is neither subnormal, 0, infinite nor NaN; one that is not a constant counts as usable."""
     if factor.operation != "constant":
         return True
     return bool(np.finfo(factor.dtype).tiny <= abs(factor.detail) < np.inf)

@@ -41,7 +41,7 @@ class Loaded(Protocol):
         Args:
             inputs: Columns of at least ``lanes`` numbers each.
             outputs: Columns for the results.
-            lanes: Their number, a multiple of ``width``.
+            lanes: Number of lanes, a multiple of ``width``.
             width: Lanes of a vector.
             threads: How many threads of the CPU to use.
 

@@ -63,7 +63,7 @@ class Operation(StrEnum):
     STATE = "state"
     """A number that a loop carries, within its body."""
     RESULT = "result"
-    """The same after the loop."""
+    """A number that a loop carries, after the loop."""
     JOINED = "joined"
     """The result of a branch."""
 

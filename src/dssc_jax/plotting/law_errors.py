@@ -12,8 +12,8 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, label, styled, title
 from dssc_jax.study import Study
 
-ROW_GAP = 0.14  # of the two points of a law
-ROOM = 1.08  # of the axis of shifts, beyond the largest
+ROW_GAP = 0.14  # distance of the two points of a law
+ROOM = 1.08  # factor on the largest shift, for the axis of shifts
 
 
 class PlottedLawErrors(Protocol):

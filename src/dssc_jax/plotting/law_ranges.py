@@ -11,7 +11,7 @@ from dssc_jax.core.json_types import JsonObject
 from dssc_jax.plotting.style import BLUE, GREY, ORANGE, RED, SLIDE, styled, title
 from dssc_jax.study import Study
 
-APART = 0.08  # of two intervals side by side
+APART = 0.08  # distance of two intervals side by side
 
 
 class PlottedLawRanges(Protocol):

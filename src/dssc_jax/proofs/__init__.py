@@ -3,4 +3,4 @@
 BOXES = 64
 """Largest number of boxes of uncertain numbers that :func:`dssc_jax.proofs.prove.prove` tries."""
 SWEEP_BOXES = 4
-"""The same for each point of a sweep."""
+"""Largest number of boxes of uncertain numbers that are tried at each point of a sweep."""

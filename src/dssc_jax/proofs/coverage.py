@@ -61,7 +61,7 @@ def problem_of(study: Study) -> AnyProblem:
 
 
 def axis_problem_of(study: Study) -> ProofProblem:
-    """The problem of a loop of the class (5)-(8); laws of k_p, a_p and mu become the intervals of their support.
+    """The problem of a loop of the class (5)-(8); the supports of the laws of k_p, a_p and mu become its intervals.
 
     Raises:
         NotCovered: a part of the loop is outside of the class; the message gives the reason.

@@ -24,14 +24,14 @@ class ProofProblem:
         k_p: Interval of the high-frequency gain [1/s].
         a_p: Interval of the damping [1/s].
         zero_a: Characteristic coefficients of the zero dynamics, ascending; empty for order two.
-        zero_c: Their output row.
-        numerator: Of G(mu s), the unmodelled dynamics, in rising powers of mu s; empty for none.
-        denominator: Likewise; both begin with the same number, so that G(0) = 1.
+        zero_c: Output row of the zero dynamics.
+        numerator: Numerator of G(mu s), the unmodelled dynamics, in rising powers of mu s; empty for none.
+        denominator: Denominator in rising powers; both begin with the same number, so that G(0) = 1.
         mu: Interval of the time constant mu [s]; (0, 0) for none.
         delay: Delay of the command, in samples; not together with G.
         sensor_lag: Time constant [s] of the lag through which y and y' are measured; 0 for none.
         level: Bound of |d| [m/s], of the part that does not depend on the state.
-        slope: Bound of |d'| [m/s^2], likewise.
+        slope: Bound of |d'| [m/s^2], of the same part.
         reference: Bounds of the reference's first three derivatives [m/s, m/s^2, m/s^3].
         initial: Interval of each component of the initial state (e, e', eta).
         start: Where the predictor starts: ``zero``, ``matched`` (at sigma) or ``midpoint`` (half a sample earlier).

@@ -28,9 +28,9 @@ class ProvedReach:
         name: Dotted name of the number.
         values: Values that were tried, in order, and whether each is proved.
         last: The proof at the last proved value; None if the safe end is not proved.
-        proved: That value; None likewise.
-        refused: The nearest value beyond that is not proved; None if the whole range is.
-        reason: Why it is not.
+        proved: The last proved value; None if the safe end is not proved.
+        refused: The nearest value beyond it that is not proved; None if the whole range is proved.
+        reason: Why that value is not proved.
     """
 
     name: str

@@ -294,7 +294,10 @@ def first_points(study: Study, ends: Ends) -> list[tuple[float, float]]:
 
 
 def starts_of(study: Study, ends: Ends) -> dict[str, tuple[float, float]]:
-    """Bounds of |e| and |e'| at t = 0, by channel; in the plane those of the norms, of psi that of |psi'|."""
+    """Bounds of |e| and |e'| at t = 0, by channel.
+
+    In the plane they bound the norms of both vectors. For psi the second one bounds |psi'|, which starts at 0.
+    """
     plants: list[UavParams] = [end.plant for end in ends]
     *first_points_of_axes, yaw = first_points(study, ends)
     rounding_room = 0.0 if study.loop.reference is HOVER else START_ROOM

@@ -41,7 +41,7 @@ def interval_words(interval: Interval) -> str:
 
 
 def controller_words(problem: Problem) -> str:
-    """Form, T_s and the bound of the switched control."""
+    """Form, T_s, l_0, rho and the predictor's start, in words."""
     rho = "without a bound of the command" if problem["rho"] is None else f"rho = {problem['rho']}"
     period = f"T_s = {problem['sample_time']} s"
     return f"{problem['form']} form, {period}, l_0 = {problem['l0']} 1/s, {rho}, predictor's start {problem['start']}"

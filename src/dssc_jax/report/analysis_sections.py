@@ -63,9 +63,10 @@ def tables(caption: str, content: Mapping[str, object], meanings: Meanings, plac
 
 
 def entry_key(meanings: Meanings, place: str, name: str) -> str:
-    """The key of an entry in the part of a summary at ``place``; entries of a mapping of numbers share its key.
+    """The key by which an entry's meaning is found. The entry stands in a summary at ``place``.
 
-    An entry without a meaning has its name as key, or that of the part that it belongs to.
+    Entries of a mapping of numbers share a key. An entry without a meaning has the key of the part that it belongs to;
+    outside of any part it has its own name.
     """
     for entry in (f"{place}.{name}".removeprefix("."), f"{place}.NAME".removeprefix(".")):
         if any(key == entry or key.startswith((f"{entry}.", f"{entry}[")) for key in meanings):

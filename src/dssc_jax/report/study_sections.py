@@ -15,7 +15,7 @@ from dssc_jax.results.manifest import Manifest
 from dssc_jax.study import Law, Study
 from dssc_jax.study.laws import RangedLaw
 
-BINS = 36  # of a density's sketch
+BINS = 36  # bins of a density's sketch
 BIN_LEVELS = 60
 SKETCH = (132, 34)
 
@@ -61,7 +61,7 @@ def loop(subject: StudySubject) -> Section:
 
 
 def laws(subject: StudySubject) -> Section | None:
-    """Every uncertain number with its law."""
+    """Every uncertain number with its law; of a ranged law, the middle one and the widest 5 to 95 % of its corners."""
     study = subject.result.study
     if not study.written_laws:
         return None

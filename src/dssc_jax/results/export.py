@@ -22,7 +22,7 @@ from dssc_jax.results.schema import OUTCOME, coordinates, outcome_codes, variabl
 if TYPE_CHECKING:
     import pandas as pd
 
-TABLE_ROWS = 2**17  # of the table at a time
+TABLE_ROWS = 2**17  # rows of the table that are written at a time
 MEANING = "outcome_meaning"
 CSVW = "http://www.w3.org/ns/csvw"
 
@@ -48,7 +48,7 @@ class Rows(NamedTuple):
 
     Args:
         columns: Attributes of the columns, in order.
-        datatypes: Of each column.
+        datatypes: Data type of each column.
         pieces: The rows, a part at a time.
     """
 

@@ -39,7 +39,7 @@ from dssc_jax.study import Study
 if TYPE_CHECKING:
     from dssc_jax.design.certification import Mark
 
-ERRORS = ("error_rms", "position_error_rms")  # of a plant of one channel, and of a vehicle
+ERRORS = ("error_rms", "position_error_rms")  # metrics of a plant of one channel, and of a vehicle
 GIVEN = "without lag and sampling and with a rho that keeps sliding"
 """What a certificate assumes besides the loop that it names."""
 

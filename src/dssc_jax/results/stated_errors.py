@@ -32,7 +32,7 @@ class StatedError:
     ]
     weighted_interval: Annotated[
         tuple[float, float] | None,
-        Quantity("1", "the same from the draws' weights; None: they say nothing, or are not needed"),
+        Quantity("1", "interval by the draws' weights; None: they say nothing, or are not needed"),
     ]
 
     @property
@@ -54,7 +54,7 @@ class StatedAmounts:
 
     Args:
         within: Radii by the names of :data:`dssc_jax.statistics.divergence_balls.BALLS`.
-        shift: Of all means [standard deviations].
+        shift: Shift of all means [standard deviations].
         widening: Relative width of all laws.
 
     Raises:
@@ -117,8 +117,8 @@ class StatedAmounts:
 
         Args:
             draws: The draws.
-            interval: Of the failure probability.
-            confidence: Of the intervals by the weights.
+            interval: Interval of the failure probability.
+            confidence: Confidence of the intervals by the weights.
         """
         bounds = draws.bounds(interval)
         free = draws.free(draws.names)

@@ -21,7 +21,7 @@ from dssc_jax.study import Study
 QUANTILES = (0.05, 0.5, 0.95)
 BATCH_LANES = 2**20  # summarised at once
 BATCH_POINTS = 4096
-FEW_PAIRS = 3  # of requirements: shown even where no draw violates both
+FEW_PAIRS = 3  # pairs of requirements: shown even where no draw violates both
 SummaryRow: TypeAlias = JsonObject
 """Statements about one point, or about one requirement at a point."""
 

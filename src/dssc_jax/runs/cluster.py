@@ -37,8 +37,8 @@ CONNECT = 30.0  # s for the scheduler to answer
 DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"  # Ctrl-C reaches all; the first process ends them
 PATIENCE = 600.0  # s without a worker before giving up: a queue may take its time
 POLL = 1.0  # s between looks at who is there
-TASKS = 8  # of a worker, at least
-MOST_BLOCKS = 16  # of a task
+TASKS = 8  # least number of tasks of a worker
+MOST_BLOCKS = 16  # blocks of a task
 
 
 @dataclass(frozen=True)

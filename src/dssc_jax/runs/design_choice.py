@@ -20,7 +20,7 @@ from dssc_jax.study import Study
 
 PILOT = 256  # draws
 PILOT_NETS = 16  # independently scrambled
-PILOT_INDEX = 2**30  # of the pilot's first in-loop noise, beyond that of every run's draws
+PILOT_INDEX = 2**30  # index of the pilot's first in-loop noise, beyond that of every run's draws
 NETS = 16  # least number of nets of a run; it has up to twice as many
 LEAST_NET = 8  # points of a net
 SEEN = 50  # least number of failures, and of draws without, that a run has to expect

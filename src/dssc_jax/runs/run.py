@@ -104,8 +104,8 @@ def run(
             :func:`dssc_jax.engine.integration.integration_error`.
         within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted
             beside the usual one: ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
-        shift: The same for a shift of all means, >= 0 [standard deviations].
-        widening: The same for the relative width of all laws, >= 1.
+        shift: Amount of a shift of all means, >= 0 [standard deviations], for which that interval is wanted.
+        widening: Relative width of all laws, >= 1, for which that interval is wanted.
 
     Raises:
         ConfigError: ``out`` contains something else, is being written, cannot be written, or is missing where

@@ -49,9 +49,9 @@ def run_until(
         out: Results folder, written at the end; None keeps the result in memory.
         most: Maximum number of draws, after which the run stops undecided.
         progress: Called with the draws done and ``most``.
-        check: As of :func:`dssc_jax.runs.run.run`, like the following arguments.
+        check: As in :func:`dssc_jax.runs.run.run`, like the following arguments.
         within: Amounts by which the laws may be wrong.
-        shift: Of all means [standard deviations].
+        shift: Shift of all means [standard deviations].
         widening: Relative width of all laws.
 
     Raises:

@@ -189,7 +189,7 @@ def trajectory_columns(study: Study, recorded: Recorded) -> dict[str, np.ndarray
 
 
 def tuple_columns(name: str, values: tuple[np.ndarray, ...]) -> dict[str, np.ndarray]:
-    """The signals of a tuple: ``wind_x`` of a vector's field x, ``rotor_1`` of the first of several."""
+    """The signals in a tuple, by name: ``wind_x`` is a vector's field x, and ``rotor_1`` the first of several."""
     ends = getattr(values, "_fields", range(1, len(values) + 1))
     return {f"{name}_{end}": column for end, column in zip(ends, values, strict=True)}
 

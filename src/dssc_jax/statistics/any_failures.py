@@ -14,11 +14,11 @@ from dssc_jax.statistics.normal_moves import (
 
 @dataclass(frozen=True)
 class AnyFailures:
-    """Bounds that need no more than the interval of the failure probability.
+    """Bounds that need the interval of the failure probability, but no draws.
 
     Args:
         precision: The inverse of the scores' correlation matrix, shape (laws, laws).
-        interval: Of the failure probability.
+        interval: Interval of the failure probability.
     """
 
     precision: np.ndarray

@@ -62,7 +62,10 @@ def line_rank(draws: int) -> int:
 
 
 def beyond_p_value(beyond: int, flights: int, draws: int) -> float:
-    """Probability that so many flights of the draws' law, or more, are beyond the draws' line.
+    """p-value of the test that the flights have the draws' law.
+
+    It is the probability that at least ``beyond`` of such flights exceed the draws' line. The line is the
+    :func:`line_rank`-th largest number of the draws.
 
     Args:
         beyond: Flights beyond the line.
@@ -109,9 +112,9 @@ def flights_to_refute(share: float, draws: int, confidence: float = CONFIDENCE) 
     """The fewest flights that refute the study, with this probability, if a share of all flights is beyond the line.
 
     Args:
-        share: Of the flights.
+        share: Share of all flights that is beyond the line.
         draws: Number of draws that give the line.
-        confidence: Of the test, and probability that it refutes.
+        confidence: Confidence of the test, and probability that it refutes.
 
     Returns:
         None if :data:`MOST_FLIGHTS` do not suffice.
@@ -126,9 +129,9 @@ def flights_to_confirm(share: float, draws: int, confidence: float = CONFIDENCE)
     """The fewest flights that show that less than a share is beyond the line, likely if the study is right.
 
     Args:
-        share: Above :data:`BEYOND`.
+        share: The share, above :data:`BEYOND`.
         draws: Number of draws that give the line.
-        confidence: Of the interval, and probability that it ends below the share.
+        confidence: Confidence of the interval, and probability that it ends below the share.
 
     Returns:
         None if :data:`MOST_FLIGHTS` do not suffice.

@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-SHORT = 0.3  # of a time constant: below, the process noise of a gap comes from a quadrature, which does not cancel
+SHORT = 0.3  # share of a time constant: below, a quadrature, which does not cancel, gives a gap's process noise
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 EQUAL_GAPS = 1e-9  # relative difference of gaps that are the same but for rounding
-RANK = 1e-10  # of the largest eigenvalue: below, a combination of numbers does not show
+RANK = 1e-10  # share of the largest eigenvalue: below, a combination of numbers does not show
 
 
 class FirstOrder(NamedTuple):
@@ -128,7 +128,7 @@ class Drift(NamedTuple):
 
     @property
     def mean_square(self) -> float:
-        """The mean over the span of the variance of the integral of v/T, for v of unit variance."""
+        """The variance of the integral of v/T, averaged over the span; v has variance 1."""
         w = self.span / self.time
         decay = math.exp(-w)
         return w - 3.0 + (4.0 * (1.0 - decay) - 0.5 * (1.0 - decay**2)) / w

@@ -24,7 +24,7 @@ from scipy import special
 
 from dssc_jax.core.bisection import bisect
 
-HALVINGS = 80  # of [p, 1]: the last digit of any probability above 1e-8
+HALVINGS = 80  # halvings of [p, 1]: the last digit of any probability above 1e-8
 
 
 @dataclass(frozen=True)

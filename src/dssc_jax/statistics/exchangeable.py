@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 FLOOR = 0.05  # of the root mean square over time of a signal's spread: least spread by which departures are measured
-LEAST_SPREAD = 1e-6  # of a signal's size: curves that differ by less are the same
-ROUNDING = 1e-12  # of the largest signal's size: a signal that is no larger is rounding
+LEAST_SPREAD = 1e-6  # share of a signal's size: curves that differ by less are the same
+ROUNDING = 1e-12  # share of the largest signal's size: a signal that is no larger is rounding
 
 
 def spread_signals(curves: np.ndarray, tested: np.ndarray) -> np.ndarray:

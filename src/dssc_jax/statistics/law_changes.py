@@ -1,4 +1,4 @@
-"""Changes of the law of the scores, and the density of the changed law relative to that of the draws.
+"""Changes of the scores' law, and the density of the changed law relative to that of the draws.
 
 The score of a number is the standard normal quantile at the level of its value. Together the scores of the draws have
 the law N(0, R), with the correlations R of the Gaussian copula. A change has one amount for each number.
@@ -103,7 +103,7 @@ class Shift(Change):
         return (shares @ scores - amounts) @ self.precision
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """d' R^-1 d."""
+        """The logarithm d' R^-1 d."""
         return float(amounts @ self.precision @ amounts)
 
     def corner(self, size: float, free: np.ndarray) -> float:
@@ -144,7 +144,7 @@ class Widening(Change):
         return np.sum(self.precision * moments, axis=1) - 1.0
 
     def log_second_moment(self, amounts: np.ndarray) -> float:
-        """Of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""
+        """Logarithm of det(D)^-2 det(2 D^-1 R^-1 D^-1 R - 1)^-1/2."""
         inverse = np.exp(-amounts)
         moment_precision = 2.0 * self.precision * np.outer(inverse, inverse) - self.precision
         if np.linalg.eigvalsh(moment_precision)[0] <= 0.0:
@@ -152,7 +152,7 @@ class Widening(Change):
         return float(-2.0 * amounts.sum() - 0.5 * (np.linalg.slogdet(moment_precision)[1] - self._log_determinant()))
 
     def corner(self, size: float, free: np.ndarray) -> float:
-        """That of the same width of all."""
+        """The logarithm for the same widening of all free numbers."""
         return self.log_second_moment(size * free)
 
     def changed(self, amounts: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -32,8 +32,8 @@ class Look(NamedTuple):
 
     Args:
         draws: n.
-        lower: The test stops with at most so many failures; -1: it does not stop below.
-        upper: It stops with at least so many failures; n + 1: it does not stop above.
+        lower: The test stops with at most this number of failures; -1: it does not stop below.
+        upper: The test stops with at least this number of failures; n + 1: it does not stop above.
     """
 
     draws: int
@@ -120,7 +120,7 @@ def multistage_interval(looks: Sequence[Look], failures: int, confidence: float)
 
 
 def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
-    """The failure probability above which such a stop, or one with fewer failures, is less likely than ``tail``."""
+    """The failure probability above which stops up to this one, in the module's order, are rarer than ``tail``."""
     draws = looks[-1].draws
     if stopped_high(looks, failures):
         return 1.0 - lower_limit(mirrored(looks), draws - failures, tail)
@@ -131,7 +131,7 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
 
 
 def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
-    """The failure probability below which such a stop, or one with more failures, is less likely than ``tail``."""
+    """The failure probability below which stops from this one on, in the module's order, are rarer than ``tail``."""
     draws = looks[-1].draws
     if stopped_high(looks, failures):
         return 1.0 - upper_limit(mirrored(looks), draws - failures, tail)

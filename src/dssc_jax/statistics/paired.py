@@ -122,7 +122,7 @@ def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: flo
 
     Args:
         failed_a: Whether a failed on each draw, shape (n,).
-        failed_b: The same for b.
+        failed_b: Whether b failed on each draw, shape (n,).
         confidence: Coverage of the interval.
 
     Raises:
@@ -154,7 +154,7 @@ def compare_metrics(
 
     Args:
         a: The metric under a, shape (n,); NaN if the draw has no value. Smaller values are better.
-        b: The same under b.
+        b: The metric under b, shape (n,); NaN if the draw has no value.
         level: Level of the quantile, in (0, 1).
         confidence: Coverage of the interval.
 

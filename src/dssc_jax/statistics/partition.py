@@ -49,7 +49,7 @@ def known_part(
     the limit, by exact intervals that hold for all parts together.
 
     Args:
-        levels: Of the number in each draw, in (0, 1), shape (n,).
+        levels: Level of the number in each draw, in (0, 1), shape (n,).
         failed: Whether the draw failed, shape (n,).
         limit: Largest failure probability allowed.
         confidence: Coverage, in (0, 1).

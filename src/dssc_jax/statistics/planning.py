@@ -182,7 +182,7 @@ def flight_answers(error: float, confidence: float) -> list[Answer]:
 
     Args:
         error: Probability that the next flight leaves the set.
-        confidence: Of the verdict, and probability that it is reached.
+        confidence: Confidence of the verdict, and probability that it is reached.
     """
     sure = f"in {100 * confidence:g} % of all cases"
     line = f"{100 * BEYOND:g} % of {LINE_DRAWS} draws"

@@ -15,7 +15,7 @@ from dssc_jax.statistics.order import first
 from dssc_jax.statistics.proportions import CONFIDENCE, clopper_pearson, require_share
 
 FIRST = 100  # draws of the first look
-RATIO = 1.1  # of a look's draws to those of the look before it
+RATIO = 1.1  # ratio of a look's draws to those of the look before it
 SPARSE_RATIO = 1.5  # the same for a test whose verdict does not depend on the looks
 
 

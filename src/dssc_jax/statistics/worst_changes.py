@@ -28,7 +28,7 @@ LEAST_FAILING = 20.0
 """Fewest failing draws of the changed law that the weighted failing draws have to be worth."""
 
 STARTS = 5  # corners from which the worst change is sought, besides no change
-HALVINGS = 24  # of a size: seven digits
+HALVINGS = 24  # halvings of a size: seven digits
 LARGEST_SIZE = 8.0  # beyond, weights of no number of draws say anything
 
 
@@ -37,11 +37,11 @@ class WeightedChange:
     """A change, with the failure probability that the weighted draws give for it.
 
     Args:
-        amounts: Of each number, shape (numbers,).
+        amounts: Amount of the change of each number, shape (numbers,).
         probability: Failure probability.
         interval: Its interval.
         effective: How many draws of the changed law the draws are worth, from the exact law of the weights.
-        failing: The same of the failing draws alone, from their weights.
+        failing: How many draws of the changed law the failing draws alone are worth, from their weights.
     """
 
     amounts: np.ndarray
@@ -57,10 +57,10 @@ class WeightedDraws:
 
     Args:
         change: The family of changes.
-        scores: Of each draw, shape (n, numbers).
-        failed: Whether it failed, shape (n,).
+        scores: Scores of each draw, shape (n, numbers).
+        failed: Whether each draw failed, shape (n,).
         free: Which numbers are changed, shape (numbers,).
-        confidence: Of the intervals.
+        confidence: Confidence of the intervals.
     """
 
     change: Change

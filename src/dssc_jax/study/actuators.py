@@ -143,7 +143,7 @@ def require_one_form(config: StudyTable) -> None:
 
 
 def tables_of(config: StudyTable, slot: str, channel: str = "") -> list[TomlTable]:
-    """The tables of the parts in a slot: those of a chain's elements, of a sum of winds, or the one of all others.
+    """The tables of the parts in a slot: one for each element of a chain or of a sum, else a single one.
 
     Args:
         config: The study's tables.

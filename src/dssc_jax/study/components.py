@@ -114,7 +114,7 @@ def field_specs(params: type) -> dict[str, FieldSpec]:
 
 
 def number_type(quantity: Quantity, depth: int, optional: bool) -> Any:
-    """The pydantic type of one number, of a list of them, or of a list of rows."""
+    """The pydantic type for one number (``depth`` 0), a list of numbers (1), or a list of rows (2)."""
 
     def check(value: object) -> Any:
         return None if value is None and optional else parse_numbers(value, quantity, depth)

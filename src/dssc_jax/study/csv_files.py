@@ -21,7 +21,7 @@ FIRST_LINES = 100
 LAST_LINES = 100
 """Lines that tell the usual length of a number."""
 SHORT = 0.7
-"""Of the usual length of a column's numbers: a shorter one at the end of a file may be cut off."""
+"""Share of the usual length of a column's numbers: a shorter one at the end of a file may be cut off."""
 
 
 class RecordWarning(UserWarning):

@@ -37,7 +37,7 @@ def setting_of(
         plant: The plant.
         params: Its parameters, in plain numbers.
         sample_time: T_s [s].
-        measured_signals: Those of the loop.
+        measured_signals: Measured signals of the loop.
     """
     names = tuple(signal.name for signal in measured_signals)
     linear = plant.linear is not None and plant.remainder is None and len(plant.channels) < 2

@@ -33,7 +33,7 @@ TOKEN = re.compile(r"\s*(?:(?P<word>[A-Za-z_]\w*)|(?P<number>\d+\.?\d*(?:[eE][+-
 COMPARISONS = ("<", "<=", ">", ">=")
 WORDS = ("always", "eventually", "until", "not", "and", "or", "implies")
 UNCLEAR = "SI"
-ROUNDING = 1e-9  # of a sample: a bound counts as one of its multiples
+ROUNDING = 1e-9  # share of a sample: a bound counts as one of its multiples
 
 
 class Token(NamedTuple):

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 from jax.tree_util import tree_leaves, tree_structure
 
 from dssc_jax.study.laws import Uncertain
@@ -39,5 +40,7 @@ def has_same_nominal_values(study: Study, plain: Study) -> bool:
     """Whether all that is no law in a study's template is the same in that of another one."""
     if tree_structure(study.template) != tree_structure(plain.template):
         return False
-    pairs = zip(tree_leaves(study.template), tree_leaves(plain.template), strict=True)
-    return all(isinstance(leaf, Uncertain) or leaf == other for leaf, other in pairs)
+    for leaf, plain_leaf in zip(tree_leaves(study.template), tree_leaves(plain.template), strict=True):
+        if not isinstance(leaf, Uncertain) and not np.array_equal(leaf, plain_leaf):  # a record is an array
+            return False
+    return True

@@ -17,7 +17,7 @@ from dssc_jax.study.components import Component, as_table, parse_component
 MEASURES = "measures"
 WHOLE_STATE = "state"
 USUAL_SENSOR = "ideal"
-"""Kind of the sensor of y and y' where signals are measured, and of each of those, if its table gives none."""
+"""Kind of a sensor whose table gives none, where signals are measured: that of y and y', and that of each signal."""
 OF_RATE = ("velocity", "jitter")
 """Beginnings of a sensor's fields that need the measured signal's derivative."""
 

@@ -61,8 +61,8 @@ class Expression(Uncertain):
     """An expression of parameters.
 
     Args:
-        text: As in the study file.
-        parameters: Those that it depends on, each after those that it depends on itself.
+        text: Its text, as in the study file.
+        parameters: Parameters that it depends on, each after those that it depends on itself.
     """
 
     text: str

@@ -106,7 +106,7 @@ def recorded_columns(path: Path, names: list[str], label: str = "column") -> lis
 
     Args:
         path: The file.
-        names: Of the columns; the first one is the time's.
+        names: Names of the columns; the first one is the time's.
         label: The field of the study that names the others.
 
     Raises:

@@ -151,7 +151,7 @@ class Study:
 
     @property
     def ranged_laws(self) -> dict[str, RangedLaw]:
-        """Those of the laws whose arguments are ranges."""
+        """The laws whose arguments are ranges."""
         return {name: law for name, law in self.written_laws.items() if isinstance(law, RangedLaw)}
 
     @property

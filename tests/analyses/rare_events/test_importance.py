@@ -222,3 +222,13 @@ def test_diverged_draws_are_failures():
     found = sampled(slack, 2, 1)
     low, high = found.mean_interval(SURE)
     assert low <= stats.norm.sf(3.0) <= high
+
+
+def test_a_border_whose_probability_underflows():
+    """It is 54 deviations away: no draw fails, or all do."""
+    assert sampled(lambda z, _: 54.0 - z[:, 0], 2, 3) == "few failures carry the sum, as if 0 points failed"
+    found = sampled(lambda z, _: -54.0 - z[:, 0], 2, 3)
+    assert found.plain.failures == found.plain.draws
+    low, high = found.mean_interval()
+    assert low <= 1.0 <= high
+    assert low > 0.7

@@ -33,8 +33,8 @@ from dssc_jax.study import Study, takes_file
 class MetricDifference:
     """The median of a metric's difference between two controllers, draw by draw."""
 
-    difference: Annotated[float, Quantity("that of the metric", "median of that of a minus that of b")]
-    interval: Annotated[tuple[float, float], Quantity("that of the metric", "its interval")]
+    difference: Annotated[float, Quantity("that of the metric", "median of the metric of a minus that of b")]
+    interval: Annotated[tuple[float, float], Quantity("that of the metric", "interval of that median")]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ControllerPair:
     only_a: Annotated[int, Quantity("1", "draws on which only a fails")]
     only_b: Annotated[int, Quantity("1", "draws on which only b fails")]
     difference: Annotated[float, Quantity("1", "failure probability of a minus that of b")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval, for paired draws")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the difference, for paired draws")]
     p_value: Annotated[float, Quantity("1", "exact test of McNemar")]
     metrics: dict[str, MetricDifference]
 
@@ -56,10 +56,10 @@ class ControllerPair:
 class ControllerAnswer:
     """A controller's failures and its metrics."""
 
-    controller: Annotated[ControllerTable, Quantity("", "its table")]
+    controller: Annotated[ControllerTable, Quantity("", "table of the controller in a study file")]
     failures: Annotated[int, Quantity("1", "failed draws")]
     probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval (Clopper-Pearson)")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability (Clopper-Pearson)")]
     violations: Annotated[dict[str, int], Quantity("1", "draws that violate each requirement")]
     median: Annotated[dict[str, float], Quantity("that of the metric", "median of each metric")]
 
@@ -207,7 +207,7 @@ class Comparison(Analysis):
     Args:
         corresponding_part: Controllers with the gains that the study gives, or that follow from it.
         tuned_part: Controllers with the best gains found within the budget; None if nothing was tuned.
-        budget: That budget.
+        budget: The budget; None if nothing was tuned.
         seconds: Computing time.
         untuned: For each controller that should have been tuned, but none of whose gains could be, why.
     """

@@ -38,7 +38,7 @@ class MarginPair:
     b_further: Annotated[int, Quantity("1", "draws on which b goes further")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     difference: Annotated[float, Quantity("1", "share on which a goes further, minus the share on which b does")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its exact interval")]
+    interval: Annotated[tuple[float, float], Quantity("1", "exact interval of the difference")]
     p_value: Annotated[float, Quantity("1", "exact test for paired draws")]
 
 
@@ -47,7 +47,7 @@ class MarginContestAnswer:
     """The margins of several controllers, singly and in pairs."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the number")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
     criterion: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]

@@ -76,7 +76,7 @@ def kind_of_all(study: Study) -> str:
 
 
 def common_gains(study: Study, name: str) -> ControllerTable:
-    """Those of the study's error pole and nominal control that the user's own controller has as gains."""
+    """The study's error pole and nominal control, as far as the user's own controller has them as gains."""
     controller = study.config.controller
     with errors_under(f"compare.{name}"):
         fields = field_specs(next(iter(lookup(name, CONTROLLERS).members.values())).params)

@@ -47,8 +47,8 @@ class PointAnswer:
     """A simulated draw."""
 
     slack: Annotated[float, Quantity("1", "slack of the worst requirement, relative to its bound")]
-    worst_requirement: Annotated[str | None, Quantity("", "that requirement; None if the draw ends early")]
-    worst_value: Annotated[str | None, Quantity("", "its metric, with the unit; None if the draw ends early")]
+    worst_requirement: Annotated[str | None, Quantity("", "the worst requirement; None if the draw ends early")]
+    worst_value: Annotated[str | None, Quantity("", "metric of that requirement, with unit; None if it ends early")]
     ending: Annotated[str | None, Quantity("", "how the draw ends early; None if it runs to its end")]
     ended_at: Annotated[float | None, Quantity("s", "time at which it ends early")]
     first_violated: Annotated[str | None, Quantity("", "requirement that it violates first, before it ends")]

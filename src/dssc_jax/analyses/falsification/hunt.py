@@ -26,7 +26,7 @@ from dssc_jax.study import Study
 EXPLORED, CLIMBED = 0.25, 0.5  # shares of the budget; evolution gets what is left
 STARTS, CLIMB = 8, 12  # largest number of climbs, and least number of steps of each
 STRIDE, LONGER, SHORTER = 0.25, 1.5, 0.3  # first step of a climb, and its factors after success and failure
-MEMBERS_PER_COORDINATE = 4  # of the evolution, for each coordinate
+MEMBERS_PER_COORDINATE = 4  # members of the evolution, for each coordinate
 
 
 class Programs(NamedTuple):
@@ -65,9 +65,9 @@ class SimulatedPoints(NamedTuple):
 
     Args:
         points: Coordinates, shape (n, laws).
-        slacks: That of the worst requirement, relative to its scale, shape (n,).
+        slacks: Slack of the worst requirement, relative to its scale, shape (n,).
         binding: Index of that requirement, shape (n,).
-        distances: Its slack in the metric's unit, shape (n,).
+        distances: Slack of that requirement in its metric's unit, shape (n,).
         simulation_counts: Simulations spent until then, shape (n,).
         ended: Code of how the draw ended early; 0 if it ran to its end, shape (n,).
         failed_at: Time at which it ended early [s]; NaN if it ran to its end, shape (n,).

@@ -18,7 +18,7 @@ class FailureShare:
 
     failures: Annotated[int, Quantity("1", "failed draws")]
     probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability")]
     interval_method: Annotated[str, Quantity("", "method of the interval")]
 
 
@@ -34,7 +34,7 @@ class Guaranteed:
 
 @dataclass(frozen=True)
 class Estimates:
-    """The same amounts without the draws' own uncertainty."""
+    """How wrong the laws may be, without the draws' own uncertainty."""
 
     total_variation: Annotated[float, Quantity("1", "total variation")]
     kl: Annotated[float, Quantity("nat", "Kullback-Leibler divergence; None: no draw fails")]
@@ -75,9 +75,9 @@ class Knowledge:
 
     parts: Annotated[int, Quantity("1", "number of parts")]
     removed: Annotated[float, Quantity("1", "share of the variance of failure that the knowledge removes")]
-    removed_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    removed_interval: Annotated[tuple[float, float], Quantity("1", "interval of that share")]
     changes: Annotated[float, Quantity("1", "probability that the decision about the limit changes")]
-    changes_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    changes_interval: Annotated[tuple[float, float], Quantity("1", "interval of that probability")]
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,15 @@ class LawError:
     """How wrong the law of one number may be while all others are right."""
 
     mean_shift: Annotated[float, Quantity(DEVIATIONS, "shift of its mean, with confidence")]
-    mean_shift_estimate: Annotated[float | None, Quantity(DEVIATIONS, "the same without the draws' uncertainty")]
+    mean_shift_estimate: Annotated[
+        float | None, Quantity(DEVIATIONS, "shift of its mean, without the draws' uncertainty")
+    ]
     towards: Annotated[str, Quantity("", "which values fail more often: larger, smaller, or not clear")]
     widening: Annotated[float, Quantity("1", "relative width, with confidence")]
-    widening_estimate: Annotated[float | None, Quantity("1", "the same without the draws' uncertainty")]
+    widening_estimate: Annotated[float | None, Quantity("1", "relative width, without the draws' uncertainty")]
     median: Annotated[float, Quantity("that of the number", "median of its law")]
     shifted_median: Annotated[
-        float | None, Quantity("that of the number", "its median after the shift, with confidence; None: not clear")
+        float | None, Quantity("that of the number", "median after the shift, with confidence; None: not clear")
     ]
     in_worst_shift: Annotated[float, Quantity(DEVIATIONS, "its part in the worst shift of all means")]
     failing: Annotated[

@@ -15,7 +15,7 @@ from dssc_jax.statistics import clopper_pearson
 from dssc_jax.statistics.worst_changes import LargestChange, WeightedDraws
 
 SMALLEST, LARGEST = 2.0**-4, 4.0  # sizes between which the change is doubled until the limit is exceeded
-HALVINGS = 8  # of the last doubling
+HALVINGS = 8  # halvings of the last doubling
 TRIAL = 0.3  # size at which the direction is taken from draws whose weights are not trusted
 
 
@@ -25,7 +25,8 @@ class FreshLimit:
 
     bound: Annotated[float, Quantity("that of the change", "largest change, with confidence")]
     estimate: Annotated[
-        float | None, Quantity("that of the change", "the same without it; None: the limit is not reached")
+        float | None,
+        Quantity("that of the change", "largest change by the share of failing draws; None: the limit is not reached"),
     ]
     failures: Annotated[int, Quantity("1", "new draws that fail at the bound")]
     interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability at the bound")]

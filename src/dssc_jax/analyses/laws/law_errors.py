@@ -65,8 +65,8 @@ class LawErrors(Analysis):
         limit: Largest failure probability allowed.
         failures: Failed draws.
         draws: Number of draws.
-        interval: Of the failure probability.
-        interval_method: Its method.
+        interval: Interval of the failure probability.
+        interval_method: Method of that interval.
         guaranteed: Changes within which the limit is kept whatever set of draws fails.
         weights: What the weights say of a shift of all means and of a widening of all laws.
         stated: Intervals of the failure probability if the laws are wrong by stated amounts.
@@ -214,8 +214,8 @@ def laws(
         limit: Largest failure probability allowed, in (0, 1).
         within: Amounts by which the laws may be wrong, for which the interval of the failure probability is wanted:
             ``total_variation``, ``kl`` or ``chi_square``, each >= 0.
-        shift: The same for a shift of all means, >= 0 [standard deviations].
-        widening: The same for the relative width of all laws, >= 1.
+        shift: Amount of a shift of all means, >= 0 [standard deviations], for which that interval is wanted.
+        widening: Relative width of all laws, >= 1, for which that interval is wanted.
         fresh: Number of new draws that are simulated under each changed law; 0: none.
         progress: Called with the simulations done.
 

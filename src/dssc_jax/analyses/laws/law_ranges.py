@@ -39,7 +39,7 @@ class ExtremeLaws:
 
     laws: Annotated[dict[str, dict[str, list[float]]], Quantity("", "the laws, as a study file gives them")]
     probability: Annotated[float, Quantity("1", "failure probability by the weights")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval by the weights")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability by the weights")]
     effective: Annotated[float, Quantity("1", "effective number of draws")]
     fresh_failures: Annotated[int, Quantity("1", "new draws of these laws that fail")]
     fresh_interval: Annotated[tuple[float, float], Quantity("1", "exact interval from the new draws")]
@@ -228,7 +228,7 @@ def require_even(draws: RangedDraws, study: Study) -> None:
 
 
 class Simulated:
-    """Simulations of the draws of mixtures, and of the laws of a box.
+    """Simulated draws, from the mixtures of the laws in a box and from single laws.
 
     Args:
         study: The study with the box.

@@ -16,8 +16,8 @@ from dssc_jax.statistics.weighted import effective_size, weighted_interval
 from dssc_jax.statistics.worst_changes import LEAST_EFFECTIVE
 from dssc_jax.study.laws import LAWS, Law, RangedLaw
 
-MOST_CORNERS = 256  # of the whole box that are tried
-EVALUATIONS = 100  # of the search by DIRECT, for each range
+MOST_CORNERS = 256  # corners of the whole box that are tried
+EVALUATIONS = 100  # evaluations in the search by DIRECT, for each range
 TIE = 1e-3  # share of the estimate in what the smallest lower limit minimises, which may be 0 in many places
 
 
@@ -71,10 +71,10 @@ class RangedDraws:
     """Draws of the mixtures of all numbers whose laws have ranges for arguments.
 
     Args:
-        laws: Of these numbers.
-        values: Of these numbers in each draw, shape (n,) each.
+        laws: Law of each of these numbers.
+        values: Value of each of these numbers in each draw, shape (n,) each.
         failed: Whether each draw failed, shape (n,).
-        confidence: Of the intervals.
+        confidence: Confidence of the intervals.
     """
 
     laws: Mapping[str, RangedLaw]
@@ -102,7 +102,7 @@ class RangedDraws:
         return laws
 
     def log_weights(self, laws: Mapping[str, Law]) -> np.ndarray:
-        """Logarithm of the density of laws of the box relative to that of the draws, shape (n,)."""
+        """Logarithm of the draws' density by laws of the box, relative to that by which they were drawn, shape (n,)."""
         return np.sum([log_density(law, self.values[name]) for name, law in laws.items()], axis=0) - self.log_proposal
 
     def estimate(self, laws: dict[str, Law]) -> WeightedLaws:

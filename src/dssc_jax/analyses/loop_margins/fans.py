@@ -19,7 +19,7 @@ def fan_of(response: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> dict[
 
     Args:
         response: G, shape (draws, frequencies); NaN for a draw without an operating point.
-        poles: Of L, shape (draws, states).
+        poles: Poles of L, shape (draws, states).
         angles: omega T_s, shape (frequencies,).
     """
     has_response = np.all(np.isfinite(response), axis=1)
@@ -46,7 +46,7 @@ def joint_phase(loop: np.ndarray, poles: np.ndarray, angles: np.ndarray) -> np.n
 
     Args:
         loop: L, shape (draws, frequencies).
-        poles: Of L, shape (draws, states).
+        poles: Poles of L, shape (draws, states).
         angles: omega T_s, ascending, shape (frequencies,).
     """
     turned = pole_phase(poles, angles)

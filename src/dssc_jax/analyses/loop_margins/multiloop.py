@@ -98,7 +98,7 @@ def joint_places(
 
     Args:
         channels: Names of the channels.
-        matrices: Of all draws.
+        matrices: Matrices of all draws.
         has_operating_point: Whether each draw has an operating point, shape (draws,).
     """
     names = place_names(channels)

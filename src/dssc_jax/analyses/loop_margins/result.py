@@ -19,7 +19,7 @@ from dssc_jax.statistics import CONFIDENCE, clopper_pearson, quantile_interval, 
 from dssc_jax.statistics.order import upper_quantiles
 from dssc_jax.study import Study
 
-SHARE_WITHIN = 0.95  # of all draws, within the tolerance limit
+SHARE_WITHIN = 0.95  # share of all draws within the tolerance limit
 LINES = 60  # draws whose frequency responses are stored
 MARGIN_UNIT = "that of the margin"
 
@@ -64,10 +64,10 @@ class BrokenLoop(NamedTuple):
     """Margins of all draws at one break point and one operating point.
 
     Args:
-        margins: By name, each of shape (draws,); NaN for a draw without margins.
+        margins: Margins by name, each of shape (draws,); NaN for a draw without margins.
         status: A :class:`Status` for each draw.
         response: G on the common grid, shape (draws, frequencies).
-        poles: Of L, shape (draws, states); NaN for a draw without an operating point within the limits.
+        poles: Poles of L, shape (draws, states); NaN for a draw without an operating point within the limits.
     """
 
     margins: dict[str, np.ndarray]
@@ -80,9 +80,9 @@ class BrokenLoop(NamedTuple):
 class MarginStatistics:
     """A margin over all draws, at one break point and one operating point."""
 
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the margin")]
     median: Annotated[float, Quantity(MARGIN_UNIT, "median; None: infinite, or the loop is unstable")]
-    median_interval: Annotated[tuple[float, float], Quantity(MARGIN_UNIT, "its interval")]
+    median_interval: Annotated[tuple[float, float], Quantity(MARGIN_UNIT, "interval of the median")]
     worst: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: a loop is unstable, or all are infinite")]
     tolerance_limit: Annotated[float, Quantity(MARGIN_UNIT, "limit that holds for the share of all draws (Wilks)")]
     side: Annotated[str, Quantity("", "side of the limit: lower if large margins are good, upper if small ones are")]
@@ -106,7 +106,7 @@ class MultiloopStatistics:
     found: Annotated[float, Quantity("1", "worst alpha of a perturbation that makes a loop singular; None: unstable")]
     frequency: Annotated[float, Quantity("rad/s", "critical frequency of that draw")]
     factors: Annotated[dict[str, float], Quantity("1", "gain of that perturbation in each channel")]
-    phases: Annotated[dict[str, float], Quantity("rad", "its phase in each channel")]
+    phases: Annotated[dict[str, float], Quantity("rad", "phase of that perturbation in each channel")]
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,8 @@ def margins_dataset(
 
     Args:
         study: The study.
-        answers: By operating point and break point.
-        frequencies: Of the responses [rad/s].
+        answers: The broken loops by operating point and break point.
+        frequencies: Frequencies of the responses [rad/s].
     """
     points = list(answers)
     loops = list(dict.fromkeys(loop for by_loop in answers.values() for loop in by_loop))

@@ -44,7 +44,7 @@ class MarginAnswer:
     """The critical values of all draws, and their statistics."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the number")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
     log: Annotated[bool, Quantity("", "whether the walk is even in the logarithm")]

@@ -21,7 +21,7 @@ from dssc_jax.results.analysis import Analysis
 from dssc_jax.statistics import CONFIDENCE, draws_as_narrow
 from dssc_jax.study import Study, takes_file
 
-LANES = 2048  # of a batch
+LANES = 2048  # lanes of a batch
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class ProbabilityAnswer:
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability")]
     confidence: Annotated[float, Quantity("1", "confidence of the interval")]
     width: Annotated[float, Quantity("1", "width of the interval that was asked for")]
     reached: Annotated[bool, Quantity("", "whether the interval is no wider")]

@@ -84,7 +84,7 @@ def stratified_probability(
     Args:
         slack: Computes slacks of points of the unit cube, shape (n, d), with noise indices (n,).
         dimension: d.
-        seeds: Of the random numbers.
+        seeds: Seeds of the random numbers.
         width: Upper minus lower limit for which the number of draws is chosen.
         most: Largest number of draws in the strata, which may leave the interval wider.
     """

@@ -29,7 +29,7 @@ SETTLED = 0.02  # length of the last step of a search
 ON_BORDER = 0.05  # distance from the border of failure of a point that counts as on it
 SAME = 0.7  # distance of two design points that count as one
 FARTHER = 2.5  # design points that lie so much farther out than the nearest contribute nothing
-CURVATURE_STEP = 0.05  # of a difference of slopes
+CURVATURE_STEP = 0.05  # step of a difference of slopes
 
 
 class DesignPoint(NamedTuple):
@@ -59,12 +59,12 @@ class DesignPoint(NamedTuple):
 def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
     """Search for design points from several starts at once.
 
-    Each search steps to the point of the border's tangent that is nearest to the origin. If this improves the merit
-    |u|^2/2 + c |g| of the point u with slack g too little, the step is shortened.
+    Each search steps to the point of the border's tangent that is nearest to the origin. A step that lowers the merit
+    |u|^2/2 + c |g| by too little is shortened; g is the slack at the point u, and c = 2 |u|/|grad g|.
 
     Args:
-        slacks_and_slopes: Computes them.
-        starts: Shape (n, d).
+        slacks_and_slopes: Computes the slacks and slopes of points.
+        starts: The points at which the searches start, shape (n, d).
 
     Returns:
         Different design points, the nearest first, without those far beyond the nearest.

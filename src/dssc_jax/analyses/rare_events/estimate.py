@@ -40,8 +40,8 @@ class Plain(NamedTuple):
     """Plain independent draws in addition to those of the method.
 
     Args:
-        draws: Their number.
-        points: Those that failed, in standard normal space, shape (failures, d).
+        draws: Number of plain draws.
+        points: The draws that failed, in standard normal space, shape (failures, d).
     """
 
     draws: int

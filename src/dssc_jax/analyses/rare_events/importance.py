@@ -47,7 +47,7 @@ MOST_DESIGNS = 8  # design points that a round simulates
 ENOUGH = 256  # points of the answer from which further rounds may save simulations
 FIT_CANDIDATES = 512  # for each fit of the mixture
 FITS = 2
-CANDIDATES = 4096  # of the answer
+CANDIDATES = 4096  # least number of candidates for the answer's points
 BLIND = 0.4  # share of the points whose chance does not depend on the prediction
 RESERVE = 1.15  # ratio of points to the number that the prediction expects
 LEAST_SAMPLED = 64
@@ -120,7 +120,7 @@ class WeightedEstimate(Estimate):
 
 
 def variation_of(weights: np.ndarray) -> float:
-    """Coefficient of variation of a sum of weights of rare events; infinite without weights."""
+    """Coefficient of variation of the weights' sum; infinite without weights."""
     size = effective_size(weights)
     return size**-0.5 if size else np.inf
 
@@ -225,7 +225,7 @@ def importance_sampling(
     Args:
         slack: Computes slacks; -inf or NaN if there is none.
         dimension: d of the standard normal space.
-        seeds: Of the random numbers.
+        seeds: Seeds of the random numbers.
         settings: The settings.
 
     Returns:

@@ -8,8 +8,8 @@ from scipy import linalg, special
 from dssc_jax.statistics.weighted import effective_size
 
 WIDE = 2.5  # standard deviations of the wide normal law
-WIDE_SHARE = 0.1  # of the points
-LEAST_SHARE = 0.05  # of a narrow law
+WIDE_SHARE = 0.1  # share of the points from the wide law
+LEAST_SHARE = 0.05  # least share of a narrow law
 FEWEST = 5.0  # effective number of failures to which a law is fitted
 
 
@@ -38,10 +38,12 @@ def mixture_of(means: np.ndarray, roots: list[np.ndarray], weights: np.ndarray) 
     Args:
         means: Shape (laws, d).
         roots: Roots of their covariances, each of shape (d, d).
-        weights: Shape (laws,), not all 0.
+        weights: Shape (laws,). All of them are 0 where the design points are so far away that probabilities underflow;
+            the laws then have equal shares.
     """
     dimension = means.shape[1]
-    shares = np.maximum(weights / weights.sum(), LEAST_SHARE)
+    total = float(weights.sum())
+    shares = np.maximum(weights / total, LEAST_SHARE) if total > 0.0 else np.ones(len(weights))
     shares *= (1.0 - WIDE_SHARE) / shares.sum()
     components = [Component(mean, root, float(share)) for mean, root, share in zip(means, roots, shares, strict=True)]
     return [*components, Component(np.zeros(dimension), WIDE * np.eye(dimension), WIDE_SHARE)]

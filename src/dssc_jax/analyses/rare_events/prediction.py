@@ -27,7 +27,7 @@ class Prediction:
 
     Args:
         centres: u_i, shape (n, d).
-        inverse: Of the spline's matrix, shape (n + d + 1, n + d + 1).
+        inverse: Inverse of the spline's matrix, shape (n + d + 1, n + d + 1).
         coefficients: c_i, a and b, shape (n + d + 1,).
         smoothing: Variance of the noise, relative to ``variance``.
         variance: Scale of the error's variance.

@@ -26,7 +26,7 @@ from dssc_jax.statistics import CONFIDENCE
 from dssc_jax.study import Study, takes_file
 
 QUANTILE_LEVELS = (0.05, 0.5, 0.95)
-LANES = 2048  # of a batch
+LANES = 2048  # lanes of a batch
 
 Method: TypeAlias = ImportanceSampling | Splitting
 """The settings of a method."""
@@ -39,7 +39,7 @@ class MethodProbability:
     """The failure probability from the method alone, without regard to the plain draws."""
 
     probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability")]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class RareAnswer:
 
     requirements: Annotated[tuple[str, ...], Quantity("", "what a draw has to meet")]
     probability: Annotated[float, Quantity("1", "failure probability")]
-    interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    interval: Annotated[tuple[float, float], Quantity("1", "interval of the failure probability")]
     interval_method: Annotated[str, Quantity("", "method of the interval")]
     confidence: Annotated[float, Quantity("1", "confidence of each interval")]
     method: Annotated[str, Quantity("", "importance sampling, or splitting")]

@@ -171,7 +171,7 @@ def split(
     Args:
         slack: Computes the slacks; -inf if there is none.
         dimension: d of the standard normal space.
-        seeds: Of the random numbers.
+        seeds: Seeds of the random numbers.
         splitting: The settings.
 
     Reference:

@@ -31,7 +31,7 @@ HOPEFUL = 0.25
 """Share of ``within`` up to which a candidate's share of failures may lead to a small failure probability."""
 TRIED = 4
 """Candidates that are tried as such, in numbers of those to find."""
-HALVINGS = 20  # of the interval in which the proved difference is sought
+HALVINGS = 20  # halvings of the interval in which the proved difference is sought
 
 Failing = Callable[[np.ndarray, slice], np.ndarray]
 """(candidates, draws) -> whether each candidate fails on each draw, shape (candidates, draws)."""

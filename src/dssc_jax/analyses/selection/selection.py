@@ -27,7 +27,7 @@ from dssc_jax.study import Study, takes_file
 class Chosen:
     """A chosen candidate."""
 
-    values: Annotated[dict[str, float], Quantity("those of the numbers", "its values, by dotted name")]
+    values: Annotated[dict[str, float], Quantity("those of the numbers", "its numbers' values, by dotted name")]
     draws: Annotated[int, Quantity("1", "draws on which it was simulated")]
     failures: Annotated[int, Quantity("1", "how many of them failed")]
 

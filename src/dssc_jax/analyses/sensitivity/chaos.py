@@ -38,10 +38,10 @@ class Predicted(NamedTuple):
     """A prediction with mean 0, and its variances for each replicate's coefficients.
 
     Args:
-        values: At A, B and each AB_i, shape (2 + factors, rows).
+        values: Predicted values at A, B and each AB_i, shape (2 + factors, rows).
         alone: Variance that each number explains alone, shape (replicates, d).
         total: Variance of all terms with the number, shape (replicates, d).
-        variance: Of the prediction, shape (replicates,).
+        variance: Variance of the prediction, shape (replicates,).
     """
 
     values: np.ndarray

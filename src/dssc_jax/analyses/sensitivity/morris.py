@@ -22,7 +22,7 @@ from dssc_jax.engine.sampling import generator
 from dssc_jax.statistics import clopper_pearson
 from dssc_jax.study import Study
 
-GRID_LEVELS = 4  # of a factor: the middles of quarters of its probability
+GRID_LEVELS = 4  # levels of a factor: the middles of quarters of its probability
 FEWEST = 10  # trajectories, for intervals of some use
 
 
@@ -32,7 +32,7 @@ def trajectories(count: int, factors: int, seeds: tuple[int, ...]) -> tuple[np.n
     Args:
         count: Number of trajectories.
         factors: Number of factors.
-        seeds: Of the random generator.
+        seeds: Seeds of the random generator.
 
     Returns:
         Levels, shape (factors + 1, count, factors), and the order in which the factors move, shape (count, factors).

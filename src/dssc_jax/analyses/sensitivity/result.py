@@ -25,9 +25,9 @@ class SobolFactor:
     """Sobol indices of a factor, not clipped: below 0 means about 0."""
 
     first: Annotated[float, Quantity("1", "first-order index")]
-    first_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    first_interval: Annotated[tuple[float, float], Quantity("1", "interval of the first-order index")]
     total: Annotated[float, Quantity("1", "total index")]
-    total_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    total_interval: Annotated[tuple[float, float], Quantity("1", "interval of the total index")]
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ShapleyFactor:
     """Shapley effect of a factor."""
 
     effect: Annotated[float, Quantity("1", "Shapley effect: share of the variance")]
-    effect_interval: Annotated[tuple[float, float], Quantity("1", "its interval")]
+    effect_interval: Annotated[tuple[float, float], Quantity("1", "interval of the Shapley effect")]
 
 
 @dataclass(frozen=True)

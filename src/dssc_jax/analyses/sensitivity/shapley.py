@@ -40,7 +40,7 @@ def chained_scores(correlation: np.ndarray, first: np.ndarray, second: np.ndarra
     Args:
         correlation: Correlation of the scores, shape (factors, factors).
         first: Independent normal scores of the first point, shape (rows, factors).
-        second: Those of the second point.
+        second: Independent normal scores of the second point, shape (rows, factors).
         order: The order in which the factors become known, shape (rows, factors).
 
     Returns:

@@ -39,7 +39,7 @@ class TheoremAnswer:
     """What Theorem 1 says of the number."""
 
     certified: Annotated[float | None, Quantity(PARAMETER_UNIT, "last value that Theorem 1 certifies for all draws")]
-    text: Annotated[str, Quantity("", "the same in words")]
+    text: Annotated[str, Quantity("", "what Theorem 1 certifies, in words")]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class TheoryAnswer:
     """The margins of one number by theory and by simulation."""
 
     parameter: Annotated[str, Quantity("", "the number that is varied")]
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the number")]
     draws: Annotated[int, Quantity("1", "number of draws")]
     bounds: Annotated[tuple[float, float], Quantity(PARAMETER_UNIT, "start and end of the walk")]
     certificate: TheoremAnswer

@@ -240,7 +240,7 @@ class Verdict:
     draws: Annotated[int, Quantity("1", "number of fresh draws")]
     objective: Annotated[Pair, Quantity("1", "aggregate of the costs at the start and of the result")]
     reduction: Annotated[float, Quantity("1", "1 - result/start")]
-    reduction_interval: Annotated[Pair, Quantity("1", "its bootstrap interval over the draws")]
+    reduction_interval: Annotated[Pair, Quantity("1", "bootstrap interval of the reduction over the draws")]
     quantile: Annotated[tuple[Pair, Pair], Quantity("1", "interval of the cost's quantile, start and result")]
     difference: Annotated[Triple, Quantity("1", "median and interval of the cost's difference, result minus start")]
     limits: Annotated[
@@ -268,7 +268,7 @@ def judge_tuning(
         plan: The plan; the study's own draws decide.
         goal: Costs, aggregate and level.
         start: The loop's numbers at the start.
-        best: Those of the result.
+        best: The loop's numbers in the result.
 
     Returns:
         The verdict, and the costs of every draw at the start and of the result.

@@ -31,7 +31,7 @@ PROGRAMMING = "sqp"  # SLSQP, in scipy.optimize
 SIMPLEX = "nelder_mead"  # in scipy.optimize; for proved numbers only
 OBJECTIVE = "objective"  # an aim
 PROVED_ERROR = "proved_error"  # an aim
-REACH_BOXES = 1  # of uncertain numbers, at each value of a walk: a value without a proof is known early
+REACH_BOXES = 1  # boxes of uncertain numbers, at each value of a walk: a value without a proof is known early
 OPTIMISERS = (*DESCENTS, PROGRAMMING, EVOLUTION)
 WIDTH = "controller.sign_width"
 ASSUMED = ("plant", "reference", "disturbance")  # parts of the loop whose numbers the theorem's bounds are made of
@@ -64,8 +64,8 @@ class ProvedAim(NamedTuple):
 
     Args:
         value: Bound of |e| once settled, or the last value at which the loop is proved; None if it is not proved.
-        proof: The proof of that value; None likewise.
-        reason: Why there is none; empty otherwise.
+        proof: The proof of that value; None if it is not proved.
+        reason: Why there is no proof; empty otherwise.
     """
 
     value: float | None

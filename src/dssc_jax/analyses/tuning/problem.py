@@ -189,7 +189,7 @@ HEADROOM = 0.01  # relative margin that a search keeps within limits
 UNFIT = 1e6  # cost of a point that is not certified, or whose draws end early
 BOX_HALF_WIDTH = 6.0  # |z| at the ends of a search's box: 0.25 % of the interval's logarithm is left out
 FINAL_WIDTH = 1e-3  # width of the sign before it is 0, relative to the first
-PENALTY = 20.0  # of an excess, for objective and excess relative to their scales; more than the multipliers' sum
+PENALTY = 20.0  # weight of an excess, for objective and excess relative to their scales; more than the multipliers' sum
 UPDATE = 5  # steps or generations between two looks at the validation draws
 
 

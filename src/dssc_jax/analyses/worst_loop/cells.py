@@ -29,10 +29,10 @@ from dssc_jax.analyses.worst_loop.linear_models import WIDENED, LinearModel, Lin
 from dssc_jax.analyses.worst_loop.readouts import SINGLE, Enclosure, Readout
 
 FIRST_ANGLE = 1e-3  # relative to the slowest pole: the first interval of angles begins at 0
-INTERVALS = 24  # of angles at the start
+INTERVALS = 24  # intervals of angles at the start
 BATCH_CELLS = 256
 CHEAPER = 3.0  # an interval of angles is halved rather than a box, which has to be linearised again
-SQUARINGS = 4  # of a matrix, whose largest eigenvalue then prevails
+SQUARINGS = 4  # squarings of a matrix, whose largest eigenvalue then prevails
 
 
 class Cells(NamedTuple):

@@ -14,7 +14,7 @@ BATCH_POINTS = 64  # points that are linearised at once
 KEYS = 8  # draws whose random keys are compared
 SAME = 1e-9  # relative difference of matrices that counts as none
 PROBES = 4  # points from which each number is moved
-DIGITS = 12  # of a coordinate, by which points are told apart
+DIGITS = 12  # digits of a coordinate, by which points are told apart
 UNLIMITED = 2**62
 
 Evaluate = Callable[[np.ndarray], np.ndarray]

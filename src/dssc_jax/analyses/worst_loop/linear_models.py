@@ -89,9 +89,9 @@ def linear_model(points: np.ndarray, matrices: np.ndarray, channels: int) -> Lin
     """The linear model on a part of the box.
 
     Args:
-        points: Those of :func:`pattern`, at which deviations are measured, shape (n, sides).
-        matrices: The loop there, shape (n, m, m).
-        channels: Columns of B.
+        points: The points of :func:`pattern`, at which deviations are measured, shape (n, sides).
+        matrices: The loop at these points, shape (n, m, m).
+        channels: Number of columns of B.
     """
     sides = points.shape[1]
     matrices = modal(matrices, channels)

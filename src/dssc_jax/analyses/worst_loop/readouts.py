@@ -10,7 +10,7 @@ from dssc_jax.analyses.loop_margins.structured import balanced, best_scales, sca
 
 DIRECTIONS = 64  # in which a polygon's extent is computed
 VERTICES = 4  # numbers whose ends are all combined; the norms of the parts of the others are added
-ROUNDING = 1e-9  # by which every bound is enlarged, relative
+ROUNDING = 1e-9  # share by which every bound is enlarged
 FEEDTHROUGHS = {"sensitivity_peak": 1.0, "complementary_peak": 0.0, "disk": 0.5}
 """What is added to G: S = 1 + G, T = -G, (S - T)/2 = G + 1/2."""
 GAINS = (*FEEDTHROUGHS, "delay")

@@ -60,7 +60,7 @@ class LoopCase(NamedTuple):
 class WorstMargin:
     """The worst case of a margin."""
 
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the margin")]
     drawn: Annotated[float, Quantity(MARGIN_UNIT, "worst of all draws; None: infinite, or a loop is unstable")]
     found: Annotated[float, Quantity(MARGIN_UNIT, "worst found in the box; None: infinite, or a loop is unstable")]
     bounded: Annotated[float, Quantity(MARGIN_UNIT, "bound that holds on all of the box; None: none was found")]

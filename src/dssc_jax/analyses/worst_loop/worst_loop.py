@@ -65,7 +65,7 @@ def worst_loop(
     Args:
         study: The study, or its file; its sweep is ignored.
         broken_at: Names of break points; none: the command of each channel.
-        sigma: Laws without ends are cut at so many standard deviations of a normal law.
+        sigma: Laws without ends are cut at this number of standard deviations of a normal law.
         cells: Largest number of cells (parts of the box and of the frequencies) for each loop and kind of bound.
         points: Largest number of points of the box at which the loop is linearised, for all loops together; by
             default as many as take 1,000,000 derivatives.
@@ -287,9 +287,13 @@ def bounds_of(
 
 
 def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
-    """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN: none.
+    """Margins that follow from bounds of the gains, in the order of :data:`MARGINS`; NaN if a bound is not finite.
 
     A bound of S, of T and of (S - T)/2 each guarantees a range of gains and phases; the widest range counts.
+
+    Args:
+        gains: Bounds of |S|, |T|, |S - T|/2 and |T| theta, the order of :data:`GAINS`; theta is the angle per sample.
+        sample_time: T_s [s].
 
     Reference:
         P. Seiler, A. Packard, P. Gahinet, "An introduction to disk margins", IEEE Control Systems Magazine 40 (2020).

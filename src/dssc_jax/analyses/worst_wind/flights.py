@@ -25,7 +25,7 @@ AXES = ("x", "y", "z")
 KINDS = ("error_max", "error_rate_max", "sigma_max", "tilt_max", "rotor_thrust_max", "rotor_thrust_min")
 """Metrics of a flight."""
 SMALLEST = ("rotor_thrust_min",)
-"""Those of which the smallest value is the worst."""
+"""Metrics of which the smallest value is the worst."""
 REPLACED = ("requirement", "envelope", "metrics", "sweep", "plot", "tune", "compare", "correlation")
 """Tables of a study that say nothing of a flight in a given wind."""
 BEYOND = 3
@@ -47,7 +47,7 @@ class WindGrid(NamedTuple):
 
     @classmethod
     def of(cls, study: Study, segments: int, smooth: bool) -> "WindGrid":
-        """The grid with about so many segments over a flight, each of whole samples."""
+        """The grid with at most ``segments`` segments over a flight, each of whole samples."""
         samples = -(-study.loop.steps // segments)
         count = -(-study.loop.steps // samples)
         return cls(samples * study.loop.sample_time, count + BEYOND * smooth, smooth)

@@ -38,7 +38,7 @@ class SignalAnswer:
 
     signal: Annotated[str, Quantity("", "the signal, by the name of its metric")]
     meaning: Annotated[str, Quantity("", "what it is")]
-    unit: Annotated[str, Quantity("", "its unit")]
+    unit: Annotated[str, Quantity("", "unit of the signal")]
     worst: Annotated[float | None, Quantity(UNIT_OF_SIGNAL, "worst value; None if the flight ends early")]
     candidate: Annotated[float | None, Quantity(UNIT_OF_SIGNAL, "worst value among the first candidates")]
     numbers: Annotated[dict[str, float], Quantity("that of the number", "value of each uncertain number")]

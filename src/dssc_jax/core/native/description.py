@@ -25,7 +25,7 @@ TINY = float(np.finfo(np.float32).tiny)
 SIGNALS = 5
 """Signals that every controller gets: measurement and reference."""
 MEASUREMENT = 2
-"""Of these, y and y'."""
+"""Signals of these that are measured: y and y'."""
 COMMANDS = 2
 RESERVED = ("kind", "file", "name", "sha256", "flag")
 """Names that no parameter or telemetry value may have: entries of a study's table, and the flag."""

@@ -103,7 +103,7 @@ def status_function(library: ctypes.CDLL, name: str, *types: type) -> Status:
 
 
 def slave_of(kind: Callable[..., Any], folder: Path, description: "ModelDescription") -> Any:
-    """FMPy's object of an FMU for co-simulation, of the kind of its version of FMI, with the library loaded."""
+    """FMPy's object for co-simulation, with the FMU's library loaded; ``kind`` is the class for its version of FMI."""
     identifier = description.coSimulation.modelIdentifier  # type: ignore[union-attr]
     return kind(guid=description.guid or "", unzipDirectory=str(folder), modelIdentifier=identifier)
 

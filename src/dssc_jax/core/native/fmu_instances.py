@@ -271,9 +271,9 @@ class FmuFunctions:
         """The words after a step, and the outputs.
 
         Args:
-            words: Those before it.
-            h: Its length [s].
-            inputs: What is held over it.
+            words: The words before the step.
+            h: Length of the step [s].
+            inputs: Inputs that are held over the step.
 
         Raises:
             ConfigError: The loop does not compute in 64 bits.

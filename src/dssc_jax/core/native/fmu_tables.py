@@ -114,8 +114,8 @@ def params_type(parameters: tuple[Connection, ...], name: str, quantity: Quantit
     """The type of a part's parameters.
 
     Args:
-        parameters: Those of the FMU that the study sets, which are in the field ``parameters``; without any there is no
-            such field.
+        parameters: The FMU's parameters that the study sets. They are in the field ``parameters``; without any there is
+            no such field.
         name: Name of the part's own number.
         quantity: Its unit and meaning.
         default: Its default; None: it may be absent.

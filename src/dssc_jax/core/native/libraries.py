@@ -13,7 +13,7 @@ from dssc_jax.core.native.description import CALL, NativeController, described_c
 from dssc_jax.lanes import foreign
 
 TRIED_SAMPLES = 64  # of a trial flight
-LARGEST_SIGNAL = 1000.0  # of a trial flight
+LARGEST_SIGNAL = 1000.0  # largest signal of a trial flight
 SAME_SUM = 1e-5  # largest relative difference of u_p from u + u_n
 WITHOUT_EFFECT = (
     "changes no command of a trial flight: the code does not read it, keeps it outside of its structure, or the flight "

@@ -23,7 +23,7 @@ from dssc_jax.engine.sampling import Arrays
 from dssc_jax.study import Study
 
 BATCH_LANES = 2048  # linearised at once
-STEP = 1e-4  # of a difference, relative to the number
+STEP = 1e-4  # step of a difference, relative to the number
 
 
 class ClosedLoops(NamedTuple):
@@ -95,7 +95,7 @@ class MarginValues:
         so has one that rests beyond a limit which opens the loop.
 
         Args:
-            values: Of all uncertain and swept numbers, shape (n,) each.
+            values: Values of all uncertain and swept numbers, shape (n,) each.
             indices: Draw index of each lane, shape (n,).
 
         Raises:
@@ -165,7 +165,7 @@ class MarginValues:
         """The margins at one break point.
 
         Args:
-            matrices: Of the batch.
+            matrices: Matrices of the batch.
             is_settled: Which lanes have an equilibrium, shape (n,).
             is_beyond: Which of them rest beyond the boundary of a part, shape (n,).
             point: Index of the break point.

@@ -51,7 +51,7 @@ class Operating(NamedTuple):
     """Matrices of all draws at one operating point.
 
     Args:
-        matrices: Of all draws.
+        matrices: Matrices of all draws.
         reached: Which draws have an operating point, shape (draws,).
         limited: Which draws lie there beyond the boundary of a part, shape (draws,).
         taken: What is taken for parts that lie at a corner there, in words.

@@ -99,7 +99,7 @@ class Linearisation:
         """The matrices of n draws.
 
         Args:
-            values: Of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
             states: Shape (n, states).
             k: Index of the sample.
@@ -186,7 +186,7 @@ class Resting(NamedTuple):
 
     Args:
         states: Shape (n, states).
-        matrices: Of the loop without substitutes for corners.
+        matrices: Matrices of the loop without substitutes for corners.
         is_settled: Which states are at rest, shape (n,).
         relevant_states: States on which the loop's signals depend, there or with all parts within their boundaries;
             others need not be at rest. Shape (n, states).
@@ -266,7 +266,7 @@ class RestingLoop:
         then from the state after a simulation at the constant reference, by which a stable loop has left the limit.
 
         Args:
-            values: Of the uncertain numbers, each of shape (n,).
+            values: Values of the uncertain numbers, each of shape (n,).
             indices: Draw indices, shape (n,).
         """
         initial_states = self.start(values, indices)

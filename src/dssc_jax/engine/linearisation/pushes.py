@@ -19,10 +19,10 @@ LARGE = 1e-6
 PUSHES = (SMALL, LARGE, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)  # under the longer ones, a staircase begins to move
 MULTIPLES = (0.0, *(side * push for push in PUSHES for side in (1.0, -1.0)))
 SIDES = np.array([1.0, -1.0])[:, None, None]
-JUMP = 1e-7  # of an output that stood still under the push before, relative to 1 + |y|
-DEVIATION = 1e-3  # of a difference from the derivative, relative to the largest derivative of the same output
-SHRINKING = 0.5  # of that deviation from the large push to the small one, where a derivative exists
-ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # of an output, relative to 1 + |y|
+JUMP = 1e-7  # least jump of an output that stood still under the push before, relative to 1 + |y|
+DEVIATION = 1e-3  # distance of a difference from the derivative, relative to the largest derivative of the same output
+SHRINKING = 0.5  # ratio of that deviation at the small push to that at the large one, below which a derivative exists
+ROUNDING_NOISE = 64.0 * float(np.finfo(np.float64).eps)  # rounding of an output, relative to 1 + |y|
 SINGLE_INPUTS = 32  # inputs that are pushed one by one
 RANDOM_DIRECTIONS = 4  # directions in which all inputs are pushed together, and all signals
 
@@ -35,7 +35,7 @@ class Slopes(NamedTuple, Generic[Array]):
     Args:
         value: Its outputs, shape (outputs,).
         slope: Their derivative, shape (outputs,).
-        inner: That of its substitute for its inner side; without a substitute, that of the part.
+        inner: The derivative of its substitute for its inner side; without a substitute, that of the part.
     """
 
     value: Array

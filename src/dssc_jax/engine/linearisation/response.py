@@ -23,7 +23,7 @@ from scipy.linalg import matrix_balance, schur
 FREQUENCIES = 240  # of the common grid
 FIRST_FREQUENCY = 0.03  # of the common grid, relative to the slowest pole
 DECADES = 6.0  # largest span below the Nyquist frequency
-MOST_ENTRIES = 2_000_000  # of the states of all loops at the angles that are computed at once
+MOST_ENTRIES = 2_000_000  # complex numbers: the states of all loops at the angles that are computed at once
 ROOT_STEPS = 14
 PEAK_STEPS = 24
 SMALLEST_FACTOR = 1e-6  # smallest gain factor that counts as a crossing, above the rounding of a large loop gain
@@ -139,9 +139,9 @@ def margin_angles(a: np.ndarray, b: np.ndarray, c: np.ndarray, poles: np.ndarray
     """The angles at which margins of stable loops are looked for, shape (n, angles): those of the poles, too.
 
     Args:
-        a: Of the closed loops, shape (n, states, states).
-        b: From the point at which they are broken, shape (n, states).
-        c: To it, shape (n, states).
+        a: State matrices of the closed loops, shape (n, states, states).
+        b: Input columns from the point at which the loops are broken, shape (n, states).
+        c: Output rows to that point, shape (n, states).
         poles: Eigenvalues of a, shape (n, states).
     """
     open_loop_poles = np.linalg.eigvals(a - b[:, :, None] * c[:, None, :])

@@ -50,8 +50,8 @@ class LoopPart(NamedTuple):
         slot: Name of the field of :class:`Loop`.
         channel: Index of its channel; 0 for the plant.
         label: Slot, channel and kind in words.
-        smoothness: Its declaration.
-        remaining: That of what is differentiated: of its substitute, if that is always taken, else its own.
+        smoothness: What it declares about its derivatives.
+        remaining: The declaration of what is differentiated: of its substitute, if that is always taken, else its own.
         imported: Whether its model is code of the user's, of the form ``module:object``.
     """
 
@@ -143,7 +143,7 @@ def declared_places(study: Study, moving: bool) -> tuple[LoopPart, ...]:
 
 
 def named_kind(study: Study, slot: str, name: str) -> str:
-    """The kind of the part of a channel, of a measured signal, or of the disturbances at an input, by its name."""
+    """The kind of a named part: that of a channel, that of a measured signal, or the disturbances at an input."""
     table = getattr(study.config, SECTIONS.get(slot, slot))
     if isinstance(table, list) or "input" in table:
         tables = table if isinstance(table, list) else [table]

@@ -170,7 +170,7 @@ class Notation:
         """The name of a function, whose definition is needed from now on.
 
         Args:
-            name: Of :data:`HELPERS`, or with an integer of :data:`INTEGER_HELPERS`.
+            name: Its name in :data:`HELPERS`, or in :data:`INTEGER_HELPERS` if ``integer`` is given.
             integer: The type of the integers.
             real: The type of the floating-point numbers; None: that of the program.
         """

@@ -174,13 +174,13 @@ def sine(reduced: Reduced) -> jax.Array:
 
 
 def cosine(reduced: Reduced) -> jax.Array:
-    """The cosine, likewise."""
+    """The cosine, from sine or cosine of the remaining angle."""
     value = jnp.where(reduced.quarters & 1 == 1, sine_of(reduced), cosine_of(reduced))
     return jnp.where((reduced.quarters + 1) & 2 == 2, -value, value)
 
 
 def tangent(reduced: Reduced) -> jax.Array:
-    """The tangent, likewise."""
+    """The tangent, from sine and cosine of the remaining angle."""
     is_odd = reduced.quarters & 1 == 1
     cosine_value, sine_value = cosine_of(reduced), sine_of(reduced)
     return jnp.where(is_odd, -cosine_value, sine_value) / jnp.where(is_odd, sine_value, cosine_value)

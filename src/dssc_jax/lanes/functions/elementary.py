@@ -59,7 +59,7 @@ INVERSE_ERROR = {
         ),
     ),
 }  # fmt: skip
-"""Of erfinv(x)/x in powers of w - c, w = -ln(1 - x^2), near 0, and of w^(1/2) - c in the tails; highest power first.
+"""Coefficients of erfinv(x)/x, highest power first: near 0 of w - c, w = -ln(1 - x^2); in the tails of w^(1/2) - c.
 
 They interpolate values of 50 digits at Chebyshev's nodes."""
 

@@ -130,7 +130,7 @@ class Driver:
         self.call("cuStreamDestroy_v2", stream)
 
     def reserve(self, size: int) -> int:
-        """Reserve so many bytes of the GPU's memory; their address."""
+        """Reserve ``size`` bytes of the GPU's memory, and return their address."""
         address = c_uint64()
         self.call("cuMemAlloc_v2", byref(address), max(size, 1))
         return address.value
@@ -148,7 +148,7 @@ class Driver:
         self.call("cuMemcpyDtoHAsync_v2", array.ctypes.data, address, array.nbytes, stream)
 
     def launch(self, kernel: c_void_p, blocks: int, threads: int, arguments: list[c_uint64], stream: c_void_p) -> None:
-        """Queue a kernel with so many blocks of so many threads."""
+        """Queue a kernel, with ``threads`` threads in each of ``blocks`` blocks."""
         argument_addresses = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         self.call("cuLaunchKernel", kernel, blocks, 1, 1, threads, 1, 1, 0, stream, argument_addresses, None)
 

@@ -15,7 +15,7 @@ from dssc_jax.lanes.lanes import CompiledLanes
 if TYPE_CHECKING:
     from dssc_jax.lanes.gpu.kernel_text import TracedKernel
 
-THREADS = 256  # of a block, as many as a multiprocessor holds of the vehicle
+THREADS = 256  # threads of a block, as many as a multiprocessor holds of the vehicle
 
 
 class KernelLanes(CompiledLanes):
@@ -105,7 +105,7 @@ class KernelBatch:
         self.stream = gpu.stream()
 
     def reserve(self, size: int) -> int:
-        """The address of so many bytes."""
+        """Reserve ``size`` bytes, and return their address."""
         address = self._gpu.reserve(size)
         self._addresses.append(address)
         return address
@@ -122,7 +122,7 @@ class KernelBatch:
         return self.copy_to_gpu(np.array([*addresses, 0], np.uint64))
 
     def close(self) -> None:
-        """Give memory and queue back, after the queue has ended."""
+        """Wait for the queue's work, free the memory and close the queue."""
         self._gpu.wait(self.stream)
         for address in self._addresses:
             self._gpu.free(address)

@@ -10,7 +10,7 @@ TRIPLE = "nvptx64-nvidia-cuda"
 CAPABILITY = 8, 0
 """The oldest GPUs that the code is for, by NVIDIA's compute capability: Ampere. Newer ones run it, too."""
 FEATURES = "+ptx74"  # the language of drivers since CUDA 11.4
-LEVEL = 2  # of LLVM's code generation
+LEVEL = 2  # optimisation level of LLVM's code generation
 
 
 def target_machine() -> Any:

@@ -23,7 +23,7 @@ import numpy as np
 from dssc_jax.lanes.interface import ENTRY_POINT
 
 CORES_VARIABLE = "DSSC_JAX_CORES"
-CODE_LEVEL = 2  # of LLVM's code generation
+CODE_LEVEL = 2  # optimisation level of LLVM's code generation
 PARTS = 32  # parts of a batch per thread: some are quicker than others, and so are cores
 
 

@@ -24,7 +24,7 @@ class AheadPlan:
     Args:
         counters: Positions of the uniform states, and by how much each grows in a turn.
         values: The uniform values of the body, in order.
-        outputs: Those of them, and of the counters, that a turn reads.
+        outputs: The counters and values that a turn reads.
     """
 
     counters: dict[int, int]

@@ -128,7 +128,7 @@ def select_n(build: Builder, operands: Sequence[Value], params: Parameters, dtyp
 
 
 def convert(build: Builder, operands: Sequence[Value], params: Parameters, dtype: np.dtype) -> Value:
-    """The same number in another type."""
+    """The operand's number in another type."""
     (x,) = operands
     if dtype == BOOL and x.dtype != BOOL:
         return build.add("ne", x, build.constant(0, x.dtype))

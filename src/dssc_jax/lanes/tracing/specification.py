@@ -62,7 +62,7 @@ class Specification:
     """The types and parameters of a primitive that are translated exactly.
 
     Args:
-        types: Of every operand and result; None: a call or a loop, whose inner equations are checked.
+        types: The types of every operand and result; None: a call or a loop, whose inner equations are checked.
         parameters: The condition of each parameter. One that is not listed is refused.
         exact: A further condition on the whole equation: None, or what is not translated.
     """

@@ -21,7 +21,7 @@ from dssc_jax.core.signals import Scalar
 from dssc_jax.core.zero_dynamics import companion
 
 MOST_ORDER = 6
-SLOWEST = 1e-6  # of the poles' geometric mean: slower decay than that is not told from none
+SLOWEST = 1e-6  # share of the poles' geometric mean: slower decay than that is not told from none
 Matrix = tuple[tuple[float, ...], ...]
 NUMERATOR = Quantity("1", "numerator of G, rising powers of mu s", law=False)
 DENOMINATOR = Quantity("1", "denominator of G, rising powers of mu s", law=False)

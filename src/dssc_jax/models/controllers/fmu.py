@@ -38,7 +38,7 @@ class SampledSignals(NamedTuple):
 
     Args:
         y: The measurement of y.
-        y_dot: That of y'.
+        y_dot: The measurement of y'.
         y_ref: The reference y_m.
         y_ref_dot: Its derivative.
         y_ref_ddot: Its second derivative.

@@ -28,7 +28,7 @@ TAU_M = Quantity("s", "predictor time constant tau_m", above=0.0)
 
 
 class StateFunctions(NamedTuple):
-    """Values of the functions at one sample: k_o [1/s], tau_av [s], tau_m [s]."""
+    """Values of the functions at one sample: k_o [y/(s^2 u)], tau_av [s], tau_m [s]."""
 
     k_o: Scalar
     tau_av: Scalar

@@ -175,7 +175,7 @@ def estimator(plant: SampledPlant, rows: np.ndarray, gains: LqgGains) -> np.ndar
 
 
 def filter_gain(a: np.ndarray, rows: np.ndarray, w: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """L of the filter of least variance for noise of the covariances w of the state and v of the signals."""
+    """L of the filter of least variance; the state's noise has the covariance w, and the signals' noise v."""
     p = solution(a.T, rows.T, w, v, "filter", "the measured signals do not show it")
     return np.linalg.solve(rows @ p @ rows.T + v, rows @ p).T
 

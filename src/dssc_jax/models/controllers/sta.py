@@ -36,7 +36,7 @@ from dssc_jax.models.controllers.nominal import L0, NominalGains, nominal_contro
 
 K_N = Quantity("y/(s^2 u)", "nominal input gain k_n", above=0.0)
 LIMIT = Quantity("u", "limit of |u|", above=0.0)
-ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # of |x|^(1/2) sgn x: 1.1128
+ROOT_FACTOR = 2.0 / math.sqrt(math.pi) * math.gamma(1.25) / math.gamma(1.75)  # factor of |x|^(1/2) sgn x: 1.1128
 
 
 class StaGains(NamedTuple):

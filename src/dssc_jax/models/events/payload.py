@@ -17,7 +17,7 @@ class PayloadParams(NamedTuple):
 
     at: Annotated[Scalar, AT]
     mass: Annotated[Scalar, Quantity("kg", "mass that is added; below 0: dropped")]
-    offset: Annotated[tuple[Scalar, ...], Quantity("m", "its place from the centre of mass, body axes")] = (
+    offset: Annotated[tuple[Scalar, ...], Quantity("m", "place of the mass from the centre of mass, body axes")] = (
         0.0,
         0.0,
         0.0,

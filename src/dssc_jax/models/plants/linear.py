@@ -56,7 +56,7 @@ class StateSpaceParams(NamedTuple):
         inputs: Input columns of disturbances beside that of ``disturbance``, by their names in the study.
         d: Feedthrough of the command to y, which must be 0.
         degree: Relative degree from the command to y; found before tracing.
-        disturbance_degree: Relative degree from the disturbance to y; likewise.
+        disturbance_degree: Relative degree from the disturbance to y; found before tracing.
     """
 
     a: Annotated[MatrixRows, ENTRY]

@@ -24,15 +24,15 @@ from dssc_jax.core.quantities import Quantity
 from dssc_jax.core.signals import ReferencePoint, Scalar
 
 SEMI_MAJOR_AXIS = 6378137.0  # a [m] of WGS 84 (TR8350.2, table 3.1)
-FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (likewise)
+FLATTENING = 1.0 / 298.257223563  # f of WGS 84 (TR8350.2, table 3.1)
 STANDARD_GRAVITY = 9.80665  # g_n [m/s^2] (3rd CGPM, 1901)
 LATERAL_LIMIT = 0.5 * STANDARD_GRAVITY  # greatest acceleration across the path [m/s^2]: a tilt of 27 degrees (assumed)
 FRAME_RADIUS = 1e4  # reach of the local frame [m] (assumed): the ground is 8 m below the tangent plane there
 SAME = 0.01  # consecutive waypoints nearer than this [m] are the same (assumed; the precision of RTK positioning)
-SEGMENT_TIME = 0.02  # of the table [s]
+SEGMENT_TIME = 0.02  # duration of a segment of the table [s]
 FEWEST_SEGMENTS = 256
 MOST_SEGMENTS = 65536
-LEG_PARTS = 128  # of a leg, on which its length and curvature are taken
+LEG_PARTS = 128  # parts of a leg, on which its length and curvature are taken
 RAMP = 1.875  # peak slope of 10 x^3 - 15 x^4 + 6 x^5 on [0, 1]
 GAUSS = np.polynomial.legendre.leggauss(5)
 

@@ -14,7 +14,7 @@ from dssc_jax.core.registry import Entry
 from dssc_jax.core.signals import Measurement, Scalar
 from dssc_jax.core.smoothness import SMOOTH
 
-AHEAD = 0.01  # of a step, by which held noise begins early: rounding of k T_s must not show the value before
+AHEAD = 0.01  # share of a step by which held noise begins early: rounding of k T_s must not show the value before
 
 
 class RecordedNoiseParams(NamedTuple):

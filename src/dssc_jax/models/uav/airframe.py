@@ -35,7 +35,7 @@ LINE = re.compile(
 GAIN = re.compile(r"M(?:P?)C_\w+_(?:P|I|D|FF|K)(?:_ACC)?")
 READ = ("CA_", "SIH_", "MC_", "MPC_", "IMU_GYRO_", "IMU_DGYRO_", "THR_MDL_FAC")
 LARGEST_PARAMETER = 1e6
-"""Of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
+"""Largest size of a parameter in PX4's units; no length, mass, thrust or inertia of a multirotor is larger."""
 PRODUCTS = ("SIH_IXY", "SIH_IXZ", "SIH_IYZ")
 INERTIA = ("SIH_IXX", "SIH_IYY", "SIH_IZZ")
 SIMULATED: dict[str, float] = {

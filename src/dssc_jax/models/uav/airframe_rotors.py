@@ -16,8 +16,8 @@ from dssc_jax.models.uav.vehicle import QUADROTOR, ROUNDED_TO_ZERO, Rotor, Vehic
 SIMILAR = 0.01  # relative difference of rotors that count as equal
 RATIOS = (-1.0, -0.866025, -0.866, -0.707, -0.5, 0.0, 0.5, 0.707, 0.866, 0.866025, 1.0)
 """Positions of generic airframes, which are ratios."""
-MULTIROTOR = 0  # of CA_AIRFRAME
-MOST_ROTORS = 12  # that PX4's control allocation takes
+MULTIROTOR = 0  # value of CA_AIRFRAME
+MOST_ROTORS = 12  # number that PX4's control allocation takes
 MOMENT_COEFFICIENT = 0.05
 THRUST_COEFFICIENT = 6.5
 AXIS = (0.0, 0.0, -1.0)

@@ -59,7 +59,7 @@ class Scales(NamedTuple):
 
     Args:
         thrust: Mean of the entries of net thrust.
-        turning: That of roll and of pitch: the larger of their root mean squares, times the root of 2 [1/m].
+        turning: The scale of roll and of pitch: the larger of their root mean squares, times the root of 2 [1/m].
         yaw: The largest entry about the axis that points down [1/m].
     """
 

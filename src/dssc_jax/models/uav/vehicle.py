@@ -146,7 +146,7 @@ QUADROTOR = Vehicle(
 """The article's simulated vehicle (Section V-B)."""
 
 HEXACOPTER = QUADROTOR._replace(rotor_angles=ring(6), spins=alternating(6))
-"""The same body with six rotors, like the article's DJI M600 Pro; rotors as those of the quadrotor (assumed)."""
+"""The body of ``QUADROTOR`` with six of its rotors, like the article's DJI M600 Pro (assumed)."""
 
 
 def check_circle(vehicle: Vehicle) -> None:

@@ -94,7 +94,7 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
 
 
 def decayed_sinh_excess(h: Scalar) -> Scalar:
-    """exp(-h) (sinh h - h) for h >= 0, without cancellation or overflow."""
+    """exp(-h) (sinh h - h), the scaled excess of sinh h over h; for h >= 0, without cancellation or overflow."""
     small = jnp.minimum(h, 1.0)
     square = small * small
     series = 1.0

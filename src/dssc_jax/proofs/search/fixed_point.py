@@ -58,26 +58,26 @@ STATE_ROOM = 1.02
 SMALLEST_BOUND = 1e-15
 """Smallest bound, so that all are positive."""
 SMALLEST_REGION = 1e-12
-"""The same of a region."""
+"""Smallest bound of a region, so that it is positive."""
 WORTH = 0.997
 """Improvement of |e| for which another stage is worth its time."""
 FURTHER_WORTH = 0.9
-"""The same after ``SHRINKINGS`` stages."""
+"""Improvement of |e| for which another stage is worth its time, after ``SHRINKINGS`` stages."""
 
 
 @dataclass(frozen=True)
 class BoundsStage:
-    """Bounds that imply themselves while |sigma| and |e| stay within a region.
+    """Bounds that the middle loop maps into themselves while |sigma| and |e| stay within a region.
 
     Args:
         sigma: Bound of |sigma| in which the gains are taken [m/s].
         e: Bound of |e| there [m].
         change: Bound of the change of sigma in a sample there [m/s].
         level: Bound of |d| [m/s] under the bounds of the signals.
-        slope: Bound of |d'| [m/s^2] likewise.
+        slope: Bound of |d'| [m/s^2] under the same bounds.
         rate: lambda [1/s], with which V = z'Pz of the middle loop falls.
-        gains: K_P, K_I, K_N, and K_P and T_s K_I times 1 + tau_av/T_s, of the middle loop; with the coordinate
-            ``phi_1`` the first is the slope that stands for phi_1.
+        gains: Gains of the middle loop: K_P, K_I, K_N, K_P (1 + tau_av/T_s) and T_s K_I (1 + tau_av/T_s), in this
+            order; with the coordinate ``phi_1`` the first is the slope that stands for phi_1.
         bounds: Bounds of sigma - s, sigma, e, the command, u_eq - d, and of all states.
         p: P, row by row.
         coordinate: What z holds, ``u_av`` or ``phi_1`` for q = v - phi_1(s).
@@ -105,14 +105,14 @@ class Responses(NamedTuple):
 
 
 class BoundsMap(NamedTuple):
-    """The map of bounds to bounds of one region: origin + matrix times bounds.
+    """The map of bounds to bounds of one region: bounds -> forced (+ peaks, with the start) + matrix @ bounds.
 
     Args:
         step: One sample of the middle loop.
-        spread: Its gains, and what deviates from it.
+        spread: The law in the region: the gains of the middle loop, and the deviations from it.
         forced: Bounds of the responses to disturbance, reference and deviations of a constant bound, (signals,).
-        peaks: Of those to the starts, (signals,).
-        matrix: (signals, signals).
+        peaks: Bounds of the responses to the starts, (signals,).
+        matrix: Bounds of the responses to the deviations that grow with the bounds, (signals, signals).
         command: The bound of the true command: a row for the bounds, and a constant, (signals + 1,).
     """
 

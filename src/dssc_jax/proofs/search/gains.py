@@ -114,7 +114,7 @@ def increment_errors(problem: ProofProblem, size: np.ndarray, change: float) -> 
 
 @jax.jit
 def conservative_gains(functions: Any, s: jax.Array, e: jax.Array, l0: Scalar, t: Scalar, pole: Scalar) -> GainArrays:
-    """The same of the conservative form: K_P and d phi_1/d e are means over a sample, tau_av belongs to its end."""
+    """The gains of the conservative form: K_P and d phi_1/d e are means over a sample, tau_av belongs to its end."""
     at = functions.at(s, e, l0)
     law = functions.law(s, e, at)
     gains = implicit_gains(functions, s, e, l0, t, pole)

@@ -166,7 +166,7 @@ def middle_gains(spread: LawSpread) -> list[float]:
 
 
 def slide_hull(problem: ProofProblem, region: tuple[float, float], change: float, error_change: float) -> Interval:
-    """The gain of sigma - s in the equivalent control, where sigma and e change by so much in a sample.
+    """The gain of sigma - s in the equivalent control, where sigma changes by ``change`` in a sample.
 
     With a constant k_o, tau_av K_P is 1/k_o, times a ratio of slopes of phi_1 at points within a sample.
     """

@@ -34,21 +34,21 @@ from dssc_jax.proofs.search.sampled_loop import (
 FIRST_REGION = 1.02
 """Smallest region that is tried, in sizes of the start."""
 LARGEST_REGION = 30.0
-"""The largest, likewise."""
+"""Largest region that is tried, in sizes of the first one."""
 MOST_REGIONS = 20
 """Largest number of regions."""
 CURVE_SHARE = 1e-3
 """Share of the decay that the remainder of a polynomial in 1/mu may take."""
 MOST_DEGREE = 6
-"""Its largest degree."""
+"""Largest degree of a polynomial in 1/mu."""
 REGION_ROOM = 1.03
 """Room around the set that sizes the next region."""
 START_RATES = (0.3, 0.12, 0.04)
 """Values of lambda that are tried for a set that holds the start; in the loop's slowest decay."""
 RATES = (0.3, 0.6, 0.12, 0.04)
-"""The same for sets that need not hold it."""
+"""Values of lambda that are tried for a set that need not hold the start; in the loop's slowest decay."""
 ENOUGH = 0.98
-"""The least improvement that is worth another."""
+"""Another set is worth its time if its |e| is at most this share of the last bound."""
 ENOUGH_RATES = 2
 """Number of rates with a set after which no other is tried."""
 INFLATION = 1.001
@@ -56,7 +56,7 @@ INFLATION = 1.001
 SPARE = 0.01
 """Share of the decay that is left to the verifier's balls, for one plant."""
 SPARE_OF_BOXES = 0.1
-"""The same for a box of a_p or mu."""
+"""Share of the decay that is left to the verifier's balls, for a box of a_p or mu."""
 CHANGE_ROOM = 8.0
 """Room of a set for the change of sigma in a sample, over what the loop at sigma = e = 0 reaches."""
 CHANGE_WEIGHT = 1e-3
@@ -78,7 +78,7 @@ class SetStage:
         level: Bound of |d| [m/s].
         slope: Bound of |d'| [m/s^2].
         pieces: Number of pieces of |sigma|, equal in its root, in each of which the gains have their own intervals.
-        degree: Of the polynomial in 1/mu that stands for the held plant.
+        degree: Degree of the polynomial in 1/mu that stands for the held plant.
         rate: lambda [1/s].
         multipliers: mu_j of the inputs, with a sum of at most lambda.
         p: P, row by row.
@@ -121,7 +121,7 @@ class Setting(NamedTuple):
     programs: SetPrograms
 
     def steps(self, region: Region) -> list[Step]:
-        """The linear map of a sample, at every corner of the box of plants and of the gains in each piece of a region.
+        """The linear maps of a sample, at every corner of the box of plants and gains, for each piece of a region.
 
         Where z holds q = v - phi_1(s), a sample needs the gains themselves; where it holds v, those of the increments.
         """
@@ -239,16 +239,15 @@ def first_set(setting: Setting) -> SetStage | str:
 
 
 def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bool) -> SetStage | None:
-    """A set that holds the start, and stays in a region whose gains it allows.
+    """A set that holds the start, and stays in the region that its gains are taken from.
 
-    Of the sets of a region's gains, the one that exceeds the region by the least sizes the next region.
+    If the set found for a region exceeds it, the next region has that set's size, with some room.
 
     ``first_sizes`` bounds |sigma| and |e| in the first region; ``slides`` tells whether the set has to keep sliding.
     """
     rows = setting.origin.rows
     depends_on_e = setting.problem.functions["kind"] == "vgsta"
-    # without sliding, first_set asks only whether there is such a set: one rate will do
-    shares = START_RATES if slides else START_RATES[:1]
+    shares = START_RATES if slides else START_RATES[:1]  # only the set's existence tells the reason of a failure
     limits = np.array(first_sizes)
     for _ in range(MOST_REGIONS):
         region = region_of(setting.problem, float(limits[0]), float(limits[1]))

@@ -48,7 +48,11 @@ class Stage(TypedDict):
 
 
 class SmallGainStage(Stage):
-    """Gains of the middle loop, bounds of the signals and of the change of sigma, and the coordinate of z."""
+    """A stage of the method "small gain".
+
+    ``gains`` are those of the middle loop, ``bounds`` those of its signals and states. ``change`` bounds the change of
+    sigma in a sample, and ``coordinate`` tells what z holds.
+    """
 
     gains: Sequence[float]
     bounds: Sequence[float]

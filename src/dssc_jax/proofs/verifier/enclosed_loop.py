@@ -31,7 +31,7 @@ class SignalBounds(NamedTuple):
 
 
 class SignalRows(NamedTuple):
-    """Rows of e and sigma as they are measured, of sigma - s, of v or q, and of s."""
+    """Rows that give five signals: e and sigma as they are measured, sigma - s, v or q, and s."""
 
     e: arb_mat
     sigma: arb_mat
@@ -142,7 +142,7 @@ def zeta_jump(problem: Problem) -> list[arb]:
 
 
 def input_columns(problem: Problem, k_p: arb, sizes: SignalBounds, within_sample: list[arb]) -> arb_mat:
-    """Columns of the changes of d_r + f and -f and of theta's components, for inputs of magnitude at most 1."""
+    """Input columns for changes of d_r + f and -f, and for theta's components; the inputs have sizes of at most 1."""
     zeta, memory, n = state_places(problem)
     t = arb(problem["sample_time"])
     jump = [k_p * entry for entry in zeta_jump(problem)]

@@ -20,9 +20,9 @@ from dssc_jax.proofs.verifier.table_gains import Cells, first_cells, gains_of
 DISTANCE_ROOM = 0.02
 """Largest excess over the distances at points, as a share of them, unless the caller asks for less."""
 SHARED_ROOM = 0.02
-"""The same of what a share is taken from."""
+"""Largest excess, as a share of the distances at points, for phi_2 less its share of the command."""
 DISTANCE_ROUNDING = 2.0**-42
-"""The same, in sizes of the function."""
+"""Largest excess that rounding needs, in sizes of the function."""
 MOST_PIECES = 6000
 MOST_CELLS = 200_000
 DISTANCES = {"phi_1": ("mean",), "phi_2": ("k_i",), "both": ("mean", "k_n")}
@@ -121,7 +121,7 @@ def phi_1(problem: Problem, sigma: float) -> arb:
 
 
 def distances_in_cells(problem: Problem, sigma: float, e: float, centre: Balls) -> Balls:
-    """The same of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
+    """Upper bounds of the distances of Table 1's functions, which depend on e, too; in float64, rounded outwards."""
     slopes = {name: exactly(float(centre[name])) for name in ("mean", "k_i", "k_n")}
     least_rooms = {name: rounding_of(names, centre) * sigma for name, names in DISTANCES.items()}
     at_points = dict.fromkeys(DISTANCES, 0.0)

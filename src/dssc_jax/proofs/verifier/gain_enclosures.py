@@ -1,4 +1,4 @@
-"""The gains of a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and of Section V."""
+"""The gains in a region of sigma and e, enclosed in balls: the verifier's own rows of Table 2 and Section V."""
 
 import math
 
@@ -12,7 +12,7 @@ PRECISE = 0.03  # largest excess of a hull over the gains themselves, in widths 
 ROUNDING = 2.0**-40  # and in sizes of the gain
 MOST_PIECES = 6000
 SMALLEST_ROOM = 1e-300
-SMALLEST_REGION = 1e-12  # of the starts
+SMALLEST_REGION = 1e-12  # smallest bound of |sigma| and |e| at the start
 
 
 class PointHull:
@@ -233,7 +233,10 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
 
 
 def enclosed_ratio_to_defect(size: tuple[float, float], scale: arb) -> arb:
-    """:func:`ratio_to_defect` of r over a scale, for |sigma| in an interval."""
+    """Enclosure of :func:`ratio_to_defect` of r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
+
+    The ratio rises, so that its values at both ends suffice.
+    """
     root_low, root_high = ends_of(size)
     at_low = ratio_to_defect(root_low / scale)
     if size[0] == size[1]:

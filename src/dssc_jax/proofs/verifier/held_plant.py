@@ -163,9 +163,9 @@ def held_vertices(problem: Problem, box: Box, degree: int) -> list[arb_mat]:
 
 
 def bernstein_coefficients(problem: Problem, a_p: arb, rates: Interval, degree: int) -> list[arb_mat]:
-    """Those of the Taylor polynomial of exp about the middle of an interval of 1/mu, over that interval.
+    """Bernstein coefficients, over an interval of 1/mu, of exp's Taylor polynomial about the interval's middle.
 
-    The i-th of the term x^k on [-1, 1] is the mean product of k out of i numbers 1 and degree - i numbers -1.
+    The i-th coefficient of a term x^k on [-1, 1] is the mean product of k out of i numbers 1 and degree - i numbers -1.
     """
     low, high = map(arb, rates)
     (side,) = box_sides(problem, {"a_p": (0.0, 0.0), "rate": rates})

@@ -27,11 +27,11 @@ UNDERFLOW = 1e-290
 
 
 class ResponseBounds(NamedTuple):
-    """Upper bounds.
+    """Upper bounds of responses.
 
     Args:
-        sums: Of the sums over k of |row A^k input|, (rows, inputs).
-        peaks: Of the largest |offset + row A^k start| over all k, (rows, starts).
+        sums: Bounds of the sums over k of |row A^k input|, (rows, inputs).
+        peaks: Bounds of the largest |offset + row A^k start| over all k, (rows, starts).
     """
 
     sums: np.ndarray
@@ -54,8 +54,8 @@ class Block(NamedTuple):
 
     Args:
         response: The samples, (samples, rows, columns).
-        error: Bound of the error of any one of them but for ``radius_effect``, (rows, columns).
-        error_sum: The same of the sum of their errors.
+        error: Bound of any sample's error but for ``radius_effect``, (rows, columns).
+        error_sum: Bound of the sum of the samples' errors but for ``radius_effect``, (rows, columns).
         radius_effect: Bound of what the states' radii, dropped so far, do to any sample from this block on.
         tail: Bound of every sample after this block, with ``radius_effect``.
     """

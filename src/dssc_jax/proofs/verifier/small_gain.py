@@ -81,12 +81,12 @@ class MiddleLoop(NamedTuple):
 
 
 class LawDeviations(NamedTuple):
-    """Bounds of what the law deviates by from that of the middle loop.
+    """Bounds of the law's deviations from the middle loop.
 
     Args:
-        integral: Of omega_v, in the increment of v or q.
-        command: Of the command besides, at one k_p.
-        slide: Of the equivalent control, without what deviates by the changes of sigma and e in a sample.
+        integral: Bound of omega_v, the deviation of the increment of v or q.
+        command: Bound of the command's deviation besides, at one k_p.
+        slide: Bound of the equivalent control's deviation, without that by the changes of sigma and e in a sample.
     """
 
     integral: arb

@@ -70,7 +70,7 @@ def require_entries(table: object, names: AbstractSet[str], place: str) -> dict[
 
 
 def require_list(values: object, count: int | None, place: str) -> Sequence[object]:
-    """A list of so many items; reject anything else."""
+    """A list of ``count`` items, or of any number if it is None; reject anything else."""
     if not isinstance(values, list | tuple):
         raise Rejected(f"P0: {place} is no list")
     require_shape(count in (None, len(values)), place, f"has {len(values)} items in place of {count}")
@@ -96,12 +96,12 @@ def require_not_negative(value: object, place: str) -> None:
 
 
 def require_numbers(values: object, count: int | None, place: str) -> list[float]:
-    """A list of so many finite numbers; reject anything else."""
+    """A list of ``count`` finite numbers, or of any number of them if it is None; reject anything else."""
     return [require_finite(value, place) for value in require_list(values, count, place)]
 
 
 def require_sizes(values: object, count: int, place: str) -> None:
-    """Reject anything but a list of so many finite numbers of at least 0."""
+    """Reject anything but a list of ``count`` finite numbers of at least 0."""
     require_shape(all(value >= 0 for value in require_numbers(values, count, place)), place, "is negative")
 
 

@@ -248,9 +248,9 @@ class CrazyflieState(NamedTuple):
     """State of the cascade.
 
     Args:
-        velocity: That of the velocity PIDs, along the heading, to its left, and up.
-        attitude: That of the attitude PIDs.
-        rate: That of the rate PIDs.
+        velocity: State of the velocity PIDs, along the heading, to its left, and up.
+        attitude: State of the attitude PIDs.
+        rate: State of the rate PIDs.
         thrust: Held thrust, as a share of the full one.
         setpoint: Held roll and pitch, and the desired yaw [rad].
         yaw_rate: Held rate of yaw [rad/s].

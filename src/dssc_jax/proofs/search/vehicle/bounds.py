@@ -291,7 +291,7 @@ def fixed_point_from(
 
 
 def inflated_bound(signal: str, bound: float, room: float) -> float:
-    """A bound with so many times the usual room for the verifier."""
+    """A bound widened for the verifier by ``room`` times the usual room."""
     share = FAST_INFLATION if signal in FAST else INFLATION
     return max((1.0 + room * share) * bound, SMALLEST_BOUND)
 

@@ -40,7 +40,8 @@ from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 LAYOUTS = ((0.2, 10.0), (0.2, 20.0), (0.5, 60.0))
 """Durations of a cell, and times at which the last one begins [s]; the first layout that closes is taken."""
 MOVING_LAYOUTS = LAYOUTS[2:]
-"""The same where the reference moves: the vehicle starts far from the nominal flight, and its wind acts for long."""
+"""Those ``LAYOUTS`` that are tried where the reference moves. The vehicle then starts far from the nominal flight, and
+its wind acts for long."""
 REGION_SHARES = (0.3, 0.6, 0.9, 0.0)
 """Regions for which slopes are tried: shares of the way from the settled |sigma| to the start's, in logarithms."""
 REGIONS = tuple((share, 1.0) for share in REGION_SHARES)
@@ -78,8 +79,8 @@ class Kernels:
 
     Args:
         response: The channel's response without cells.
-        upper: The sum up to the last sample of the cell that is so many cells later, (cells, rows, inputs).
-        lower: The sum before the first sample of that cell, (cells, rows, inputs).
+        upper: Entry k is the sum up to the last sample of the cell k cells later, (cells, rows, inputs).
+        lower: Entry k is the sum before the first sample of the cell k cells later, (cells, rows, inputs).
         total_sum: The sum over all later samples, (rows, inputs).
         constant: Largest response to the constant in each cell and in the last, (cells, rows).
         starts: Largest responses in each cell: to the start with e and e', and to q_(-1), (cells, rows, 2).
@@ -267,7 +268,7 @@ def cell_fixed_point(
 
 
 def input_effects(kernel: Kernels, inputs: list[np.ndarray], current: np.ndarray, *, final: bool) -> np.ndarray:
-    """Bounds of the effects in a cell of the inputs of earlier cells and of its own, (rows,).
+    """Bounds of what the inputs of a cell and of earlier ones cause in the cell, (rows,).
 
     An input is that of the first cell from t = 0 on, plus its changes from cell to cell, from then on.
     """

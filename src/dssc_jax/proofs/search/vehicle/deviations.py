@@ -13,7 +13,7 @@ from dssc_jax.proofs.vehicle_problem import ChannelProblem, VehicleProblem
 DISTANCE_ROOM = 1.01
 """Widening of a distance, for the verifier's enclosure."""
 RATIO_ROOM = 1.001
-"""Widening of a distance over |sigma|, likewise."""
+"""Widening of a distance over |sigma|, for the verifier's enclosure."""
 SHARED_ROOM = 1.03
 """Widening of the rest of omega_q, for the verifier's enclosure."""
 SMALLEST_REGION = 1e-9
@@ -26,9 +26,9 @@ class ChannelDeviations:
     """Deviations of the functions from straight lines: largest distances, and their ratios to |sigma|.
 
     Args:
-        slopes: k_1, k_2, k_3, and the share of omega_u in omega_q.
-        distance: Of phi_1, of phi_2 without its share, and of phi_1 + n.
-        ratio: The same over |sigma|.
+        slopes: k_1, k_2, k_n, and the share of omega_u in omega_q.
+        distance: Largest distances of phi_1, of phi_2 without its share, and of phi_1 + n.
+        ratio: The largest ratios of these distances to |sigma|.
         steepest: Largest K_P and K_I, and 1 + tau_av/T_s.
     """
 

@@ -28,7 +28,7 @@ from dssc_jax.proofs.vehicle_problem import CHANNELS, VehicleProblem
 ROOM = 1.0 + 1e-4
 """Widening of the flight's bounds, for what the verifier's balls add."""
 SLOPE_ROOM = 1.1
-"""The same of slopes within a sample."""
+"""Widening of slopes within a sample, for what the verifier's balls add."""
 AXES_OF = {"x": ("x", "y"), "z": ("z",), "psi": ("psi",)}
 """The axes whose loops each channel has."""
 
@@ -98,9 +98,9 @@ class Answer:
     """The steady answer of an axis to one frequency: phasors.
 
     Args:
-        state: Of z, (n,).
-        signals: Of each signal at the points of a sample, (points,).
-        slopes: Of its slope within the sample, at some times, (times,).
+        state: Phasor of z, (n,).
+        signals: Phasors of each signal at the points of a sample, (points,).
+        slopes: Phasors of each signal's slope within the sample, at some times, (times,).
     """
 
     state: np.ndarray
@@ -217,7 +217,7 @@ def first_state(problem: VehicleProblem, name: str, slopes: tuple[float, ...], d
 
 
 def bounds_of(problem: VehicleProblem, answers: list[dict[Fraction, Answer]]) -> dict[str, float]:
-    """Bounds of all signals from the answers of one axis or of both axes of the plane."""
+    """Bounds of all signals, from the answers of one axis or of the plane's two axes."""
     eighth = problem.sample_time / 8.0
     frequencies = set().union(*answers)
     first_answer = next(iter(answers[0].values()))

@@ -65,16 +65,16 @@ class Attitude:
 
 @dataclass(frozen=True)
 class Rotors:
-    """Bounds of the rotors, of a cell of time and those before it.
+    """Bounds of the rotors, in a cell of time and in those before it.
 
     Args:
-        smallest: Of the thrusts [N], from below.
-        largest: Of the thrusts [N].
-        spread: Of the difference of two rotors' speeds [rad/s].
-        sum: Of the sum of the speeds [rad/s].
+        smallest: Lower bound of every thrust [N].
+        largest: Upper bound of every thrust [N].
+        spread: Bound of the difference of two rotors' speeds [rad/s].
+        sum: Bound of the sum of the speeds [rad/s].
         shortfall: d, how far a thrust is behind its command [N].
         defect: zeta [N/s].
-        spin_up: Of the sum of the speeds' rates [rad/s^2].
+        spin_up: Bound of the sum of the speeds' rates [rad/s^2].
     """
 
     smallest: float
@@ -161,7 +161,7 @@ def couplings(inertia: tuple[Interval, ...]) -> tuple[float, float]:
 
 
 def believed_couplings(problem: VehicleProblem) -> tuple[float, float]:
-    """The same of the believed inertia."""
+    """:func:`couplings` of the believed inertia."""
     return couplings(tuple((value, value) for value in problem.believed_inertia))
 
 
@@ -270,7 +270,7 @@ def remainders_of(
         y: Bounds of the signals, in a cell of time.
         damping: Damping of drag in the plane and along z [1/s].
         earlier: The rotors in the cells before.
-        couplings: Of a vehicle whose reference moves.
+        couplings: Bounds of the couplings; None: the problem has no moving reference.
 
     Raises:
         OutOfRange: the vehicle may leave the range of the theorem.
@@ -350,7 +350,7 @@ def exact_torques(
 
 
 def lagged_torques(problem: VehicleProblem, y: Signals, at: Attitude, air: Air) -> tuple[float, float]:
-    """The same with a rotor lag."""
+    """Remainders of alpha'' and of psi'' with a rotor lag."""
     delta = problem.turn_deviation
     s, t = at.tilt, at.tangent
     i_h, i_z = couplings(problem.inertia)

@@ -183,7 +183,7 @@ class ChannelSeries:
     """Responses of a channel sample by sample; rows are points of a sample and signals.
 
     Args:
-        effects: Magnitudes of what inputs of size 1 in one sample cause so many samples later, (samples, rows, inputs).
+        effects: Entry k: sizes of what inputs of size 1 in a sample cause k samples later, (samples, rows, inputs).
         constant: Response to a constant force 1 from t = 0 on, (samples, rows).
         starts: Responses to e, e' and q_(-1), (samples, rows, 3).
         known: Magnitudes of the response to the known difference of z_0 from that of the nominal flight, (samples,

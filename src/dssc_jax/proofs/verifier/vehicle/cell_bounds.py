@@ -92,7 +92,7 @@ def implied_in_cells(
         vehicle: The channels.
         bounds: Bounds of the signals in each cell.
         inputs: What they allow in each cell.
-        responses: Those of :func:`responses_in_cells`.
+        responses: The responses by :func:`responses_in_cells`.
     """
     if not responses:
         return [implied_bounds(vehicle, bounds[0], inputs[0], from_start=True)]

@@ -119,7 +119,7 @@ def cell_responses(
 
 
 def start_responses(sizes: np.ndarray, initial: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Those to the start, to the deviation of the first sum q and to the constant, from sizes (..., rows, 4 + axes).
+    """Responses to the start, to the first sum q's deviation and to the constant, from sizes (..., rows, 4 + axes).
 
     What is known of the start counts with its larger axis in signals ``along`` one, else with the norm.
     """

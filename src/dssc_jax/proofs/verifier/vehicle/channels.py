@@ -258,7 +258,7 @@ def row_at(channel: Channel, sampled: SampledChannel, signal: str, transition: a
 
     Args:
         channel: The channel.
-        sampled: The same at its samples.
+        sampled: The channel at its samples.
         signal: The signal's name, not u_av.
         transition: :func:`flow` over the time since the sample.
     """

@@ -43,7 +43,7 @@ class Vehicle(NamedTuple):
         ranges: What the problem's intervals come to.
         dampings: c of each channel.
         observations: The channels at their samples.
-        responses: Their responses.
+        responses: Responses of the channels.
         flight: The nominal flight; None without a reference.
     """
 

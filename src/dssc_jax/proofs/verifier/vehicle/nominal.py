@@ -106,7 +106,7 @@ def total_bounds(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]])
 
 
 def body_bounds(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]]) -> Mapping[str, Mapping[str, arb]]:
-    """The same, where e_dot of z and psi stands for the vehicle's vertical speed and its yaw rate."""
+    """Bounds of the vehicle's signals, where e_dot of z and psi stands for its vertical speed and its yaw rate."""
     totals = total_bounds(flight, bounds)
     if flight is None:
         return totals
@@ -177,7 +177,7 @@ def channel_flight(
         name: The channel.
         proof: Its proof.
         channel: The channel.
-        sampled: The same at its samples.
+        sampled: The channel at its samples.
         phases: The times within a sample at which signals are seen; every time is at most T_s/8 from one.
     """
     courses = courses_of(problem, name, arb(proof["drag_damping"]))

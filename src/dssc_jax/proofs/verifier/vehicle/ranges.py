@@ -24,8 +24,8 @@ class Ranges(NamedTuple):
         mass_high: M_+.
         j_h: j_h of J_n.
         j_z: j_z of J_n.
-        i_h: The same as j_h over J's intervals.
-        i_z: The same as j_z over J's intervals.
+        i_h: The number j_h, taken over J's intervals.
+        i_z: The number j_z, taken over J's intervals.
         l_h: l_h.
         l_z: l_z.
         inertia_h: J_h, the smallest of J_x and J_y.

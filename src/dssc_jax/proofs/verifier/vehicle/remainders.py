@@ -16,7 +16,7 @@ from dssc_jax.proofs.verifier.vehicle.nominal import Coupling
 from dssc_jax.proofs.verifier.vehicle.ranges import Ranges
 
 LEAST_ROTORS = 4
-"""Of these, net thrust and moments determine the thrusts."""
+"""Number of rotors whose thrusts follow from net thrust and moments."""
 SignalBalls = Mapping[str, Mapping[str, arb]]
 """Bounds of the signals, by channel and name."""
 
@@ -189,13 +189,14 @@ def behind_of(
 
 
 def farthest_behind(n: arb, d_4: arb, f_min: arb) -> arb:
-    """(V3) A bound of |f_ci - f_i|, where ``d_4`` bounds the part of it that belongs to net thrust and moments.
+    """(V3) A bound d of |f_ci - f_i|, the shortfall of each rotor's thrust behind its command.
 
-    With more than four rotors f_i has a part xi_i in the null space of the allocation, too. f_c has none, so xi' =
-    -xi/tau - (projection of zeta on that space). The projection's rows have the norm ((n - 4)/n)^(1/2) and the sum 0,
-    and each zeta_i is within zeta/2 of zeta/2. So |xi_i| is at most tau (n - 4)^(1/2) zeta/2, where zeta is at most
-    d^2/(4 tau f_min). As xi is continuous and begins at 0, d stays below the smaller root of d = d_4 + (n - 4)^(1/2)
-    d^2/(8 f_min).
+    ``n`` is the number of rotors, ``d_4`` bounds the part that belongs to net thrust and moments, and ``f_min`` is the
+    least thrust. With more than four rotors f_i has a part xi_i in the null space of the allocation, too. f_c has none,
+    so xi' = -xi/tau - (projection of the zeta_i on that space), with the lag tau and the defects zeta_i of the rotors.
+    The projection's rows have the norm ((n - 4)/n)^(1/2) and the sum 0. Each zeta_i lies in [0, zeta], where zeta is at
+    most d^2/(4 tau f_min). So |xi_i| is at most tau (n - 4)^(1/2) zeta/2. As xi is continuous and begins at 0, d stays
+    below the smaller root of d = d_4 + (n - 4)^(1/2) d^2/(8 f_min).
     """
     discriminant_deficit = (n - LEAST_ROTORS).sqrt() * d_4 / (2 * f_min)
     require_premise(bool(discriminant_deficit < 1), "V3: the rotors may be too far behind their commands")
@@ -211,7 +212,7 @@ def drag_of(
     rotors: Rotors,
     behind: Behind,
 ) -> DragBounds:
-    """Bounds of the drag of structure and propellers, and of the gyroscopic torque of the rotors."""
+    """Bounds of the drag of structure and propellers, and of the rotors' gyroscopic torque."""
     n = arb(problem["rotors"])
     k_h, k_z = map(arb, problem["structure_drag"])
     k_p = arb(problem["propeller_drag"])
@@ -347,7 +348,7 @@ def torques(
 def torques_behind(
     problem: VehicleProblem, at: Ranges, bounds: SignalBalls, body: Attitude, drag: DragBounds, behind: Behind
 ) -> tuple[Balls, Balls]:
-    """The same with a rotor lag."""
+    """The remainders of the rotation, of x and of psi, with a rotor lag."""
     s, t, psi_1 = body.s, body.t, body.psi_1
     g = at.gravity
     lag = arb(problem["rotor_lag"])

@@ -56,13 +56,13 @@ class SignalResponse(NamedTuple):
     """Upper bounds of the responses of a signal at one time within the samples.
 
     Args:
-        command: To |omega_u| <= 1.
-        integral: To |omega_r| <= 1.
-        remainders: To each |r_j| <= 1.
-        constant: To a constant 1 in place of o, from t = 0 on.
-        settled_constant: The same as time grows.
-        starts: To e = 1 and to e' = 1 at t = 0, and to a deviation 1 of the first sum q.
-        known: To what is known of the start, with a moving reference.
+        command: Response to |omega_u| <= 1.
+        integral: Response to |omega_r| <= 1.
+        remainders: Response to each |r_j| <= 1.
+        constant: Response to a constant 1 in place of o, from t = 0 on.
+        settled_constant: Response to that constant as time grows.
+        starts: Responses to e = 1 and to e' = 1 at t = 0, and to a deviation 1 of the first sum q.
+        known: Response to what is known of the start, with a moving reference.
     """
 
     command: arb
@@ -97,11 +97,11 @@ class ChannelObservation(NamedTuple):
 
     Args:
         channel: The channel.
-        sampled: The same at its samples.
+        sampled: The channel at its samples.
         p: P of V, (m, m).
         decay: T_s lambda.
         sights: The signals at their times.
-        rows: Their rows, (sights, m).
+        rows: Rows of these signals, (sights, m).
         curves: The columns of the remainders within a sample.
         inputs: omega_u, omega_r, points and bend of each remainder, and the unit columns of chi, (m, inputs).
         starts: e, e', the first sum q, the constant, and what is known of the start along each axis, (m, 4 + axes).

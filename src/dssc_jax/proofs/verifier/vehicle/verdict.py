@@ -37,7 +37,7 @@ from dssc_jax.proofs.verifier.vehicle.well_formed import require_certificate
 from dssc_jax.proofs.verifier.verdict import ball_precision
 
 MOST_ITERATIONS = 40
-"""Of F_s."""
+"""Largest number of iterations of F_s."""
 LEAST_FALL = 1e-4
 """Fall of a bound, as a share of it, below which no more is gained."""
 REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
@@ -45,7 +45,7 @@ REMAINDER_OF_SIGMA = {"x": "force", "z": "force", "psi": "torque"}
 FloatBounds = dict[str, dict[str, float]]
 """Bounds of the signals, rounded up, by channel and name."""
 Envelope = Mapping[str, Mapping[str, list[float]]]
-"""The same in each time cell."""
+"""Bounds of the signals in each time cell, rounded up, by channel and name."""
 
 
 class VehicleVerdict(NamedTuple):
