@@ -77,7 +77,13 @@ def initial_progress(
     state = initial_state(loop, params, key)
     first_violations = as_arrays(tuple(0.0 for requirement in requirements if requirement.is_watched))
     return Progress(
-        zero, state, as_arrays(starts(measures, margins)), no_samples, no_samples, in_band, first_violations
+        k=zero,
+        state=state,
+        accumulators=as_arrays(starts(measures, margins)),
+        outcome=no_samples,
+        steps=no_samples,
+        in_band=in_band,
+        violations=first_violations,
     )
 
 
@@ -129,14 +135,14 @@ def sampler(
         state, recorded = step(loop, params, key, at.state, at.k, advance)
         accumulators = update_all(measures, at.accumulators, recorded.instant, at.k, loop.sample_time)
         integer = integer_type()
-        code = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
+        outcome_now = jnp.where(recorded.broken, integer(Outcome.SINGULAR_ATTITUDE), integer(Outcome.OK))
         is_ended = recorded.broken
         if recorded.grounded is not False:  # a plain False: the plant has no ground
-            code = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), code)
+            outcome_now = jnp.where(recorded.grounded, integer(Outcome.INTO_GROUND), outcome_now)
             is_ended = jnp.logical_or(is_ended, recorded.grounded)
-        code = jnp.where(recorded.finite, code, integer(Outcome.NON_FINITE))
+        outcome_now = jnp.where(recorded.finite, outcome_now, integer(Outcome.NON_FINITE))
         is_active = is_running(loop, at)
-        outcome = jnp.where(is_active, code, at.outcome)
+        outcome = jnp.where(is_active, outcome_now, at.outcome)
         is_completed = is_active & jnp.logical_and(recorded.finite, jnp.logical_not(is_ended))
         in_band = count_in_band(loop, at.in_band, recorded.instant, at.k)
         violations = watch(requirements, measures, accumulators, at.violations, at.k + 1, loop.steps, loop.sample_time)
@@ -147,7 +153,15 @@ def sampler(
                 (at.state, at.in_band, at.violations),
             )
             accumulators = jax.tree.map(partial(kept_number, is_completed), accumulators, at.accumulators)
-        return Progress(at.k + 1, state, accumulators, outcome, at.steps + is_completed, in_band, violations), recorded
+        return Progress(
+            k=at.k + 1,
+            state=state,
+            accumulators=accumulators,
+            outcome=outcome,
+            steps=at.steps + is_completed,
+            in_band=in_band,
+            violations=violations,
+        ), recorded
 
     return sample
 

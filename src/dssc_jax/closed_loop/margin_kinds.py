@@ -67,17 +67,24 @@ class MarginKind:
 
 
 MARGIN_KINDS = {
-    "gain": MarginKind("gain_upper", "gain_margin", "gain margin", RATIO, "large", 1.0),
-    "gain_lower": MarginKind("gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", 1.0),
-    "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", 0.0, math.pi),
-    "delay": MarginKind("delay", "delay_margin", "delay margin", TIME, "large", 0.0),
-    "disk": MarginKind("disk", "disk_margin", "disk margin alpha", RATIO, "large", 0.0),
-    "modulus": MarginKind("modulus", "modulus_margin", "modulus margin", RATIO, "large", 0.0),
-    "sensitivity": MarginKind("sensitivity_peak", "sensitivity_peak", "peak sensitivity M_s", RATIO, "small", math.inf),
-    "complementary": MarginKind(
-        "complementary_peak", "complementary_peak", "peak complementary sensitivity M_t", RATIO, "small", math.inf
+    "gain": MarginKind("gain_upper", "gain_margin", "gain margin", RATIO, "large", neutral=1.0),
+    "gain_lower": MarginKind("gain_lower", "gain_lower_margin", "lower gain margin", RATIO, "small", neutral=1.0),
+    "phase": MarginKind("phase", "phase_margin", "phase margin", ANGLE, "large", neutral=0.0, most=math.pi),
+    "delay": MarginKind("delay", "delay_margin", "delay margin", TIME, "large", neutral=0.0),
+    "disk": MarginKind("disk", "disk_margin", "disk margin alpha", RATIO, "large", neutral=0.0),
+    "modulus": MarginKind("modulus", "modulus_margin", "modulus margin", RATIO, "large", neutral=0.0),
+    "sensitivity": MarginKind(
+        "sensitivity_peak", "sensitivity_peak", "peak sensitivity M_s", RATIO, "small", neutral=math.inf
     ),
-    "bandwidth": MarginKind("bandwidth", "bandwidth", "bandwidth of T", FREQUENCY, "large", math.nan),
+    "complementary": MarginKind(
+        "complementary_peak",
+        "complementary_peak",
+        "peak complementary sensitivity M_t",
+        RATIO,
+        "small",
+        neutral=math.inf,
+    ),
+    "bandwidth": MarginKind("bandwidth", "bandwidth", "bandwidth of T", FREQUENCY, "large", neutral=math.nan),
 }
 """Every margin that a requirement can bound, by its name in ``[[requirement]]``."""
 

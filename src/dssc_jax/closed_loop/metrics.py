@@ -219,7 +219,7 @@ def as_float(flag: Scalar, like: Scalar) -> Scalar:
 def share_of_time(meaning: str, holds: Callable[[Sample], Scalar], needs: tuple[str, ...]) -> Metric:
     """The share of time for which a flag of a channel holds."""
     update = total(lambda sample: as_float(holds(sample), sample.e))
-    return Metric("1", f"share of time {meaning}", update, mean, needs, counted=True, least=0.0)
+    return Metric("1", f"share of time {meaning}", update, mean, needs=needs, counted=True, least=0.0)
 
 
 def vehicle_metric(

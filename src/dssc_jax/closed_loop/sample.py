@@ -158,12 +158,12 @@ def initial_state(loop: Loop, params: LoopParams, key: jax.Array) -> LoopState:
 def held_parts(loop: Loop) -> HeldParts:
     """The parts of a loop that move between the samples."""
     return HeldParts(
-        loop.mimo_plant,
-        loop.unmodelled,
-        tuple(model.variation for model in (*loop.disturbance, *loop.inputs)),
-        loop.integrator,
-        loop.sample_time,
-        loop.substeps,
+        plant=loop.mimo_plant,
+        unmodelled=loop.unmodelled,
+        variations=tuple(model.variation for model in (*loop.disturbance, *loop.inputs)),
+        integrator=loop.integrator,
+        sample_time=loop.sample_time,
+        substeps=loop.substeps,
     )
 
 
@@ -383,5 +383,11 @@ def step(
     is_grounded = loop.mimo_plant.grounded(params.plant, state.plant, drive, t, dt)
     instant = Instant(t, dt, tuple(samples), info, signals)
     return next_state, Recorded(
-        instant, measurements, references, all_finite(next_state), is_broken, is_grounded, tuple(outputs)
+        instant=instant,
+        measurements=measurements,
+        references=references,
+        finite=all_finite(next_state),
+        broken=is_broken,
+        grounded=is_grounded,
+        controlled=tuple(outputs),
     )

@@ -214,7 +214,14 @@ SIGNAL_METRICS: dict[str, SignalMetric] = {
     "lowest": SignalMetric("lowest", running(jnp.minimum), start=jnp.inf, course=Course.FALLS),
     "mean": SignalMetric("mean", total, mean),
     "final": SignalMetric("last", lambda signal: lambda acc, i, window: signal(i)),
-    "variation": SignalMetric("total variation of the", variation, variation_sum, Variation(), Course.RISES, 0.0),
+    "variation": SignalMetric(
+        meaning="total variation of the",
+        update=variation,
+        value=variation_sum,
+        start=Variation(),
+        course=Course.RISES,
+        least=0.0,
+    ),
 }
 """The metrics that a study takes of any signal."""
 

@@ -140,7 +140,7 @@ def update_following(acc: Following, sample: Sample, window: Window) -> Followin
     r = sample.reference.y
     d = sample.reference.y_dot
     y = sample.e + r
-    moments = Following(y, r, d, r * r, d * d, y * r, y * d)
+    moments = Following(y=y, r=r, r_dot=d, rr=r * r, dd=d * d, yr=y * r, yd=y * d)
     return Following(*(total + value for total, value in zip(acc, moments, strict=True)))
 
 

@@ -71,7 +71,13 @@ class Window:
     until: float = entry_field(
         math.inf,
         WindowEntry(
-            "until", "end of the window [s]", "_until_{:.12g}", " up to {:g} s", {"ge": 0.0}, False, "the flight's end"
+            "until",
+            "end of the window [s]",
+            "_until_{:.12g}",
+            " up to {:g} s",
+            {"ge": 0.0},
+            relative=False,
+            absent="the flight's end",
         ),
     )
     chattering: float = entry_field(

@@ -166,7 +166,11 @@ def text_of(default: object) -> str:
         return f"[{', '.join(map(text_of, default))}]"
     if isinstance(default, bool):
         return str(default).lower()
-    return "absent" if default in (None, "") else f"{default:g}" if isinstance(default, int | float) else str(default)
+    if default in (None, ""):
+        return "absent"
+    if isinstance(default, int | float):
+        return f"{default:g}"
+    return str(default)
 
 
 def entry_of(model: Any, name: str) -> Entry:

@@ -199,7 +199,8 @@ def sum_of_disturbances(parts: tuple[Disturbance, ...]) -> Disturbance:
             total = total + part.value(part_params, part_state, measurement, sigma, t)
         return total
 
-    varying = max((part.variation for part in parts), key=list(Variation).index)
+    variations = list(Variation)  # from the least to the most varying
+    varying = max((part.variation for part in parts), key=variations.index)
     smooth = SMOOTH if all(part.smooth == SMOOTH for part in parts) else None
     return Disturbance(NoParams, init, step, value, variation=varying, smooth=smooth)
 

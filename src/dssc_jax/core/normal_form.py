@@ -118,21 +118,21 @@ def normal_form(numerator: np.ndarray, denominator: np.ndarray) -> NormalForm:
     d = denominator / denominator[0]
     degree = len(d) - len(n)
     zeros = tuple(complex(zero) for zero in np.roots(n))
+    partial = NormalForm(
+        relative_degree=degree, gain=gain, zeros=zeros, damping=np.nan, stiffness=np.nan, zero_a=(), zero_c=()
+    )
     if degree != 2:
-        return NormalForm(degree, gain, zeros, np.nan, np.nan, (), ())
+        return partial
     quotient, remainder = np.polydiv(d, n)
     order = len(n) - 1
     if not order:
-        return NormalForm(degree, gain, zeros, float(d[1]), float(d[2]), (), ())
+        return partial._replace(damping=float(d[1]), stiffness=float(d[2]))
     remainder = np.pad(remainder, (order - len(remainder), 0))  # degree below m
     if n[-1] == 0.0:  # a zero at the origin: not minimum phase, and no static gain
-        return NormalForm(degree, gain, zeros, float(quotient[1]), np.nan, tuple(map(float, n[:0:-1])), ())
+        return partial._replace(damping=float(quotient[1]), zero_a=tuple(map(float, n[:0:-1])))
     static = remainder[-1] / n[-1]
     driving_numerator = np.concatenate([[0.0], remainder]) - static * n  # divisible by s
-    return NormalForm(
-        degree,
-        gain,
-        zeros,
+    return partial._replace(
         damping=float(quotient[1]),
         stiffness=float(quotient[2] + static),
         zero_a=tuple(map(float, n[:0:-1])),

@@ -119,7 +119,15 @@ def parse_design(table: TomlTable, name: str, complete: bool = True) -> DesignFi
         if "recipe" in table:
             raise ConfigError("recipe", "has no meaning where the free parameters are sought; designs are strict then")
         free, goal, at_edges = searched_parameters(table, bounds)
-    return DesignFile(name, bounds, synthesise(bounds, free, Recipe(recipe)), free, goal, modulation, at_edges)
+    return DesignFile(
+        name=name,
+        bounds=bounds,
+        parameters=synthesise(bounds, free, Recipe(recipe)),
+        free=free,
+        goal=goal,
+        modulation=modulation,
+        edges=at_edges,
+    )
 
 
 def searched_parameters(table: TomlTable, bounds: Bounds) -> tuple[Free, DesignGoal, tuple[str, ...]]:

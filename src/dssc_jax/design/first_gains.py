@@ -144,7 +144,14 @@ def first_gains(
     plant = linearised_plant(study, at)
     actuators = actuators_before(study)
     bare_plant = sampled_plant(plant, ActuatorsBefore(None, (), (), ()), sample_time)
-    subject = Subject(study, plant, bare_plant, actuators, sampled_plant(plant, actuators, sample_time), limit)
+    subject = Subject(
+        study=study,
+        plant=plant,
+        bare_plant=bare_plant,
+        actuators=actuators,
+        actuated_plant=sampled_plant(plant, actuators, sample_time),
+        limit=limit,
+    )
     if bandwidth is None:
         return fastest_design(subject, kind, 0.05 * fastest)
     first_design = design_at_bandwidth(subject, kind, bandwidth)
@@ -202,7 +209,17 @@ def design_with_ratio(subject: Subject, kind: str, bandwidth: float, ratio: floa
     row[: len(subject.actuated_plant.c)] = subject.actuated_plant.c
     settling = loop.settling(row) * study.loop.sample_time
     linear_kinds, left_out = subject.actuators.linear_kinds, subject.actuators.left_out
-    return FirstGains(table, bandwidth, radius, peak, settling, linear_kinds, left_out, loop, subject.plant)
+    return FirstGains(
+        table=table,
+        bandwidth=bandwidth,
+        radius=radius,
+        sensitivity_peak=peak,
+        settling=settling,
+        linear_kinds=linear_kinds,
+        left_out=left_out,
+        loop=loop,
+        plant=subject.plant,
+    )
 
 
 def fastest_design(subject: Subject, kind: str, start: float) -> FirstGains:

@@ -205,12 +205,12 @@ def sampled_plant(plant: LinearisedPlant, actuators: ActuatorsBefore, sample_tim
 
     signals = [padded(row) + d * plant_input_row for row, d in zip(plant.signals, plant.feedthrough, strict=True)]
     return LinearPlant(
-        transition,
-        np.append(sampled[:, total], drive_input),
-        padded(plant.c),
-        padded(plant.rate) + plant.rate_through * plant_input_row,
-        np.reshape(signals, (len(signals), total + 1)),
-        sample_time,
+        a=transition,
+        b=np.append(sampled[:, total], drive_input),
+        c=padded(plant.c),
+        rate=padded(plant.rate) + plant.rate_through * plant_input_row,
+        signals=np.reshape(signals, (len(signals), total + 1)),
+        sample_time=sample_time,
     )
 
 

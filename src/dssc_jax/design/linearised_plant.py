@@ -71,7 +71,15 @@ class LinearisedPlant(NamedTuple):
     @property
     def nominal(self) -> NominalPlant:
         """The plant as a controller is fitted to it."""
-        return NominalPlant(self.a, self.b, self.disturbances, self.c, self.signals, self.feedthrough, self.inputs)
+        return NominalPlant(
+            a=self.a,
+            command=self.b,
+            disturbances=self.disturbances,
+            output=self.c,
+            signals=self.signals,
+            feedthrough=self.feedthrough,
+            inputs=self.inputs,
+        )
 
 
 def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
@@ -129,7 +137,19 @@ def linearised_plant(study: Study, at: float | None = None) -> LinearisedPlant:
     is_held = linear or resting_command is not None
     names = (COMMAND_DISTURBANCE, *loop.input_names)
     through = float(feedthrough[1])
-    return LinearisedPlant(a, b, rows[0], rows[1], through, rows[2:], feedthrough[2:], columns, names, resting, is_held)
+    return LinearisedPlant(
+        a=a,
+        b=b,
+        c=rows[0],
+        rate=rows[1],
+        rate_through=through,
+        signals=rows[2:],
+        feedthrough=feedthrough[2:],
+        disturbances=columns,
+        inputs=names,
+        resting=resting,
+        is_held=is_held,
+    )
 
 
 def holding_command(slope: Callable[[jax.Array, Scalar], jax.Array], start: jax.Array) -> float | None:

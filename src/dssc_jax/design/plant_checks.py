@@ -168,11 +168,11 @@ def start_and_behaviour(
         _, along = jax.jvp(lambda state: measured_outputs(state, signals)[0], (x,), (slope(x, signals),))
         effects = jnp.concatenate([jax.jacfwd(slope, 1)(x, signals), *jax.jacfwd(measured_outputs, 1)(x, signals)])
         return Behaviour(
-            along,
-            measured_outputs(x, signals)[1],
-            effects[:, channel_count:],
-            slope(x, signals),
-            slope_of_parts(x, signals),
+            along=along,
+            rate=measured_outputs(x, signals)[1],
+            effects=effects[:, channel_count:],
+            slopes=slope(x, signals),
+            slopes_of_parts=slope_of_parts(x, signals),
         )
 
     return start, behaviour

@@ -175,7 +175,9 @@ class Guarantee(NamedTuple):
     order: Numeric
 
 
-NOTHING = Guarantee(0.0, float("inf"), float("inf"), float("inf"), float("inf"), float("inf"))
+NOTHING = Guarantee(
+    decay_rate=0.0, sigma=float("inf"), e=float("inf"), zeta=float("inf"), x_eta=float("inf"), order=float("inf")
+)
 """The guarantee if the theorem does not apply."""
 
 

@@ -84,7 +84,18 @@ def design(bounds: Bounds, free: Free, recipe: Recipe = Recipe.STRICT) -> Parame
     lyapunov = (8.0 * eps**2 + 2.0 * gamma * k_p) / free.eps_1
     drift = (8.0 * eps**2 * gamma * k_p + 4.0 * eps**2) / (1.0 + free.eps_1)
     phi_b = free.l0 / eps + free.eps_3
-    partial = Parameters(free.l0, free.phi_a, phi_b, free.delta, eps, gamma, 0.0, 0.0, 0.0, slack_factor * drift)
+    partial = Parameters(
+        l0=free.l0,
+        phi_a=free.phi_a,
+        phi_b=phi_b,
+        delta=free.delta,
+        eps=eps,
+        gamma=gamma,
+        kappa_a=0.0,
+        kappa_b=0.0,
+        kappa_c=0.0,
+        kappa_d=slack_factor * drift,
+    )
     if is_strict:
         phi_b = greater(phi_b, slack_factor * small_gain(partial, bounds).derived)
     kappa_b = over_phi_b(c.kd1_bar, k_max * bounds.c_ie, factor, phi_b) + free.eps_2

@@ -138,32 +138,50 @@ def inequalities(p: Parameters, bounds: Bounds) -> tuple[Inequality, ...]:
 
     def disturbance_row(name: str, left: Numeric, first: Numeric, second: Numeric) -> Inequality:
         derived = over_phi_b(first, second, 2.0 * p.eps, p.phi_b)
-        return Inequality(name, f"{table}, Appendix F", left, derived, over_phi_b(first, second, 1.0, p.phi_b))
+        printed = over_phi_b(first, second, 1.0, p.phi_b)
+        return Inequality(name, f"{table}, Appendix F", left, bound=derived, printed_bound=printed)
 
     near_one = abs(value - 1.0)
     return (
         Inequality(
-            "f",
-            f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1",
-            value,
-            1.0,
-            1.0,
-            BOUNDARY_WIDTH + f_rounding(*at) / greater(abs(value), 1.0),
+            name="f",
+            equation=f"{table}: 4 eps k_p (gamma k_p - 4 eps^2) > 1",
+            value=value,
+            bound=1.0,
+            printed_bound=1.0,
+            rounding=BOUNDARY_WIDTH + f_rounding(*at) / greater(abs(value), 1.0),
         ),
-        Inequality("phi_b", f"{table}: phi_b > l0/eps", p.phi_b, p.l0 / p.eps, p.l0 / p.eps),
         Inequality(
-            "kappa_c (Lyapunov)",
-            f"{table}, (77)",
-            p.kappa_c,
-            lyapunov,
-            lyapunov,
-            error / greater(near_one, error),
+            name="phi_b",
+            equation=f"{table}: phi_b > l0/eps",
+            value=p.phi_b,
+            bound=p.l0 / p.eps,
+            printed_bound=p.l0 / p.eps,
+        ),
+        Inequality(
+            name="kappa_c (Lyapunov)",
+            equation=f"{table}, (77)",
+            value=p.kappa_c,
+            bound=lyapunov,
+            printed_bound=lyapunov,
+            rounding=error / greater(near_one, error),
         ),
         disturbance_row("kappa_c (disturbance)", p.kappa_c, constants.kd3_bar, constants.k_sigma),
         disturbance_row("kappa_b", p.kappa_b, constants.kd1_bar, k_max * bounds.c_ie),
         disturbance_row("kappa_a (disturbance)", p.kappa_a, constants.kd2_bar, k_max * bounds.c_isigma),
         Inequality(
-            "kappa_a (kappa_b/l0)", f"{table}: kappa_a > kappa_b/l0", p.kappa_a, p.kappa_b / p.l0, p.kappa_b / p.l0
+            name="kappa_a (kappa_b/l0)",
+            equation=f"{table}: kappa_a > kappa_b/l0",
+            value=p.kappa_a,
+            bound=p.kappa_b / p.l0,
+            printed_bound=p.kappa_b / p.l0,
         ),
-        Inequality("kappa_d", f"{table}, (77)", p.kappa_d, drift, drift, error / greater(abs(value), error)),
+        Inequality(
+            name="kappa_d",
+            equation=f"{table}, (77)",
+            value=p.kappa_d,
+            bound=drift,
+            printed_bound=drift,
+            rounding=error / greater(abs(value), error),
+        ),
     )

@@ -108,7 +108,18 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     parts = zip(loop.unmodelled, study.template.unmodelled, strict=True)
     averaged = any(model.averages(params) for model, params in parts)
     if is_exact(held_parts(loop)):
-        return IntegrationError(True, 0, loop.substeps, 0.0, "", "", 0, loop.substeps, order, averaged)
+        return IntegrationError(
+            exact=True,
+            draws=0,
+            substeps=loop.substeps,
+            change=0.0,
+            metric="",
+            scale="",
+            verdicts=0,
+            remedy=loop.substeps,
+            order=order,
+            averaged=averaged,
+        )
     shape = (*(len(values) for values in study.axes.values()), study.config.draws)
     total = int(np.prod(shape))
     lane_indices = np.unique(np.linspace(0, total - 1, min(draws, total)).astype(int))
@@ -125,7 +136,18 @@ def integration_error(study: Study, draws: int = CHECKED_DRAWS) -> IntegrationEr
     error_ratio = max(2.0, change / NEGLIGIBLE) if np.isfinite(change) else 2.0**order
     doublings = int(np.ceil(np.log2(error_ratio) / order))
     remedy = min(MOST_SUBSTEPS, loop.substeps * 2 ** max(1, doublings))
-    return IntegrationError(False, count, loop.substeps, change, metric, scale, verdicts, remedy, order, averaged)
+    return IntegrationError(
+        exact=False,
+        draws=count,
+        substeps=loop.substeps,
+        change=change,
+        metric=metric,
+        scale=scale,
+        verdicts=verdicts,
+        remedy=remedy,
+        order=order,
+        averaged=averaged,
+    )
 
 
 def largest_change(study: Study, coarse: Arrays, fine: Arrays) -> tuple[float, str]:

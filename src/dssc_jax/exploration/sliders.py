@@ -157,7 +157,17 @@ def sample_time_slider(study: Study) -> Slider:
         count = study.config.loop.duration / (share * start)
         if count >= 1.0 and abs(count - round(count)) <= 1e-6 * count:
             steps.append(share * start)
-    return Slider(CLOCK_SLIDER, "", "sample time T_s", "s", steps[0], steps[-1], start, True, tuple(steps))
+    return Slider(
+        name=CLOCK_SLIDER,
+        part="",
+        meaning="sample time T_s",
+        unit="s",
+        low=steps[0],
+        high=steps[-1],
+        start=start,
+        log=True,
+        steps=tuple(steps),
+    )
 
 
 def sliders_of_law(number: Number, law: Law) -> list[Slider]:
@@ -168,7 +178,17 @@ def sliders_of_law(number: Number, law: Law) -> list[Slider]:
     low, high, _ = extent_around(law.median, number.quantity)
     if not math.isfinite(law.median) or not low < high:
         return []
-    width = Slider(number.name, WIDTH, f"width of {number.quantity.meaning}", "", *WIDTHS, 1.0, True)
+    narrowest, widest = WIDTHS
+    width = Slider(
+        name=number.name,
+        part=WIDTH,
+        meaning=f"width of {number.quantity.meaning}",
+        unit="",
+        low=narrowest,
+        high=widest,
+        start=1.0,
+        log=True,
+    )
     return [slider_at(number, MEDIAN, low, high, law.median, log), width]
 
 
@@ -178,13 +198,26 @@ def sliders_of_ranges(number: Number, law: RangedLaw) -> list[Slider]:
     for name, (low, high), middle in zip(LAWS[law.kind].argument_names, law.ranges, law.arguments, strict=False):
         if low < high:
             meaning = f"{name} of the law of {number.quantity.meaning}"
-            sliders.append(Slider(number.name, name, meaning, "", low, high, middle, False))
+            sliders.append(
+                Slider(
+                    name=number.name, part=name, meaning=meaning, unit="", low=low, high=high, start=middle, log=False
+                )
+            )
     return sliders
 
 
 def slider_at(number: Number, part: str, low: float, high: float, start: float, log: bool) -> Slider:
     """A slider of a number."""
-    return Slider(number.name, part, number.quantity.meaning, number.quantity.unit, low, high, start, log)
+    return Slider(
+        name=number.name,
+        part=part,
+        meaning=number.quantity.meaning,
+        unit=number.quantity.unit,
+        low=low,
+        high=high,
+        start=start,
+        log=log,
+    )
 
 
 def extent_around(value: float, quantity: Quantity, reach: float = DEFAULT_REACH) -> tuple[float, float, bool]:

@@ -183,17 +183,17 @@ def trace_controller(study: Study, index: int) -> SampledController:
     except Unsupported as problem:
         raise ConfigError(place, f"has no exact form in C: {problem}") from None
     return SampledController(
-        loop.channels[index],
-        index,
-        "_".join(filter(None, (prefix_name(study.name), channel_labels(loop.channels)[index]))),
-        parameters,
-        leaf_names(state, root="controller"),
-        leaf_names(results[2]),
-        TracedFunction(start_program, start_origins),
-        TracedFunction(step_program, step_origins),
-        transfer_function,
-        study.config.loop.precision,
-        channel_signals,
+        channel=loop.channels[index],
+        index=index,
+        prefix="_".join(filter(None, (prefix_name(study.name), channel_labels(loop.channels)[index]))),
+        parameters=parameters,
+        states=leaf_names(state, root="controller"),
+        infos=leaf_names(results[2]),
+        start=TracedFunction(start_program, start_origins),
+        step=TracedFunction(step_program, step_origins),
+        transfer=transfer_function,
+        precision=study.config.loop.precision,
+        measured_signals=channel_signals,
     )
 
 

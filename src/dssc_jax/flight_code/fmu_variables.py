@@ -60,7 +60,15 @@ def fmu_parameters(code: FlightCode) -> list[FmuVariable]:
             meaning = quantity.meaning + (", median of its law" if parameter.uncertain else "")
             lower = finite_bound(quantity.at_least, quantity.above)
             upper = finite_bound(quantity.at_most, quantity.below)
-            variables[name] = FmuVariable(name, PARAMETER, quantity.unit, meaning, start, lower, upper)
+            variables[name] = FmuVariable(
+                name=name,
+                causality=PARAMETER,
+                unit=quantity.unit,
+                meaning=meaning,
+                start=start,
+                lower=lower,
+                upper=upper,
+            )
     return list(variables.values())
 
 

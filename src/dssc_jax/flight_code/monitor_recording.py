@@ -37,7 +37,16 @@ def sample_of(premises: Premises, recorded: Recorded) -> MonitorSample:
         command = () if channel.disturbance is None else controlled.command.total
         margin = controlled.info.sliding_margin if channel.slides else ()
         reading = controlled.reading
-        channels.append(ChannelSample(reading.y, reading.y_dot, reference.y, reference.y_dot, command, margin))
+        channels.append(
+            ChannelSample(
+                y=reading.y,
+                y_dot=reading.y_dot,
+                y_ref=reference.y,
+                y_ref_dot=reference.y_dot,
+                u_p=command,
+                sliding_margin=margin,
+            )
+        )
     vehicle = recorded.instant.plant
     tilt = () if premises.tilt is None else vehicle.tilt
     return MonitorSample(tuple(channels), tilt, tuple(vehicle.rotor) if premises.rotor_count else ())

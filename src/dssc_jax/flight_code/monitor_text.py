@@ -124,7 +124,15 @@ def replay_bench(monitor: TracedMonitor) -> ReplayBench:
         "return held->latched;",
     ]
     results = ("current", "latched", *monitor.memories)
-    return ReplayBench(LABEL, name, monitor.precision, "sample", len(monitor.inputs), results, advance)
+    return ReplayBench(
+        label=LABEL,
+        prefix=name,
+        precision=monitor.precision,
+        row="sample",
+        inputs=len(monitor.inputs),
+        results=results,
+        advance=advance,
+    )
 
 
 def readme_lines(monitor: TracedMonitor) -> list[str]:

@@ -152,22 +152,22 @@ def traced_software(study: Study, name: str) -> TracedSoftware | None:
     for field in software.directions:
         directions.append(tuple(reading for reading in reading_names if reading.startswith(f"{field}_")))
     return TracedSoftware(
-        f"{name}_inner_loop",
-        parameters,
-        laws,
-        reading_names,
-        state_names,
-        tuple(command_names),
-        traced_start,
-        traced_sample,
-        traced_tick,
-        traced_transfer,
-        drive_names,
-        round(loop.sample_time / period),
-        period,
-        study.config.loop.precision,
-        software.outputs(study.template.plant),
-        tuple(directions),
+        prefix=f"{name}_inner_loop",
+        parameters=parameters,
+        laws=laws,
+        readings=reading_names,
+        state_names=state_names,
+        commands=tuple(command_names),
+        start=traced_start,
+        sample=traced_sample,
+        tick=traced_tick,
+        transfer=traced_transfer,
+        drive_names=drive_names,
+        ticks=round(loop.sample_time / period),
+        period=period,
+        precision=study.config.loop.precision,
+        outputs=software.outputs(study.template.plant),
+        directions=tuple(directions),
     )
 
 

@@ -118,11 +118,11 @@ def software_files(software: TracedSoftware) -> SoftwareFiles:
         drives = [f"driven->{name}" for name in software.drive_names]
         transfer = write_function(software, software.transfer, drives, [CARRIED])
     return SoftwareFiles(
-        software,
-        write_function(software, software.start, []),
-        write_function(software, software.sample, [*state_members, *commands]),
-        write_function(software, software.tick, state_members),
-        transfer,
+        software=software,
+        start=write_function(software, software.start, []),
+        sample=write_function(software, software.sample, [*state_members, *commands]),
+        tick=write_function(software, software.tick, state_members),
+        transfer=transfer,
     )
 
 
@@ -249,7 +249,18 @@ def replay_bench(files: SoftwareFiles) -> ReplayBench:
         "numbers[random_bits() % (sizeof held->parameters / sizeof(real))] = hostile_number();",
     ]
     results = ("flags", *software.state_names)
-    return ReplayBench(LABEL, name, software.precision, "tick", inputs, results, advance, disturbance_lines, True, True)
+    return ReplayBench(
+        label=LABEL,
+        prefix=name,
+        precision=software.precision,
+        row="tick",
+        inputs=inputs,
+        results=results,
+        advance=advance,
+        disturb=disturbance_lines,
+        stays_finite=True,
+        shows_arithmetic=True,
+    )
 
 
 def readme_lines(files: SoftwareFiles) -> list[str]:

@@ -82,7 +82,16 @@ def initial_seen(premises: DisturbancePremises) -> SeenDisturbance:
     """The state before the first sample: nothing measured, and all earlier commands 0."""
     zero = EnclosingInterval(0.0, 0.0)
     delayed_commands = (zero,) * (len(premises.delay_weights) - 1)
-    return SeenDisturbance(0.0, 0.0, 0.0, delayed_commands, (zero,) * premises.lag_order, zero, zero, 0.0)
+    return SeenDisturbance(
+        y=0.0,
+        y_dot=0.0,
+        fresh=0.0,
+        commands=delayed_commands,
+        lags=(zero,) * premises.lag_order,
+        acting=zero,
+        average=zero,
+        averaging=0.0,
+    )
 
 
 def see(

@@ -64,12 +64,12 @@ def traced_monitor(code: FlightCode, premises: Premises) -> TracedMonitor:
         if leaf.dtype.kind == "f"
     ]
     return TracedMonitor(
-        rounded_premises,
-        f"{code.name}_monitor",
-        tuple(inputs),
-        tuple(memories),
-        TracedFunction(program, origins),
-        code.precision,
+        premises=rounded_premises,
+        prefix=f"{code.name}_monitor",
+        inputs=tuple(inputs),
+        memories=tuple(memories),
+        step=TracedFunction(program, origins),
+        precision=code.precision,
     )
 
 
@@ -100,7 +100,9 @@ def sample_shape(premises: Premises) -> MonitorSample:
     for channel in premises.channels:
         command = () if channel.disturbance is None else number
         margin = number if channel.slides else ()
-        channels.append(ChannelSample(number, number, number, number, command, margin))
+        channels.append(
+            ChannelSample(y=number, y_dot=number, y_ref=number, y_ref_dot=number, u_p=command, sliding_margin=margin)
+        )
     tilt = () if premises.tilt is None else number
     return shapes(MonitorSample(tuple(channels), tilt, (number,) * premises.rotor_count))
 

@@ -99,7 +99,14 @@ def column_clock(name: str, time: np.ndarray) -> LogTopic:
     rising = steps[steps > 0.0]
     usual_rate = float(1.0 / np.median(rising)) if rising.size else np.nan
     return LogTopic(
-        name, len(finite_times), float(finite_times[0]), float(finite_times[-1]), len(falls), fall, usual_rate, gap
+        name=name,
+        messages=len(finite_times),
+        first=float(finite_times[0]),
+        last=float(finite_times[-1]),
+        falls=len(falls),
+        fall=fall,
+        usual=usual_rate,
+        gap=gap,
     )
 
 

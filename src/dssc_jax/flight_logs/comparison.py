@@ -331,20 +331,20 @@ def compare_log(study: Study, log: FlightLog, *, progress: ProgressCallback | No
     curves = drawn_curves(study, signals, samples, stride, progress)
     dataset = compared_dataset(study, signals, stride, tested, replayed, curves)
     return LogComparison(
-        study,
-        dataset,
-        log.name,
-        log.start,
-        stride,
-        samples,
-        replay.held_samples,
-        replay.not_replayed,
-        replay.references,
-        replay.rates,
-        output_hints(study, dataset) | replay.hints.all(),
-        loop.steps,
-        samples < loop.steps and log.is_cut(),
-        dict(log.dropped),
+        study=study,
+        dataset=dataset,
+        log=log.name,
+        start=log.start,
+        every=stride,
+        replayed=samples,
+        held=replay.held_samples,
+        not_replayed=replay.not_replayed,
+        references=replay.references,
+        rates=replay.rates,
+        hints=output_hints(study, dataset) | replay.hints.all(),
+        steps=loop.steps,
+        cut=samples < loop.steps and log.is_cut(),
+        dropped=dict(log.dropped),
     )
 
 

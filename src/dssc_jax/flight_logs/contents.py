@@ -161,20 +161,20 @@ def log_contents(path: Path, topics: Sequence[str] = ()) -> LogContents:
         data, begin, _ = read_topics(path, [*names, *SEGMENT_TOPICS, *ESTIMATES])
         fields = [field for name in topics for field in topic_fields(name, data, begin)]
         return LogContents(
-            path.name,
-            listing.system,
-            listing.duration,
-            listing.topics,
-            tuple(segments_of(data, begin, listing.duration)),
-            listing.dropouts,
-            listing.damaged,
-            listing.damages,
-            listing.lost,
-            listing.cut,
-            tuple(fields),
-            tuple(resets_of(data, begin)),
-            tuple(invalid_spans(data, begin, listing.duration)),
-            listing.late,
+            name=path.name,
+            system=listing.system,
+            duration=listing.duration,
+            topics=listing.topics,
+            segments=tuple(segments_of(data, begin, listing.duration)),
+            dropouts=listing.dropouts,
+            damaged=listing.damaged,
+            damages=listing.damages,
+            lost=listing.lost,
+            cut=listing.cut,
+            fields=tuple(fields),
+            resets=tuple(resets_of(data, begin)),
+            invalid=tuple(invalid_spans(data, begin, listing.duration)),
+            late=listing.late,
         )
 
 
@@ -198,7 +198,7 @@ def field_summary(name: str, values: np.ndarray | None, derived: bool) -> FieldV
     """The number, range and median of a field's finite values."""
     finite = np.empty(0) if values is None else values[np.isfinite(values)]
     if not finite.size:
-        return FieldValues(name, derived, 0, np.nan, np.nan, np.nan)
+        return FieldValues(name=name, derived=derived, finite=0, lowest=np.nan, median=np.nan, highest=np.nan)
     numbers = (finite.min(), np.median(finite), finite.max())
     return FieldValues(name, derived, finite.size, *map(float, numbers))
 
@@ -222,7 +222,19 @@ def table_contents(path: Path) -> LogContents:
         finite_times = columns[name][np.isfinite(columns[name])]
         span = float(np.ptp(finite_times)) if finite_times.size else 0.0
     return LogContents(
-        path.name, {}, span, (), (), (0, 0.0), None, 0, 0, False, fields, clock=clock, text_columns=text_columns
+        name=path.name,
+        system={},
+        duration=span,
+        topics=(),
+        segments=(),
+        dropouts=(0, 0.0),
+        damaged=None,
+        damages=0,
+        lost=0,
+        cut=False,
+        fields=fields,
+        clock=clock,
+        text_columns=text_columns,
     )
 
 
@@ -252,10 +264,9 @@ def topic_table(
         data, begin, _ = read_topics(path, [name, *SEGMENT_TOPICS, *estimate_topics([name])])
         signals = data.get(key)
         if signals is None:
-            topic_names = [topic.name for topic in list_topics(path).topics]
+            topic_names = [logged_topic.name for logged_topic in list_topics(path).topics]
             raise ConfigError("topic", f"the log has no topic '{topic}'; {nearest(topic, topic_names)}")
         time = stamps(signals, begin)
-        finite_times = time[np.isfinite(time)]
         log_span = Segment("whole", 0.0, np.inf)
         span = log_span if segment is None else named_segment(segment, segments_of(data, begin))
         origin = span.begin if start is None else start
@@ -264,11 +275,13 @@ def topic_table(
         is_inside = (time >= first) & (time <= span.end)
         if not is_inside.any():
             span_text = "none has a stamp"
+            finite_times = time[np.isfinite(time)]
             if finite_times.size:
                 span_text = f"its messages are from {finite_times.min():.4g} s to {finite_times.max():.4g} s"
             raise ConfigError(topic, f"has no message from {first:.4g} s on in the part asked for; {span_text}")
         earlier = np.flatnonzero(time < first)
-        is_inside[earlier[-1:]] = True
+        if earlier.size:
+            is_inside[earlier[-1]] = True
         table = {TIME: time[is_inside] - origin}
         for field in [*derived_fields(name, signals), *signals]:
             values = field_values(name, signals, field)

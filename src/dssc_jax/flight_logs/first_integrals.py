@@ -88,15 +88,20 @@ def gauss_newton_step(
     scale = np.sqrt(np.maximum(np.diag(products)[1:], TINY))
     information = products[1:, 1:] / np.outer(scale, scale) + ROUNDING * np.eye(len(scale))
     gradient = products[1:, 0] / scale
-    fitted = information[:p, :p]
+    number_information = information[:p, :p]
     inverse = np.linalg.inv(information)
     step = inverse @ gradient
-    gain = float(gradient @ step - gradient[:p] @ np.linalg.solve(fitted, gradient[:p]))
-    moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(fitted)))).tolist()
+    # how much more of the weighted sum of squares the free integrals take away
+    reduction = float(gradient @ step - gradient[:p] @ np.linalg.solve(number_information, gradient[:p]))
+    moves = (step[:p] / np.sqrt(np.diag(np.linalg.inv(number_information)))).tolist()
     values = study_integrals + (step / scale)[p:]
     deviations = (np.sqrt(np.diag(inverse)) / scale)[p:]
     return FreeIntegrals(
-        names, values, deviations, float(stats.chi2.sf(gain, len(names))), dict(zip(numbers, moves, strict=True))
+        names=names,
+        values=values,
+        deviations=deviations,
+        p_value=float(stats.chi2.sf(reduction, len(names))),
+        moves=dict(zip(numbers, moves, strict=True)),
     )
 
 

@@ -88,7 +88,15 @@ class Readings(NamedTuple):
                     weights[:, i] *= (position - nodes[:, j]) / (i - j)
         largest = max(float(np.abs(values).max(initial=0.0)), TINY)
         sensor = log.sensor_noise[channel] ** 2
-        return cls(channel, sample_time * position, values, nodes, weights, (LEAST_NOISE * largest) ** 2, sensor)
+        return cls(
+            channel=channel,
+            times=sample_time * position,
+            values=values,
+            nodes=nodes,
+            weights=weights,
+            floor=(LEAST_NOISE * largest) ** 2,
+            sensor=sensor,
+        )
 
     def interpolate(self, sampled: np.ndarray) -> np.ndarray:
         """Values at the times of the readings, shape (..., n), of a signal of shape (..., samples)."""

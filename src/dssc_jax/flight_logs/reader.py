@@ -152,9 +152,7 @@ def read_log(
             converted[name], count = converted_column(name, column, source, allow_damaged)
             if count:
                 dropped[name] = count
-    first = raw_log.begin
-    if first is None:
-        first = first_time(converted)
+    first = first_time(converted) if raw_log.begin is None else raw_log.begin
     start = first if columns.start is None else columns.start
     details = raw_log.damaged, raw_log.airborne, file, dropped, columns.time, raw_log.resets, raw_log.invalid
     log = FlightLog(file.name, converted, start, *details)
@@ -173,9 +171,8 @@ def converted_column(name: str, column: Column, source: SignalSource, allow_dama
     for label, numbers in (("time", time), ("value", value)):
         largest = np.abs(numbers).max()
         if largest > LARGEST_VALUE:
-            raise ConfigError(
-                name, f"its largest {label} in the log is {largest:g}; at most {LARGEST_VALUE:g} is taken"
-            )
+            rule = f"its largest {label} in the log is {largest:g}; at most {LARGEST_VALUE:g} is taken"
+            raise ConfigError(name, rule)
     return Column(time, value), len(rows) - len(selected_rows)
 
 
@@ -249,14 +246,17 @@ def ulog_columns(path: Path, columns: ColumnMap, channels: tuple[str, ...]) -> L
         raise ConfigError("signals", f"the log has no values of {topics}; `dssc-jax log FILE` lists its topics")
     places = [column_place(column) for column in column_names.values()]
     pairs = [(place.topic, place.field) for place in places if place.label == f"{place.topic}:0"]
-    start = columns.start if columns.start is not None else (segment.begin if segment else -np.inf)
-    resets = concerned_resets(logged, begin, pairs, start)
+    segment_begin = None if segment is None else segment.begin
+    start = columns.start if columns.start is not None else segment_begin
+    resets = concerned_resets(logged, begin, pairs, -np.inf if start is None else start)
     topics = without_jumps(valid, resets)
     signals = {name: ulog_column(topics, begin, name, column) for name, column in column_names.items()}
     if segment is not None:
         signals = {name: within_segment(name, column, segment) for name, column in signals.items()}
     invalid = concerned_spans(logged, begin, pairs)
-    return LogColumns(signals, segment.begin if segment else None, damaged, airborne, resets, invalid)
+    return LogColumns(
+        columns=signals, begin=segment_begin, damaged=damaged, airborne=airborne, resets=resets, invalid=invalid
+    )
 
 
 class ColumnPlace(NamedTuple):
@@ -309,10 +309,8 @@ def ulog_column(topics: TopicData, begin: float, name: str, column: str) -> Colu
     values = field_values(place.topic, fields, place.field)
     if values is None:
         field_names = [*fields, *derived_fields(place.topic, fields)]
-        raise ConfigError(
-            f"signals.{name}",
-            f"topic '{place.topic}' has no field '{place.field}'; {nearest(place.field, field_names)}",
-        )
+        rule = f"topic '{place.topic}' has no field '{place.field}'; {nearest(place.field, field_names)}"
+        raise ConfigError(f"signals.{name}", rule)
     return Column(stamps(fields, begin), values)
 
 
@@ -320,9 +318,8 @@ def within_segment(name: str, column: Column, segment: Segment) -> Column:
     """The values of a column within a segment."""
     is_inside = (column.time >= segment.begin) & (column.time <= segment.end)
     if not is_inside.any():
-        raise ConfigError(
-            name, f"has no value in the segment '{segment.name}', {segment.begin:.4g} s to {segment.end:.4g} s"
-        )
+        span = f"{segment.begin:.4g} s to {segment.end:.4g} s"
+        raise ConfigError(name, f"has no value in the segment '{segment.name}', {span}")
     return Column(column.time[is_inside], column.value[is_inside])
 
 

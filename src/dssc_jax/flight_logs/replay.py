@@ -284,18 +284,28 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
             elif hint:
                 factors[name] = hint
     hints = LogHints(
-        conversions,
-        comparison.shifts,
-        comparison.slopes,
-        start_hints(study, log),
-        attitude_hints(study, log),
-        reset_hints(study, log),
-        factors,
-        integrals.jumps,
+        conversions=conversions,
+        shifts=comparison.shifts,
+        slopes=comparison.slopes,
+        starts=start_hints(study, log),
+        attitudes=attitude_hints(study, log),
+        estimator=reset_hints(study, log),
+        factors=factors,
+        jumps=integrals.jumps,
     )
     differences = comparison.differences
     dropped = dict(log.dropped)
-    return LogReplay(samples, logged, replays, held_counts, not_replayed, differences, comparison.rates, hints, dropped)
+    return LogReplay(
+        samples=samples,
+        logged=logged,
+        commands=replays,
+        held_samples=held_counts,
+        not_replayed=not_replayed,
+        references=differences,
+        rates=comparison.rates,
+        hints=hints,
+        dropped=dropped,
+    )
 
 
 def require_same_signals(log: FlightLog, replay: LogReplay) -> None:

@@ -327,7 +327,9 @@ def first_row_after_reset(
     for name, jump in jumps.items():
         values = setpoint[name].astype(float)
         excess = values[nearby] - values[nearby - 1] - jump
-        squares += (np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi if name == "yaw" else excess) ** 2
+        if name == "yaw":
+            excess = np.remainder(excess + np.pi, 2.0 * np.pi) - np.pi
+        squares += excess**2
     finite_rows = np.flatnonzero(np.isfinite(squares))
     if finite_rows.size and np.sqrt(squares[finite_rows].min()) <= SAME_JUMP * np.linalg.norm(list(jumps.values())):
         return int(nearby[finite_rows[np.argmin(squares[finite_rows])]])

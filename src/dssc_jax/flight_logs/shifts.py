@@ -40,6 +40,7 @@ class Shifts(Protocol):
 
     def at(self, channels: Sequence[int], shift: int) -> FitProblem:
         """The problem if the signals of some channels are later than logged by a number of samples."""
+        ...
 
 
 class Delay(NamedTuple):

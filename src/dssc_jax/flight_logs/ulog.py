@@ -21,7 +21,7 @@ from dssc_jax.core.errors import ConfigError
 from dssc_jax.core.flag_runs import flag_runs
 from dssc_jax.flight_logs.clocks import LateMessage, span_of
 from dssc_jax.flight_logs.frames import MICROSECOND
-from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedPart
+from dssc_jax.flight_logs.ulog_scan import LogTopic, Scan, UndamagedBytes
 from dssc_jax.study.recorded import ULOG
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def parsed_log(path: Path, names: Iterable[str]) -> "tuple[ULog, bool]":
             skipped_parts.append(scan.flags)
         skipped_parts.sort()
         size = opened.file.seek(0, 2)
-        return opened.parse(UndamagedPart(opened.file, skipped_parts, size), topic_names), True
+        return opened.parse(UndamagedBytes(opened.file, skipped_parts, size), topic_names), True
 
 
 def stamps(fields: Mapping[str, np.ndarray], begin: float) -> np.ndarray:
@@ -201,7 +201,15 @@ def list_topics(path: Path) -> LogTopics:
     damaged = scan.damages[0].begin if scan.damages else None
     lost_bytes = sum(damage.end - damage.begin for damage in scan.damages)
     return LogTopics(
-        system, duration, topics, scan.dropouts, damaged, len(scan.damages), lost_bytes, scan.cut, tuple(late_messages)
+        system=system,
+        duration=duration,
+        topics=topics,
+        dropouts=scan.dropouts,
+        damaged=damaged,
+        damages=len(scan.damages),
+        lost=lost_bytes,
+        cut=scan.cut,
+        late=tuple(late_messages),
     )
 
 

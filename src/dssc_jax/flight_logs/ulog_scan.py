@@ -147,7 +147,16 @@ class TopicCount:
 
         begin_time, last = seconds(None if self.first is None else (self.first, self.last))
         gap = seconds(self.gap if self.gap[1] else None)
-        return LogTopic(name, self.messages, begin_time, last, self.falls, seconds(self.fall), self.usual(), gap)
+        return LogTopic(
+            name=name,
+            messages=self.messages,
+            first=begin_time,
+            last=last,
+            falls=self.falls,
+            fall=seconds(self.fall),
+            usual=self.usual(),
+            gap=gap,
+        )
 
 
 class Damage(NamedTuple):
@@ -303,7 +312,7 @@ class Scan:
                 yield count.topic(self._names[number], self._begin)
 
 
-class UndamagedPart:
+class UndamagedBytes:
     """A log's file without some of its bytes, to be read from its beginning to its end.
 
     Args:
@@ -316,34 +325,35 @@ class UndamagedPart:
         self._file = file
         self._begins = [0, *(damage.end for damage in damages)]  # the parts' beginnings in the file
         ends = [*(damage.begin for damage in damages), size]
-        self._places = [0]  # the parts' beginnings in what is read, and its end
+        self._starts = [0]  # the parts' beginnings in what is read, and its end
         for begin, end in zip(self._begins, ends, strict=True):
-            self._places.append(self._places[-1] + end - begin)
-        self._place = 0
+            self._starts.append(self._starts[-1] + end - begin)
+        self._position = 0
 
     def read(self, size: int = -1) -> bytes:
         """The bytes that follow, at most ``size``."""
-        end = self._places[-1] if size < 0 else min(self._place + size, self._places[-1])
-        parts = []
-        while self._place < end:
-            part = bisect.bisect_right(self._places, self._place) - 1
-            self._file.seek(self._begins[part] + self._place - self._places[part])
-            chunk = self._file.read(min(end, self._places[part + 1]) - self._place)
+        end = self._starts[-1] if size < 0 else min(self._position + size, self._starts[-1])
+        chunks = []
+        while self._position < end:
+            index = bisect.bisect_right(self._starts, self._position) - 1
+            offset = self._position - self._starts[index]
+            self._file.seek(self._begins[index] + offset)
+            chunk = self._file.read(min(end, self._starts[index + 1]) - self._position)
             if not chunk:
                 break
-            parts.append(chunk)
-            self._place += len(chunk)
-        return b"".join(parts)
+            chunks.append(chunk)
+            self._position += len(chunk)
+        return b"".join(chunks)
 
     def seek(self, offset: int, origin: int = 0) -> int:
         """Go to a place, from the beginning, the present one or the end."""
-        start = (0, self._place, self._places[-1])[origin]
-        self._place = max(start + offset, 0)
-        return self._place
+        start = (0, self._position, self._starts[-1])[origin]
+        self._position = max(start + offset, 0)
+        return self._position
 
     def tell(self) -> int:
         """The present place."""
-        return self._place
+        return self._position
 
     def close(self) -> None:
         """Close the file."""

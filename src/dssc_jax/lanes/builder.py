@@ -147,7 +147,7 @@ class Builder:
         """
         if operation == "div" and self._depth_of(operands[1]) < self._depth_of(operands[0]):
             inverse = self.add("div", self.constant(1.0, operands[1].dtype), operands[1])
-            if is_usable(inverse):
+            if is_normal_or_varies(inverse):
                 return self.add("mul", operands[0], inverse)
         if operation == "mul":
             for product, factor in (operands, operands[::-1]):
@@ -155,7 +155,7 @@ class Builder:
                     for late, early in (product.operands, product.operands[::-1]):
                         if max(self._depth_of(early), self._depth_of(factor)) < self._depth_of(late):
                             factors = self.add("mul", early, factor)
-                            if is_usable(factors):
+                            if is_normal_or_varies(factors):
                                 return self.add("mul", late, factors)
         return None
 
@@ -187,7 +187,7 @@ class Builder:
         return value
 
 
-def is_usable(factor: Value) -> bool:
+def is_normal_or_varies(factor: Value) -> bool:
     """Whether a factor is neither subnormal, 0, infinite nor NaN; one that is not a constant counts as usable."""
     if factor.operation != "constant":
         return True

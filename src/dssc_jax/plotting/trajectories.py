@@ -155,9 +155,13 @@ def flight(run: xr.Dataset) -> Figure:
     heights += [ROW_HEIGHT] * len(active)
     figure = Figure(figsize=(11.5, sum(heights) + 1.0), layout="constrained")
     grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
+    path_axes: list[Axes] = []
     if vehicle:
-        path_in_space(figure.add_subplot(grid[0, 0], projection="3d"), run)
-        path_from_above(figure.add_subplot(grid[0, 1]), run)
+        in_space = figure.add_subplot(grid[0, 0], projection="3d")
+        path_in_space(in_space, run)
+        from_above = figure.add_subplot(grid[0, 1])
+        path_from_above(from_above, run)
+        path_axes = [in_space, from_above]
     for index, draw in enumerate(panels):
         draw(figure.add_subplot(grid[1 + index // 2, index % 2]), run)
     for row, channel in enumerate(active, first_channel_row):
@@ -171,7 +175,7 @@ def flight(run: xr.Dataset) -> Figure:
             right.set_xlabel("time [s]")
     for ax in figure.axes:
         place = ax.get_subplotspec()
-        if place is not None and ax.name != "3d" and ax.get_xlabel() != "x [m]":
+        if place is not None and ax not in path_axes:
             mark_events(ax, run, with_names=place.is_last_row())
     omitted = [channel for channel in channels if channel not in active]
     note = f"\nnot shown: {', '.join(omitted)}, whose error and command are rounding noise" if omitted else ""

@@ -47,10 +47,10 @@ def margin_panel(ax: Axes, worst: Analysis, margin: str, loops: list[str]) -> No
     label, scale = PANELS[margin]
     data = worst.dataset.sel(margin=margin)
     places = np.arange(len(loops))
-    for name, (marker, colour, text) in MARKS.items():
+    for line, (name, (marker, colour, text)) in enumerate(MARKS.items(), 1):
         values = scale * data[name].values
         values = np.where(np.isfinite(values), values, np.nan)
         ax.plot(values, places, marker, color=colour, label=text, markersize=12, fillstyle="none", markeredgewidth=2.0)
         if np.isnan(values).all():
-            ax.text(0.5, 0.1 * (1 + list(MARKS).index(name)), f"{text}: none", transform=ax.transAxes, ha="center")
+            ax.text(0.5, 0.1 * line, f"{text}: none", transform=ax.transAxes, ha="center")
     ax.set(xlabel=label, yticks=places, yticklabels=loops, ylim=(-0.7, len(loops) - 0.3))

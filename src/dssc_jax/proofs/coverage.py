@@ -190,7 +190,7 @@ def initial_errors(study: Study, ends: Ends) -> tuple[Interval, ...]:
     reference_start = (y, y_dot, *(0.0 for _ in range(size - 2)))
     starts = [tuple(map(float, end.plant.initial)) + (0.0,) * (size - len(end.plant.initial)) for end in ends]
     pairs = zip(*starts, reference_start, strict=True)
-    return tuple((min(a, b) - begin, max(a, b) - begin) for a, b, begin in pairs)
+    return tuple((min(a, b) - start, max(a, b) - start) for a, b, start in pairs)
 
 
 def unmodelled_of(study: Study, ends: Ends) -> JsonObject:

@@ -204,7 +204,14 @@ def prove_axis(problem: ProofProblem, boxes: int, progress: Callable[[int, int],
             progress(box_count, box_count + len(pending_boxes))
     error = max((verdict.error for verdict in verdicts), default=np.inf)
     largest_error = max((verdict.largest_error for verdict in verdicts), default=np.inf)
-    return Proved(problem, proofs, failures, error, largest_error, time.perf_counter() - start_time)
+    return Proved(
+        problem=problem,
+        proofs=proofs,
+        failures=failures,
+        error=error,
+        largest_error=largest_error,
+        seconds=time.perf_counter() - start_time,
+    )
 
 
 def attempt(

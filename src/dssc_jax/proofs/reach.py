@@ -120,14 +120,18 @@ def proved_up_to(
     unproved_share = 1.0
     if not proved_at(proved_share):
         value, proof = proofs[proved_share]
-        return ProvedReach(name, tried_values(proofs), None, None, value, proof.reason)
+        return ProvedReach(
+            name=name, values=tried_values(proofs), last=None, proved=None, refused=value, reason=proof.reason
+        )
     if proved_at(unproved_share):
         value, proof = proofs[unproved_share]
-        return ProvedReach(name, tried_values(proofs), proof, value, None, "")
+        return ProvedReach(name=name, values=tried_values(proofs), last=proof, proved=value, refused=None, reason="")
     proved_share, unproved_share = map(float, bisect(proved_at, proved_share, unproved_share, HALVINGS))
     value, proof = proofs[proved_share]
     unproved_value, failure = proofs[unproved_share]
-    return ProvedReach(name, tried_values(proofs), proof, value, unproved_value, failure.reason)
+    return ProvedReach(
+        name=name, values=tried_values(proofs), last=proof, proved=value, refused=unproved_value, reason=failure.reason
+    )
 
 
 def tried_values(proofs: dict[float, tuple[float, AnyProved]]) -> list[tuple[float, bool]]:

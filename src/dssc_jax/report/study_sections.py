@@ -69,7 +69,6 @@ def laws(subject: StudySubject) -> Section | None:
     for name, law in study.written_laws.items():
         members = law.corners if isinstance(law, RangedLaw) else [law]
         low = min(float(member.quantile(np.asarray(0.05))) for member in members)
-        middle = law.median
         high = max(float(member.quantile(np.asarray(0.95))) for member in members)
         quantity = study.quantities[name]
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
@@ -78,7 +77,7 @@ def laws(subject: StudySubject) -> Section | None:
             sketch(law.middle if isinstance(law, RangedLaw) else law),
             law.logarithmic and h.span(".meaning")["logarithmic axis"],
         ]
-        rows.append((label, str(law), density, number(middle), f"{number(low)} to {number(high)}"))
+        rows.append((label, str(law), density, number(law.median), f"{number(low)} to {number(high)}"))
     head = ("number", "law", "density", "median", "5 to 95 %")
     caption = f"Laws of the uncertain numbers, {dependence(study)}"
     return Section("laws", "What is uncertain", table(caption, head, rows, words=3))

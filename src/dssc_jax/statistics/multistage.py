@@ -126,8 +126,8 @@ def upper_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
         return 1.0 - lower_limit(mirrored(looks), draws - failures, tail)
     if failures == draws:
         return 1.0
-    single = float(special.betaincinv(failures + 1, draws - failures, 1.0 - tail))
-    return zero_near(lambda p: stops_by(looks, failures, p) - tail, single, draws)
+    single_look_limit = float(special.betaincinv(failures + 1, draws - failures, 1.0 - tail))
+    return zero_near(lambda p: stops_by(looks, failures, p) - tail, single_look_limit, draws)
 
 
 def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
@@ -137,8 +137,8 @@ def lower_limit(looks: Sequence[Look], failures: int, tail: float) -> float:
         return 1.0 - upper_limit(mirrored(looks), draws - failures, tail)
     if failures == 0:
         return 0.0
-    single = float(special.betaincinv(failures, draws - failures + 1, tail))
-    return zero_near(lambda p: stops_by(looks, failures - 1, p) - (1.0 - tail), single, draws)
+    single_look_limit = float(special.betaincinv(failures, draws - failures + 1, tail))
+    return zero_near(lambda p: stops_by(looks, failures - 1, p) - (1.0 - tail), single_look_limit, draws)
 
 
 def stopped_high(looks: Sequence[Look], failures: int) -> bool:

@@ -134,7 +134,14 @@ def compare_failures(failed_a: np.ndarray, failed_b: np.ndarray, confidence: flo
     only_b = int(np.count_nonzero(failed_b & ~failed_a))
     low, high = difference_interval(only_a, only_b, failed_a.size, confidence).tolist()
     difference = (only_a - only_b) / failed_a.size
-    return FailureDifference(only_a, only_b, failed_a.size, difference, (low, high), mcnemar(only_a, only_b))
+    return FailureDifference(
+        only_a=only_a,
+        only_b=only_b,
+        draws=failed_a.size,
+        difference=difference,
+        interval=(low, high),
+        p_value=mcnemar(only_a, only_b),
+    )
 
 
 def compare_metrics(

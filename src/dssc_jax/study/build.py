@@ -203,7 +203,15 @@ def parsed_parts(table: TomlTable) -> Parts:
     check_axes(config, numbers)
     check_swept_parts(table, config, loop, measurable_signals, numbers)
     check_settled(loop, metric_measures)
-    return Parts(config, loop, template, units, numbers, metric_measures, requirements)
+    return Parts(
+        config=config,
+        loop=loop,
+        template=template,
+        units=units,
+        numbers=numbers,
+        measures=metric_measures,
+        requirements=requirements,
+    )
 
 
 def signals_of(loop: Loop, template: LoopParams, units: tuple[ChannelUnits, ...]) -> dict[str, SampledSignal]:

@@ -363,14 +363,14 @@ def parse_named(spec: FieldSpec, table: TomlTable) -> tuple[dict[str, Any], tupl
             require_signal_name(name)
             if isinstance(spec.mark, Quantity):
                 try:
-                    number = parse_number(value, spec.mark)
+                    content = parse_number(value, spec.mark)
                 except ValueError as error:
                     raise ConfigError("", str(error)) from None
-                items[name] = leaves_of(number)
-                numbers.append(Number.of(name, spec.mark, number, name))
-                continue
-            items[name], numbers_of_item = parse_params(as_table(value), spec.named)
-            numbers += [number.under(name, name) for number in numbers_of_item]
+                items[name] = leaves_of(content)
+                numbers.append(Number.of(name, spec.mark, content, name))
+            else:
+                items[name], numbers_of_item = parse_params(as_table(value), spec.named)
+                numbers += [number.under(name, name) for number in numbers_of_item]
     return items, tuple(numbers)
 
 

@@ -139,7 +139,15 @@ class Described(Study):
         unloaded: Any = Unloaded(refusal := ConfigError(source, rule))
         channels = description.channels
         angles = description.angles
-        plant = Plant(NoParams, unloaded, unloaded, unloaded, unloaded, channels=channels, angles=angles)
+        plant = Plant(
+            params=NoParams,
+            init=unloaded,
+            derivative=unloaded,
+            measure=unloaded,
+            input_gain=unloaded,
+            channels=channels,
+            angles=angles,
+        )
         default_units = tuple(ANGLE if name in angles else POSITION for name in channels or ("",))
         units = default_units
         if description.units is not None:
@@ -147,7 +155,7 @@ class Described(Study):
         if len(units) != len(default_units):
             raise ConfigError(source, "is damaged: its description is not that of its study")
         metrics_of_user = {
-            name: Metric(a.unit, a.meaning, unloaded, unloaded, a.needs, a.scope)
+            name: Metric(a.unit, a.meaning, update=unloaded, value=unloaded, needs=a.needs, scope=a.scope)
             for name, a in description.metrics.items()
         }
         metrics = KNOWN | metrics_of_user

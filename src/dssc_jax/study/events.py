@@ -160,10 +160,10 @@ def with_command_events(
             event_numbers = tuple(number.under(f"{place}.0", study_event.path) for number in study_event.part.numbers)
             elements = (Element(study_event.part.kind, event.model), *actuators.elements)
             column[index] = Component(
-                f"{study_event.part.kind} + {actuators.kind}",
-                chain(elements),
-                (study_event.part.params, *actuators.params),
-                (*event_numbers, *actuators.numbers),
-                elements,
+                kind=f"{study_event.part.kind} + {actuators.kind}",
+                model=chain(elements),
+                params=(study_event.part.params, *actuators.params),
+                numbers=(*event_numbers, *actuators.numbers),
+                elements=elements,
             )
     return column

@@ -66,13 +66,13 @@ def nominal_plant(plant: Plant, params: Params, signal_names: Sequence[str]) -> 
         rows, feedthrough = map(np.asarray, jax.jacfwd(signals, argnums=(0, 1))(jnp.zeros(order), 0.0))
     columns = [*dynamics.disturbance, *dynamics.inputs]
     return NominalPlant(
-        np.asarray(dynamics.a, float),
-        np.asarray(dynamics.command[0], float),
-        np.asarray(columns, float).T,
-        rows[0],
-        rows[1:],
-        feedthrough[1:],
-        (COMMAND_DISTURBANCE, *(signal.name for signal in inputs)),
+        a=np.asarray(dynamics.a, float),
+        command=np.asarray(dynamics.command[0], float),
+        disturbances=np.asarray(columns, float).T,
+        output=rows[0],
+        signals=rows[1:],
+        feedthrough=feedthrough[1:],
+        inputs=(COMMAND_DISTURBANCE, *(signal.name for signal in inputs)),
     )
 
 

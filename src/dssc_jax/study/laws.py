@@ -318,7 +318,7 @@ class RangedLaw(Law):
     @property
     def corners(self) -> list[Law]:
         """The laws whose arguments are ends of their ranges."""
-        ends = [dict.fromkeys(pair) for pair in self.ranges]
+        ends = [[low] if low == high else [low, high] for low, high in self.ranges]
         return [Law(self.kind, arguments) for arguments in product(*ends)]
 
     @property

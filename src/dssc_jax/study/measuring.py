@@ -246,7 +246,14 @@ def envelope_requirements(
         name = suffixed(kind, channel) + (f"_{earlier_count + 1}" if earlier_count else "")
         window = replace(config.metrics.window, after=0.0, until=math.inf)
         measure = Measure(
-            name, kind, window, channel_index, metric, units[channel_index], channel, config.metrics.window
+            name=name,
+            kind=kind,
+            window=window,
+            channel=channel_index,
+            custom=metric,
+            units=units[channel_index],
+            channel_name=channel,
+            default_window=config.metrics.window,
         )
         requirements.append(Requirement(measure, minimum=0.0))
     return requirements

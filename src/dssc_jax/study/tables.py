@@ -100,7 +100,9 @@ def toml_entries(table: Mapping[str, object], section: str = "") -> str:
     """A table as TOML with one line for each law, list or number, under the header of its section."""
     tables = {name: inner for name, inner in table.items() if isinstance(inner, Mapping) and not is_law(inner)}
     lines = [toml_entry(name, value) for name, value in table.items() if name not in tables]
-    entries = "\n".join([*([f"[{section}]"] if section else []), *lines]) + "\n" if lines else ""
+    if lines and section:
+        lines.insert(0, f"[{section}]")
+    entries = "\n".join(lines) + "\n" if lines else ""
     inner = (toml_entries(content, f"{section}.{name}".lstrip(".")) for name, content in tables.items())
     return "\n".join(filter(None, [entries, *inner]))
 

@@ -160,7 +160,14 @@ class Contest(NamedTuple):
                 if requirement.name in data:
                     violations[requirement.label] = int(np.count_nonzero(violated(data[requirement.name].values)))
             low, high = clopper_pearson(failures, draws, confidence)
-            controllers[name] = ControllerAnswer(table, failures, failures / draws, (low, high), violations, medians)
+            controllers[name] = ControllerAnswer(
+                controller=table,
+                failures=failures,
+                probability=failures / draws,
+                interval=(low, high),
+                violations=violations,
+                median=medians,
+            )
         return ContestAnswer(controllers, self.pairs(study, confidence))
 
 
@@ -234,7 +241,15 @@ class Comparison(Analysis):
             [corresponding.dataset, tuned.dataset.assign_coords(controller=names)],
             dim="controller", data_vars="minimal", coords="minimal", compat="override", join="outer",
         )  # fmt: skip
-        return cls(study, dataset, part, ContestPart.of(tuned), budget, seconds, dict(untuned or {}))
+        return cls(
+            study=study,
+            dataset=dataset,
+            corresponding_part=part,
+            tuned_part=ContestPart.of(tuned),
+            budget=budget,
+            seconds=seconds,
+            untuned=dict(untuned or {}),
+        )
 
     @cached_property
     def corresponding(self) -> Contest:

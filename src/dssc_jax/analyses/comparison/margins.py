@@ -114,7 +114,14 @@ class MarginContest(Analysis):
             reach_of_b = self.margins[b].reached
             paired = compare_failures(reach_of_a > reach_of_b, reach_of_b > reach_of_a, confidence)
             pair = MarginPair(
-                a, b, paired.only_a, paired.only_b, paired.draws, paired.difference, paired.interval, paired.p_value
+                a=a,
+                b=b,
+                a_further=paired.only_a,
+                b_further=paired.only_b,
+                draws=paired.draws,
+                difference=paired.difference,
+                interval=paired.interval,
+                p_value=paired.p_value,
             )
             pairs.append(pair)
         return pairs

@@ -152,7 +152,14 @@ class Falsified(Analysis):
             for name, (column, unit, meaning) in columns.items()
         }
         within = region.radius if isinstance(region, ScoreBall) else None
-        return cls(study, xr.Dataset(variables, attrs={"title": study.name}), within, seconds, stopped, requirement)
+        return cls(
+            study=study,
+            dataset=xr.Dataset(variables, attrs={"title": study.name}),
+            within=within,
+            seconds=seconds,
+            stopped=stopped,
+            requirement=requirement,
+        )
 
     @property
     def worst(self) -> int:
@@ -369,7 +376,14 @@ def hunt(
     """Run one search, by default over the whole support; see :func:`falsify`."""
     began = time.perf_counter()
     region = region or search_set(programs.study)
-    search = Hunt(programs, region, budget, np.random.default_rng(seed), progress, requirement)
+    search = Hunt(
+        programs=programs,
+        region=region,
+        budget=budget,
+        rng=np.random.default_rng(seed),
+        progress=progress,
+        requirement=requirement,
+    )
     search.explore()
     for stage in (search.climb, search.evolve):
         if search.worst > -np.inf:

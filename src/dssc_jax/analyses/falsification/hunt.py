@@ -149,16 +149,16 @@ class Hunt:
         first, violated_at = first_violation(self.requirements, results)
         self.batches.append(
             SimulatedPoints(
-                points,
-                slacks,
-                binding,
-                distances,
-                simulation_counts,
-                ended,
-                results["failed_at"],
-                first,
-                violated_at,
-                all_slacks.T,
+                points=points,
+                slacks=slacks,
+                binding=binding,
+                distances=distances,
+                simulation_counts=simulation_counts,
+                ended=ended,
+                failed_at=results["failed_at"],
+                first=first,
+                violated_at=violated_at,
+                single_slacks=all_slacks.T,
             )
         )
         self.simulation_count += cost * len(points)

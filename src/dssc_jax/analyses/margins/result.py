@@ -137,7 +137,16 @@ class Margins(Analysis):
         )
         data["slack"] = (("value", "draw"), critical.slack, {"units": unit, "long_name": "signed slack"})
         certificate = reach(study, parameter, walk.grid)
-        return cls(study, data, parameter, walk, criterion, certificate, seconds, compile_seconds)
+        return cls(
+            study=study,
+            dataset=data,
+            parameter=parameter,
+            walk=walk,
+            criterion=criterion,
+            certificate=certificate,
+            seconds=seconds,
+            compile_seconds=compile_seconds,
+        )
 
     @property
     def reached(self) -> np.ndarray:
@@ -152,7 +161,9 @@ class Margins(Analysis):
         value = np.sort(self.reached)[rank - 1]
         if np.isposinf(value):
             return self.walk.end
-        return None if np.isneginf(value) else float(value if self.walk.end > self.walk.start else -value)
+        if np.isneginf(value):
+            return None
+        return float(value if self.walk.end > self.walk.start else -value)
 
     @property
     def median(self) -> float | None:

@@ -78,11 +78,11 @@ class FailureProbability(Analysis):
         """The probability and how it was estimated."""
         data = self.dataset
         return StratifiedEstimate(
-            self.simulations,
-            data["weight"].values,
-            data["failures"].values,
-            data["draws"].values,
-            data["upper"].values[:-1],
+            simulations=self.simulations,
+            weights=data["weight"].values,
+            failures=data["failures"].values,
+            draws=data["draws"].values,
+            edges=data["upper"].values[:-1],
         )
 
     @property

@@ -56,37 +56,37 @@ class DesignPoint(NamedTuple):
         return self.first_order_probability * self.second_order
 
 
-def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
+def find_design_points(slacks_and_slopes: SlopeFunction, starts: np.ndarray) -> list[DesignPoint]:
     """Search for design points from several starts at once.
 
     Each search steps to the point of the border's tangent that is nearest to the origin. A step that lowers the merit
     |u|^2/2 + c |g| by too little is shortened; g is the slack at the point u, and c = 2 |u|/|grad g|.
 
     Args:
-        slope: Computes slacks and slopes.
+        slacks_and_slopes: Computes the slacks and slopes of points.
         starts: The points at which the searches start, shape (n, d).
 
     Returns:
         Different design points, the nearest first, without those far beyond the nearest.
     """
     points = starts
-    slacks, slopes = slope(points)
+    slacks, slopes = slacks_and_slopes(points)
     steps = np.ones(len(points))
     running = np.ones(len(points), bool)
     for _ in range(ITERATIONS):
         if not running.any():
             break
         steepness = np.linalg.norm(slopes, axis=1)
-        squares = np.where(steepness > 0.0, steepness, 1.0) ** 2
-        ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squares
+        squared_steepness = np.where(steepness > 0.0, steepness, 1.0) ** 2
+        ahead = (np.einsum("ij,ij->i", slopes, points) - slacks) / squared_steepness
         directions = ahead[:, None] * slopes - points
         trials = points + steps[:, None] * directions
-        trial_slacks, trial_slopes = slope(trials)
-        penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squares) + 1e-9
+        trial_slacks, trial_slopes = slacks_and_slopes(trials)
+        penalty = 2.0 * np.linalg.norm(points, axis=1) / np.sqrt(squared_steepness) + 1e-9
         merit = 0.5 * np.sum(points**2, axis=1) + penalty * np.abs(slacks)
         trial_merit = 0.5 * np.sum(trials**2, axis=1) + penalty * np.abs(trial_slacks)
-        predicted = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
-        better = running & (trial_merit < merit + SUFFICIENT * steps * predicted)
+        merit_slope = np.einsum("ij,ij->i", points, directions) - penalty * np.abs(slacks)
+        better = running & (trial_merit < merit + SUFFICIENT * steps * merit_slope)
         lengths = np.linalg.norm(trials - points, axis=1)
         points = np.where(better[:, None], trials, points)
         slacks = np.where(better, trial_slacks, slacks)
@@ -97,7 +97,7 @@ def find_design_points(slope: SlopeFunction, starts: np.ndarray) -> list[DesignP
     distances = np.linalg.norm(points, axis=1)
     border_indices = [index for index in np.argsort(distances) if on_border[index]]
     return [
-        DesignPoint(points[index], float(distances[index]), np.nan)
+        DesignPoint(points[index], float(distances[index]), second_order=np.nan)  # with_curvature adds it
         for index in distinct(points, border_indices, SAME, len(points))
         if distances[index] <= distances[border_indices[0]] + FARTHER
     ]
@@ -114,7 +114,7 @@ def distinct(points: np.ndarray, order: Iterable[int], distance: float, most: in
     return distinct_indices
 
 
-def with_curvature(slope: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
+def with_curvature(slacks_and_slopes: SlopeFunction, design_point: DesignPoint) -> DesignPoint:
     """Add SORM's factor prod (1 + beta kappa_i)^(-1/2), with the border's principal curvatures kappa_i.
 
     The second derivatives are differences of slopes.
@@ -124,7 +124,7 @@ def with_curvature(slope: SlopeFunction, design_point: DesignPoint) -> DesignPoi
     if dimension == 1 or design_point.distance == 0.0:
         return design_point._replace(second_order=1.0)
     shifts = CURVATURE_STEP * np.concatenate([np.eye(dimension), -np.eye(dimension)])
-    _, slopes = slope(point + shifts)
+    _, slopes = slacks_and_slopes(point + shifts)
     hessian = (slopes[:dimension] - slopes[dimension:]) / (2.0 * CURVATURE_STEP)
     steepness = float(np.linalg.norm(slopes.mean(axis=0)))
     if not np.isfinite(hessian).all() or steepness == 0.0:

@@ -157,7 +157,15 @@ class RareEvent(Analysis):
             columns[name] = ("failure", values, {"units": quantity.unit, "long_name": quantity.meaning})
         number = ("number", np.array(list(study.laws)), {"long_name": "uncertain number"})
         dataset = xr.Dataset(columns, coords={"number": number}, attrs={"title": study.name})
-        return cls(study, dataset, settings, estimate.simulations, largest, noisy, refusal)
+        return cls(
+            study=study,
+            dataset=dataset,
+            method=settings,
+            simulations=estimate.simulations,
+            largest=largest,
+            noisy=noisy,
+            refusal=refusal,
+        )
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -171,9 +179,25 @@ class RareEvent(Analysis):
         if isinstance(self.method, Splitting):
             estimates = data["estimate"].values
             levels = data["levels"].values
-            return SplittingEstimate(self.simulations, points[~plain], noise, weights, draws, estimates, levels)
+            return SplittingEstimate(
+                simulations=self.simulations,
+                points=points[~plain],
+                noise=noise,
+                weights=weights,
+                plain=draws,
+                estimates=estimates,
+                levels=levels,
+            )
         design_points = design_points_of(data)
-        return WeightedEstimate(self.simulations, points[~plain], noise, weights, draws, self.largest, design_points)
+        return WeightedEstimate(
+            simulations=self.simulations,
+            points=points[~plain],
+            noise=noise,
+            weights=weights,
+            plain=draws,
+            largest=self.largest,
+            design_points=design_points,
+        )
 
     @property
     def failing(self) -> xr.Dataset:

@@ -218,7 +218,12 @@ def slacks_of(repeats: list[Repeat], counter: Counter) -> np.ndarray:
 def started(rng: np.random.Generator, dimension: int, splitting: Splitting, counter: Counter) -> Repeat:
     """Create a repeat before its first level."""
     points = rng.standard_normal((splitting.particles, dimension))
-    return Repeat(rng, points, counter.fresh(splitting.particles), np.full(splitting.particles, np.nan))
+    return Repeat(
+        rng=rng,
+        points=points,
+        noise=counter.fresh(splitting.particles),
+        slacks=np.full(splitting.particles, np.nan),  # computed before the first level
+    )
 
 
 def is_finished(repeat: Repeat, splitting: Splitting) -> bool:

@@ -264,7 +264,15 @@ def region(
     dataset = lattice.dataset(certified)
     simulations = int(np.count_nonzero(lattice.failures >= 0)) * study.config.draws
     names, log = (over[0].name, over[1].name), (over[0].log, over[1].log)
-    return SafeRegion(study, dataset, names, log, simulations, text, time.perf_counter() - began)
+    return SafeRegion(
+        study=study,
+        dataset=dataset,
+        names=names,
+        log=log,
+        simulations=simulations,
+        certificate=text,
+        seconds=time.perf_counter() - began,
+    )
 
 
 class Lattice:

@@ -125,7 +125,14 @@ def race(failing: Failing, count: int, keep: int, within: float, most: int) -> R
             else:
                 goal = math.ceil(GROWTH * goal)
                 continue
-        return Race(winners, tally.draws, tally.failures, proved_within, len(running), tally.simulations)
+        return Race(
+            chosen=winners,
+            draws=tally.draws,
+            failures=tally.failures,
+            within=proved_within,
+            remaining=len(running),
+            simulations=tally.simulations,
+        )
 
 
 def hardly_failing(

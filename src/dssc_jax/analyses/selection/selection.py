@@ -195,7 +195,14 @@ def select(
     dataset = selection_dataset(study, points, race_result)
     seconds = time.perf_counter() - began
     return Selection(
-        study, dataset, extents, race_result.within, within, race_result.remaining, race_result.simulations, seconds
+        study=study,
+        dataset=dataset,
+        ranges=extents,
+        within=race_result.within,
+        wanted_within=within,
+        left=race_result.remaining,
+        simulations=race_result.simulations,
+        seconds=seconds,
     )
 
 

@@ -93,4 +93,12 @@ def sensitivity(
             outputs[name] = design.quantities(values)
     factors = (*study.laws, NOISE) if noisy else tuple(study.laws)
     dataset = sensitivity_dataset(study, method, factors, outputs, missing)
-    return Sensitivity(study, dataset, method, design.rows, count, reasons, confidence)
+    return Sensitivity(
+        study=study,
+        dataset=dataset,
+        method=method,
+        rows=design.rows,
+        simulations=count,
+        reasons=reasons,
+        confidence=confidence,
+    )

@@ -135,7 +135,15 @@ class Assessment(Analysis):
         attributes = {}
         for name, oscillation in oscillations.items():
             attributes[name] = {str(key): value for key, value in oscillation.attrs.items()}
-        return cls(performance.study, dataset, margin_parts(margins), attributes, edge, not_covered, seconds)
+        return cls(
+            study=performance.study,
+            dataset=dataset,
+            parts=margin_parts(margins),
+            oscillating=attributes,
+            edge=edge,
+            not_covered=not_covered,
+            seconds=seconds,
+        )
 
     @cached_property
     def all_margins(self) -> dict[str, Margins]:

@@ -152,13 +152,13 @@ class Problem:
         merit = self.goal_on(draws).merit(self.results(z[None], draws, self.plain), (), len(self.extra))
         if not merit.ended and self.slacks is not None:
             merit = merit._replace(excess=merit.excess | self.slacks.at(z)[0])
-        return Point(z, merit, np.full(len(z), np.nan), {})
+        return Point(z, merit, gradient=np.full(len(z), np.nan), slopes={})
 
     def at(self, z: np.ndarray, draws: np.ndarray) -> Point:
         """Evaluate a point with derivatives on some of the draws."""
         merit = self.goal_on(draws).merit(self.results(z[None], draws), self.names, len(self.extra))
         if merit.ended:
-            return Point(z, merit, np.full(len(z), np.nan), {})
+            return Point(z, merit, gradient=np.full(len(z), np.nan), slopes={})
         number_slopes = {name: column[0] for name, column in self.plan.coordinates.slopes(z[None]).items()}
 
         def along(slopes: dict[str, float]) -> np.ndarray:

@@ -103,7 +103,16 @@ def tune(
     dataset = dataset_of(plan.study, outcome.history, costs)
     certificate = None if proof is None else verified(proof.certificate())
     start_values = dict(plan.coordinates.start)
-    tuned = Tuned(plan.study, dataset, start_values, values, numbers, gradients, verdict, facts)
+    tuned = Tuned(
+        study=plan.study,
+        dataset=dataset,
+        start=start_values,
+        values=values,
+        numbers=numbers,
+        gradients=gradients,
+        verdict=verdict,
+        facts=facts,
+    )
     tuned.certificate = certificate
     return tuned
 

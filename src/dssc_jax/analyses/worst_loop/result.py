@@ -245,30 +245,29 @@ class WorstLoop(Analysis):
         for name in MARGINS:
             values = data.sel(margin=name)
             margins[name] = WorstMargin(
-                MARGIN_KINDS[name].unit,
-                float(values["drawn"]),
-                float(values["found"]),
-                float(values["bounded"]),
-                self.numbers(loop, name),
+                unit=MARGIN_KINDS[name].unit,
+                drawn=float(values["drawn"]),
+                found=float(values["found"]),
+                bounded=float(values["bounded"]),
+                numbers=self.numbers(loop, name),
             )
         growth_found = float(data["growth_found"])
         growth_bounded = float(data["growth_bounded"])
-        stable = True if growth_bounded >= 1.0 else (False if growth_found <= 1.0 else None)
-        depends = data["depends"].values
-        names = tuple(map(str, self.dataset["number"].values[depends]))
-        growable = float(data["growable"])
-        unstable = self.unstable(loop)
-        has_operating_point = bool(data["has_operating_point"])
+        stable = None
+        if growth_bounded >= 1.0:
+            stable = True
+        elif growth_found <= 1.0:
+            stable = False
         return LoopWorst(
-            stable,
-            growth_bounded,
-            growth_found,
-            growable,
-            unstable,
-            has_operating_point,
-            names,
-            int(data["cells"]),
-            margins,
+            stable=stable,
+            growth_bounded=growth_bounded,
+            growth_found=growth_found,
+            growable=float(data["growable"]),
+            unstable=self.unstable(loop),
+            has_operating_point=bool(data["has_operating_point"]),
+            depends_on=tuple(map(str, self.dataset["number"].values[data["depends"].values])),
+            cells=int(data["cells"]),
+            margins=margins,
         )
 
     @property

@@ -145,7 +145,15 @@ def worst_loop(
         multiloop = joint_case(broken, channels, drawn_loops, sample_time, GAP, cells, family.remainder(most))
     notes = (*substitute_notes(places), *operating.taken)
     dataset = worst_dataset(box, cases).merge(multiloop_dataset(box, multiloop))
-    return WorstLoop(study, dataset, sigma, notes, len(family.cache), most, time.perf_counter() - began)
+    return WorstLoop(
+        study=study,
+        dataset=dataset,
+        sigma=sigma,
+        taken=notes,
+        points=len(family.cache),
+        most_points=most,
+        seconds=time.perf_counter() - began,
+    )
 
 
 def signal_text(study: Study, name: str) -> str:
@@ -292,14 +300,11 @@ def bounded_margins(gains: np.ndarray, sample_time: float) -> np.ndarray:
     """
     if not np.all(np.isfinite(gains)):
         return np.full(len(MARGINS), np.nan)
-    s, t, half, delay = gains
-    alpha = 1.0 / half
-    uppers = [1.0 + 1.0 / t]
-    if alpha < 2.0:
-        uppers.append((2.0 + alpha) / (2.0 - alpha))
-    if s > 1.0:
-        uppers.append(s / (s - 1.0))
-    upper = max(uppers) if alpha < 2.0 and s > 1.0 else np.inf
+    s, t, half_difference, delay_gain = gains  # in the order of GAINS
+    alpha = 1.0 / half_difference
+    upper_by_disk = (2.0 + alpha) / (2.0 - alpha) if alpha < 2.0 else np.inf
+    upper_by_s = s / (s - 1.0) if s > 1.0 else np.inf
+    upper = max(1.0 + 1.0 / t, upper_by_disk, upper_by_s)
     lower = max(0.0, min((2.0 - alpha) / (2.0 + alpha), s / (s + 1.0), 1.0 - 1.0 / t))
     phase = max(2.0 * np.arctan(0.5 * alpha), 2.0 * np.arcsin(min(1.0, 0.5 / s)), 2.0 * np.arcsin(min(1.0, 0.5 / t)))
-    return np.array([upper, lower, phase, sample_time / delay, alpha, s, t])
+    return np.array([upper, lower, phase, sample_time / delay_gain, alpha, s, t])

@@ -223,7 +223,14 @@ def worst_wind(
             raise ConfigError("signals", f"unknown signal '{name}'; {nearest(name, flights.signals)}")
     default_names = [name for name, signal in flights.signals.items() if signal.measure.kind not in UNASKED]
     selected_names = list(dict.fromkeys(signals or default_names))
-    ascent = Ascent(flights, WindSet(limits, grid), selected_names, rounds, np.random.default_rng(seed), progress)
+    ascent = Ascent(
+        flights=flights,
+        winds=WindSet(limits, grid),
+        signals=selected_names,
+        rounds=rounds,
+        rng=np.random.default_rng(seed),
+        progress=progress,
+    )
     worst_winds = ascent.run()
     measures = [flights.signals[name].measure for name in selected_names]
     return WorstWind(

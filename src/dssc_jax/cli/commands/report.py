@@ -47,7 +47,12 @@ def run(options: Report) -> int:
 
 def print_index(root: Path, as_json: bool) -> int:
     """Write the index of a folder of results and analyses, and show its content."""
-    page, rows = write_index(root, lambda file: None if as_json else show_page(file, "it was missing or out of date"))
+
+    def show_written(file: Path) -> None:
+        if not as_json:
+            show_page(file, "it was missing or out of date")
+
+    page, rows = write_index(root, show_written)
     trouble_count = sum(bool(row.trouble) for row in rows)
     if as_json:
         results = [{**row._asdict(), "folder": str(row.folder)} for row in rows]

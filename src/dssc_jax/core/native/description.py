@@ -164,22 +164,22 @@ def described_controller(row: ControllerRow) -> NativeController:
     if not (name.isidentifier() and name.isascii()):
         raise ConfigError("", f"has a controller with the name {name!r}, which is no identifier of C")
     controller = NativeController(
-        name,
-        row.sample_time,
-        row.real,
-        row.controller,
-        row.exchange,
-        tuple(row.signals),
-        tuple(row.commands),
-        row.total,
-        row.flag,
-        described_numbers(name, row.parameters, row.parameter_count),
-        described_numbers(name, row.telemetry, row.telemetry_count),
-        described_numbers(name, row.measured, row.measured_count),
-        row.init or 0,
-        row.reset or 0,
-        row.step or 0,
-        row.step_without_telemetry,
+        name=name,
+        sample_time=row.sample_time,
+        real=row.real,
+        size=row.controller,
+        exchange=row.exchange,
+        signals=tuple(row.signals),
+        commands=tuple(row.commands),
+        total=row.total,
+        flag=row.flag,
+        parameters=described_numbers(name, row.parameters, row.parameter_count),
+        telemetry=described_numbers(name, row.telemetry, row.telemetry_count),
+        measured=described_numbers(name, row.measured, row.measured_count),
+        init=row.init or 0,
+        reset=row.reset or 0,
+        step=row.step or 0,
+        step_without_telemetry=row.step_without_telemetry,
     )
     require_consistent(controller, row)
     require_measured(controller, row)

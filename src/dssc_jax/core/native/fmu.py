@@ -197,7 +197,16 @@ def unpacked_fmu(path: Path, content: bytes, digest: str, place: Path) -> Native
         raise ConfigError("file", f"'{path}' cannot be loaded: {first_lines(error)}") from None
     experiment = description.defaultExperiment
     step = float(experiment.stepSize) if experiment is not None and experiment.stepSize else None
-    return NativeFmu(str(path.resolve()), digest, version, description.modelName, variables, unusable, step, calls)
+    return NativeFmu(
+        file=str(path.resolve()),
+        sha256=digest,
+        version=version,
+        model=description.modelName,
+        variables=variables,
+        unusable=unusable,
+        step_size=step,
+        calls=calls,
+    )
 
 
 def unreadable(path: Path, error: Exception) -> ConfigError:
@@ -282,12 +291,12 @@ def described_variable(variable: "ModelVariable") -> FmuVariable:
     causality = variable.causality or "local"
     is_exact = variable.initial == EXACT and variable.variability != CONSTANT
     return FmuVariable(
-        variable.name,
-        variable.valueReference,
-        Quantity(unit, variable.description or variable.name, at_least=low, at_most=high),
-        causality,
-        None if variable.start is None else float(variable.start),
-        causality in (PARAMETER, INPUT) or is_exact,
+        name=variable.name,
+        reference=variable.valueReference,
+        quantity=Quantity(unit, variable.description or variable.name, at_least=low, at_most=high),
+        causality=causality,
+        start=None if variable.start is None else float(variable.start),
+        settable=causality in (PARAMETER, INPUT) or is_exact,
     )
 
 

@@ -148,7 +148,12 @@ def named_kind(study: Study, slot: str, name: str) -> str:
     if isinstance(table, list) or "input" in table:
         tables = table if isinstance(table, list) else [table]
         return " + ".join(str(part["kind"]) for part in tables if part.get("input", name) == name) or "none"
-    common = "none" if slot == INPUTS else "ideal" if slot == SIGNAL_SENSOR else table.get("kind", "ideal")
+    if slot == INPUTS:
+        common = "none"
+    elif slot == SIGNAL_SENSOR:
+        common = "ideal"
+    else:
+        common = table.get("kind", "ideal")
     return str(table.get(name, {}).get("kind", common)) if name else str(common)
 
 
@@ -175,7 +180,9 @@ def declared_place(study: Study, slot: str, index: int, part: Part, params: Para
     if smoothness.substitute is not None and smoothness.extent == SmoothExtent.NOWHERE:
         substitute, values = smoothness.substitute(params)
         remaining = declared_smoothness(substitute, values)
-    return LoopPart(slot, index, label, smoothness, remaining, ":" in kind)
+    return LoopPart(
+        slot=slot, channel=index, label=label, smoothness=smoothness, remaining=remaining, imported=":" in kind
+    )
 
 
 def substitute_notes(places: Sequence[LoopPart]) -> list[str]:

@@ -271,7 +271,9 @@ class Instructions:
         kind = self.kind(dtype, wide)
         if dtype.kind == "f":
             return self.emit(f"fcmp {FLOAT_COMPARISONS[operation]} {kind} {names[0]}, {names[1]}")
-        sign = "" if operation in ("eq", "ne") else "s" if dtype.kind == "i" else "u"
+        sign = ""
+        if operation not in ("eq", "ne"):
+            sign = "s" if dtype.kind == "i" else "u"
         return self.emit(f"icmp {sign}{operation} {kind} {names[0]}, {names[1]}")
 
     def extreme(self, operation: str, value: Value, wide: bool, names: Sequence[str]) -> str:

@@ -236,9 +236,11 @@ def while_rule(translator: Translator, equation: JaxprEqn, operands: list[Any]) 
     scalars = flatten(initial_state, build)
     differs = [bool(flag) for flag, value in zip(varying, initial_state, strict=True) for _ in components(value, build)]
     guard = None if enter.operation == "constant" and enter.detail else build.add("any", enter)
-    loop = build.loop(
-        [*scalars, *([enter] if lanes_differ else [])], [*differs, *([True] if lanes_differ else [])], guard
-    )
+    carried = list(scalars)
+    if lanes_differ:  # the last one tells whether the lane still runs
+        carried.append(enter)
+        differs.append(True)
+    loop = build.loop(carried, differs, guard)
     states = loop.states[: len(scalars)]
     next_state = translator.run(body, [*constants, *assemble(initial_state, states)])
     next_scalars = flatten(next_state, build)

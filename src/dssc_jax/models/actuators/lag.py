@@ -33,7 +33,11 @@ def system(params: LagParams, order: Order) -> LinearSystem:
     rate = 1.0 / at_least(params.mu, FASTEST)
     rows = []
     for i in range(order):
-        rows.append(tuple(-rate if j == i else rate if j == i - 1 else 0.0 for j in range(order)))
+        row: list[Scalar] = [0.0] * order
+        row[i] = -rate
+        if i > 0:
+            row[i - 1] = rate
+        rows.append(tuple(row))
     return LinearSystem(tuple(rows), (rate, *(0.0,) * (order - 1)), (*(0.0,) * (order - 1), 1.0), 0.0)
 
 

@@ -222,13 +222,13 @@ def stated_plant(model: LqgModel, setting: LoopSetting) -> NominalPlant:
         rule = f"must have a row for each of the {len(setting.measures)} measured signals, got {len(rows)}"
         raise ConfigError("model.signals", rule)
     return NominalPlant(
-        np.array(model.a, float),
-        np.array(model.b, float),
-        np.array(columns, float).T,
-        np.array(model.c, float),
-        np.reshape(np.array(rows, float), (len(rows), order)),
-        np.array(filled("model.feedthrough", model.feedthrough, len(rows))),
-        named,
+        a=np.array(model.a, float),
+        command=np.array(model.b, float),
+        disturbances=np.array(columns, float).T,
+        output=np.array(model.c, float),
+        signals=np.reshape(np.array(rows, float), (len(rows), order)),
+        feedthrough=np.array(filled("model.feedthrough", model.feedthrough, len(rows))),
+        inputs=named,
     )
 
 
@@ -320,12 +320,12 @@ def transfer(
 
 LQG: Entry = single(
     Controller(
-        LqgGains,
-        init,
-        step,
-        prepare_limits,
-        transfer,
-        smooth_within_limits(init, step),
+        gains=LqgGains,
+        init=init,
+        step=step,
+        prepare=prepare_limits,
+        transfer=transfer,
+        smooth=smooth_within_limits(init, step),
         takes=lambda gains: gains.taken,
         fit=fit,
         info=LqgInfo,

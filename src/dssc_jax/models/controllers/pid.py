@@ -99,12 +99,12 @@ def transfer(
 
 PID: Entry = single(
     Controller(
-        PidGains,
-        init,
-        step,
-        prepare_limits,
-        transfer,
-        smooth_within_limits(init, step),
+        gains=PidGains,
+        init=init,
+        step=step,
+        prepare=prepare_limits,
+        transfer=transfer,
+        smooth=smooth_within_limits(init, step),
         tunable=("k_p", "k_i"),
         info=PidInfo,
     ),

@@ -114,12 +114,12 @@ def prepare(gains: FeedbackGains) -> FeedbackGains:
 
 STATE_FEEDBACK: Entry = single(
     Controller(
-        FeedbackGains,
-        init,
-        step,
-        prepare,
-        transfer,
-        smooth_within_limits(init, step),
+        gains=FeedbackGains,
+        init=init,
+        step=step,
+        prepare=prepare,
+        transfer=transfer,
+        smooth=smooth_within_limits(init, step),
         takes=lambda gains: len(gains.signals),
         tunable=("k_1", "k_2"),
         info=FeedbackInfo,

@@ -78,13 +78,13 @@ def prepare(params: NormalFormParams) -> NormalFormParams:
 
 
 NORMAL_FORM = Plant(
-    NormalFormParams,
-    init,
-    linear_derivative(linear),
-    measure,
-    input_gain,
-    ("x2",),
-    prepare,
+    params=NormalFormParams,
+    init=init,
+    derivative=linear_derivative(linear),
+    measure=measure,
+    input_gain=input_gain,
+    velocities=("x2",),
+    prepare=prepare,
     units=(POSITION,),
     linear=linear,
     smooth=SMOOTH,

@@ -193,11 +193,11 @@ def with_estimate(estimator: Estimator, state: UavState, memory: State) -> tuple
     motion = motion_of(state)
     estimate = memory.estimate
     error = EstimationError(
-        estimate.position - motion.position,
-        estimate.velocity - motion.velocity,
-        product(estimate.attitude, conjugate(motion.attitude)),
-        estimate.rate - motion.rate,
-        estimator.nees(memory, motion),
+        position=estimate.position - motion.position,
+        velocity=estimate.velocity - motion.velocity,
+        attitude=product(estimate.attitude, conjugate(motion.attitude)),
+        rate=estimate.rate - motion.rate,
+        nees=estimator.nees(memory, motion),
     )
     return state._replace(error=error), memory
 

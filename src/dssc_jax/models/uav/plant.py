@@ -86,7 +86,12 @@ def start_state(params: UavParams, trimmed: Trim | None) -> UavState:
         else:
             integrals = gains.trimmed(params.craft, trimmed)
     state = UavState(
-        Vec3(*params.position), Vec3(*params.velocity), attitude, Vec3(*params.body_rate), integrals, speeds
+        position=Vec3(*params.position),
+        velocity=Vec3(*params.velocity),
+        attitude=attitude,
+        rate=Vec3(*params.body_rate),
+        inner=integrals,
+        speeds=speeds,
     )
     if estimator_of(params) is not None:
         state = state._replace(error=EstimationError(zero, zero, Quaternion(1.0, 0.0, 0.0, 0.0), zero, 0.0))
@@ -202,14 +207,28 @@ def monitor(params: UavParams, state: UavState, drive: PlantInput) -> UavInfo:
     rotation = state.attitude.matrix()
     commands = rotor_commands(params, state, drive)
     tilt = atan2(root_abs(rotation.c.x**2 + rotation.c.y**2), rotation.c.z)  # upright, the slope is 0 and not NaN
-    limits = commands.rotors.limited, commands.bounded
-    rotors = commands.rotors.commanded, params.vehicle.thrust_limit
     rotor_state = turning_rotors(params, state, drive, commands)
     charge = 1.0 if params.battery is None else jnp.maximum(state.charge, 0.0)
     voltage = rotor_state.supply.voltage * voltage_of(drive.condition)
-    body = state.attitude, state.rate, rotor_state.actual.speeds, voltage, charge
     wind = wind_at(drive.wind, state.position.z, drive.condition)
-    info = UavInfo(*euler_of(rotation), tilt, commands.thrust, *limits, *rotors, wind, *body)
+    phi, theta, psi = euler_of(rotation)
+    info = UavInfo(
+        phi=phi,
+        theta=theta,
+        psi=psi,
+        tilt=tilt,
+        thrust=commands.thrust,
+        rotor_limited=commands.rotors.limited,
+        lift_bounded=commands.bounded,
+        rotor=commands.rotors.commanded,
+        rotor_limit=params.vehicle.thrust_limit,
+        wind=wind,
+        attitude=state.attitude,
+        rate=state.rate,
+        rotor_speed=rotor_state.actual.speeds,
+        rotor_voltage=voltage,
+        battery_charge=charge,
+    )
     if state.error == ():
         return info
     error: EstimationError = state.error

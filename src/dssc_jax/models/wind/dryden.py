@@ -93,7 +93,7 @@ def dryden_law(params: DrydenParams) -> DrydenLaw:
     )
 
 
-def sinh_excess(h: Scalar) -> Scalar:
+def decayed_sinh_excess(h: Scalar) -> Scalar:
     """exp(-h) (sinh h - h), the scaled excess of sinh h over h; for h >= 0, without cancellation or overflow."""
     small = jnp.minimum(h, 1.0)
     square = small * small
@@ -116,7 +116,7 @@ def noise_factor(h: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """
     decay = jnp.exp(-h)
     variance = -0.5 * jnp.expm1(-2.0 * h)
-    excess = sinh_excess(h)
+    excess = decayed_sinh_excess(h)
     a_a = jnp.sqrt(variance)
     b_a = 0.5 * (excess - h * decay * jnp.expm1(-h)) / a_a
     b_b = jnp.sqrt(0.25 * excess * (variance + h * decay) / variance)

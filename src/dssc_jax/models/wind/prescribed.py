@@ -188,6 +188,20 @@ def padded_knots(knots: Sequence[Scalar], count: int) -> list[Scalar]:
 
 
 CONSTANT_WIND = Wind(ConstantWindParams, calm, constant_step, held_wind, bounds=constant_bounds)
-PIECEWISE = Wind(PiecewiseParams, calm, piecewise_step, held_wind, check_table, piecewise_bounds)
+PIECEWISE = Wind(
+    params=PiecewiseParams,
+    init=calm,
+    step=piecewise_step,
+    value=held_wind,
+    prepare=check_table,
+    bounds=piecewise_bounds,
+)
 GUST = Wind(GustParams, stateless, unchanged, gust_value, bounds=gust_bounds)
-SPLINE_WIND = Wind(SplineWindParams, stateless, unchanged, spline_wind, check_wind_knots, spline_bounds)
+SPLINE_WIND = Wind(
+    params=SplineWindParams,
+    init=stateless,
+    step=unchanged,
+    value=spline_wind,
+    prepare=check_wind_knots,
+    bounds=spline_bounds,
+)

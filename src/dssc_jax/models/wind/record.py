@@ -55,7 +55,14 @@ def recorded_wind(rule: Interpolation) -> Wind:
     def prepare(params: RecordedWindParams) -> tuple[Pieces, ...]:
         return columns_as_pieces(params.time, {"x": params.x, "y": params.y, "z": params.z}, rule)
 
-    return Wind(RecordedWindParams, stateless, unchanged, wind_at, prepare, BOUNDS.get(rule))
+    return Wind(
+        params=RecordedWindParams,
+        init=stateless,
+        step=unchanged,
+        value=wind_at,
+        prepare=prepare,
+        bounds=BOUNDS.get(rule),
+    )
 
 
 RECORDED_WIND = Entry(

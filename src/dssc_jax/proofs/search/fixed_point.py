@@ -90,8 +90,8 @@ class BoundsStage:
     level: float
     slope: float
     rate: float
-    gains: list[float]
-    bounds: list[float]
+    gains: list[float]  # in the order of GAIN_NAMES
+    bounds: list[float]  # at CHANGE, SIGMA, ERROR, COMMAND and EQUIVALENT, and of the states from STATES on
     p: list[list[float]]
     coordinate: str
     method: str = "small gain"
@@ -190,7 +190,9 @@ def bounds_map(problem: ProofProblem, box: Box, spread: LawSpread) -> BoundsMap 
     sizes[2:] = held_deviations(problem, box, point.k_p, command)
     effects = result.sums[:, w:] @ sizes
     forced = result.sums[:, :w].sum(axis=1) + effects[:, m]
-    return BoundsMap(step, spread, forced, result.peaks, effects[:, :m], command)
+    return BoundsMap(
+        step=step, spread=spread, forced=forced, peaks=result.peaks, matrix=effects[:, :m], command=command
+    )
 
 
 def deviation_row(deviation: Deviation, signals: int) -> np.ndarray:

@@ -86,12 +86,12 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
     if implicit:
         by_gains.append(
             LawSpread(
-                False,
-                {name: hull[name] for name in GAIN_NAMES},
-                Deviation(half_width["k_p"], t * half_width["k_i"], 0.0),
-                Deviation(0.0, half_width["k_n"], 0.0),
-                Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
-                0.0,
+                is_integrated=False,
+                gains={name: hull[name] for name in GAIN_NAMES},
+                integral=Deviation(half_width["k_p"], t * half_width["k_i"], 0.0),
+                command=Deviation(0.0, half_width["k_n"], 0.0),
+                slide=Deviation(half_width["slide_p"], half_width["slide_i"], 0.0),
+                slide_e=0.0,
             )
         )
         if problem.functions["kind"] not in KNOWN_INTEGRALS:
@@ -100,12 +100,12 @@ def law_spreads(problem: ProofProblem, region: StageRegion) -> list[LawSpread]:
     errors = increment_errors(problem, size, region.change) if implicit else np.zeros(size.size)
     change_ratio = (1.0 + MARGIN) * float(errors.max()) / region.change
     by_ratio = LawSpread(
-        True,
-        {name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
-        Deviation(change_ratio, t * half_width["k_i"], 0.0),
-        Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
-        Deviation(half_width["slide_p"] * implicit, half_width["mean"] + half_width["slide_i"], 0.0),
-        0.0 if implicit else hull["slide_e"][1],
+        is_integrated=True,
+        gains={name: hull["mean" if name == "k_p" else name] for name in GAIN_NAMES},
+        integral=Deviation(change_ratio, t * half_width["k_i"], 0.0),
+        command=Deviation(0.0, half_width["mean"] + half_width["k_n"], 0.0),
+        slide=Deviation(half_width["slide_p"] * implicit, half_width["mean"] + half_width["slide_i"], 0.0),
+        slide_e=0.0 if implicit else hull["slide_e"][1],
     )
     return [*by_gains, by_ratio, function_spread(points, by_ratio, half_width, t, errors)]
 
@@ -126,12 +126,12 @@ def function_spread(
     command_distance = largest_distance(size, ratio_of_command, slopes["mean"] + slopes["k_n"])
     gains = by_ratio.gains | {name: (slopes[of], slopes[of]) for name, of in SLOPES.items()}
     return LawSpread(
-        True,
-        gains,
-        Deviation(0.0, 0.0, t * integral_distance),
-        Deviation(0.0, 0.0, command_distance),
-        Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
-        by_ratio.slide_e,
+        is_integrated=True,
+        gains=gains,
+        integral=Deviation(0.0, 0.0, t * integral_distance),
+        command=Deviation(0.0, 0.0, command_distance),
+        slide=Deviation(by_ratio.slide.change, half_width["slide_i"], mean_distance),
+        slide_e=by_ratio.slide_e,
     )
 
 

@@ -110,11 +110,11 @@ def signal_sizes(problem: ProofProblem, box: Box) -> SignalSizes:
     level_terms = np.array([acceleration, speed])
     slope_terms = np.array([jerk, acceleration])
     return SignalSizes(
-        float(problem.level + disturbance_weights @ level_terms),
-        float(problem.slope + disturbance_weights @ slope_terms),
-        float(feed_weights @ slope_terms),
-        float(problem.level + offset_weights @ level_terms),
-        float(problem.slope + offset_weights @ slope_terms),
+        level=float(problem.level + disturbance_weights @ level_terms),
+        slope=float(problem.slope + disturbance_weights @ slope_terms),
+        feed_slope=float(feed_weights @ slope_terms),
+        offset=float(problem.level + offset_weights @ level_terms),
+        offset_slope=float(problem.slope + offset_weights @ slope_terms),
     )
 
 
@@ -273,7 +273,14 @@ def step_of(
     columns = [t * sizes.offset_slope * (jump - v), t * sizes.feed_slope * jump]
     bounds = inside_bound(problem, point, box)
     columns += [bound * unit[i] for i, bound in enumerate(bounds[: zeta.start])]
-    return Step(a, np.stack(columns, axis=1), np.stack([e, unit[0], sigma, sigma - s]), command, push, jump)
+    return Step(
+        a=a,
+        b=np.stack(columns, axis=1),
+        rows=np.stack([e, unit[0], sigma, sigma - s]),
+        command=command,
+        push=push,
+        jump=jump,
+    )
 
 
 def inside_bound(problem: ProofProblem, point: LoopPoint, box: Box) -> np.ndarray:

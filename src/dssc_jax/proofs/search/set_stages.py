@@ -261,7 +261,8 @@ def set_from_start(setting: Setting, first_sizes: Sequence[float], *, slides: bo
         if (solution := set_with_start(setting, steps, [*region_rows, *sliding_rows], shares)) is None:
             return None
         sizes = np.array([largest_in_set(solution.p, rows[row]) for row in (SIGMA, E)])
-        if np.all((sizes <= (1.0 - TIGHT) * limits)[: len(region_rows)]):
+        sigma_fits, e_fits = sizes <= (1.0 - TIGHT) * limits
+        if sigma_fits and (e_fits or not depends_on_e):
             return set_stage(solution, region, setting)
         limits = REGION_ROOM * sizes
         if np.any(limits > LARGEST_REGION * np.array(first_sizes)):

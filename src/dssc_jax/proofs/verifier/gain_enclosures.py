@@ -190,7 +190,7 @@ def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple
             tau_m = c["kappa1"] / c["kappa2"] * r
         case "approx_sta_1":
             k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
-            tau_m = c["kappa1"] / c["kappa2"] * c["delta"] * defect_ratio(size, c["delta"])
+            tau_m = c["kappa1"] / c["kappa2"] * c["delta"] * enclosed_ratio_to_defect(size, c["delta"])
         case "approx_sta_2":
             k_o_tau_av = 2 * (r + c["delta"]) / c["kappa1"]
             tau_m = c["kappa1"] / c["kappa2"] * (r + c["delta"])
@@ -208,8 +208,9 @@ def functions_at(problem: Problem, c: Balls, size: tuple[float, float]) -> tuple
 
 def ends_of(size: tuple[float, float]) -> tuple[arb, arb]:
     """|sigma|^(1/2) at the ends of an interval of |sigma|, which is often a point."""
-    low = arb(size[0]).sqrt()
-    return low, low if size[0] == size[1] else arb(size[1]).sqrt()
+    root_low = arb(size[0]).sqrt()
+    root_high = root_low if size[0] == size[1] else arb(size[1]).sqrt()
+    return root_low, root_high
 
 
 def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av: arb) -> arb:
@@ -228,17 +229,19 @@ def mean_gain(problem: Problem, c: Balls, size: tuple[float, float], k_o_tau_av:
             beta = c["delta"] * c["k_o"] * c["kappa1"] / 2
         case kind:
             raise Rejected(f"P2: phi_1 of the functions '{kind}' is not known")
-    return 2 / (alpha * beta * defect_ratio(size, beta))
+    return 2 / (alpha * beta * enclosed_ratio_to_defect(size, beta))
 
 
-def defect_ratio(size: tuple[float, float], scale: arb) -> arb:
+def enclosed_ratio_to_defect(size: tuple[float, float], scale: arb) -> arb:
     """Enclosure of :func:`ratio_to_defect` of r/scale over an interval of |sigma|, where r = |sigma|^(1/2).
 
     The ratio rises, so that its values at both ends suffice.
     """
-    low, high = ends_of(size)
-    at_low = ratio_to_defect(low / scale)
-    return at_low if low is high else at_low.union(ratio_to_defect(high / scale))
+    root_low, root_high = ends_of(size)
+    at_low = ratio_to_defect(root_low / scale)
+    if size[0] == size[1]:
+        return at_low
+    return at_low.union(ratio_to_defect(root_high / scale))
 
 
 def ratio_to_defect(x: arb) -> arb:

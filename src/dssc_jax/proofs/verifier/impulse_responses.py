@@ -103,11 +103,11 @@ def response_blocks(a: arb_mat, rows: arb_mat, z: arb_mat, p: arb_mat) -> Iterat
         z = block_jump * z
         ends = [(state_size(p, z, j) + dropped_sizes[j]).upper() for j in range(count)]
         yield Block(
-            response,
-            error_peak @ sizes + UNDERFLOW,
-            error_sum @ sizes + UNDERFLOW,
-            reach[:, None] * np.array([float(size.upper()) for size in dropped_sizes]),
-            reach[:, None] * np.array([float(end) for end in ends]),
+            response=response,
+            error=error_peak @ sizes + UNDERFLOW,
+            error_sum=error_sum @ sizes + UNDERFLOW,
+            radius_effect=reach[:, None] * np.array([float(size.upper()) for size in dropped_sizes]),
+            tail=reach[:, None] * np.array([float(end) for end in ends]),
         )
 
 

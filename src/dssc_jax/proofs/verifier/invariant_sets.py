@@ -84,7 +84,9 @@ def invariant_bounds(
     sigma = bound_in_set(inverse, rows.sigma)
     e = bound_in_set(inverse, rows.e)
     change = bound_in_set(inverse, rows.change)
-    return StageLimits(sigma, e, change, largest_error, arb(0), arb(0), error_change)
+    return StageLimits(
+        sigma=sigma, e=e, change=change, between=largest_error, level=arb(0), slope=arb(0), error_change=error_change
+    )
 
 
 def piece_gains(problem: Problem, stage: InvariantStage) -> PieceGains:

@@ -127,12 +127,12 @@ def middle_loop(problem: Problem, box: Box, coordinate: str, centre: Balls) -> M
     for place, jump in zip(zeta, zeta_jump(problem), strict=True):
         jump_distance[place] = t * sizes.slope * k_p_distance * jump
     return MiddleLoop(
-        a,
-        arb_mat([*signals, *unit]),
-        side_by_side(inputs, matrix_of_columns([jump_distance])),
-        matrix_of_columns(deviations),
-        (k_p_distance / k_p).upper(),
-        half_widths,
+        a=a,
+        rows=arb_mat([*signals, *unit]),
+        w=side_by_side(inputs, matrix_of_columns([jump_distance])),
+        deviations=matrix_of_columns(deviations),
+        share=(k_p_distance / k_p).upper(),
+        half_widths=half_widths,
     )
 
 
@@ -188,7 +188,13 @@ def implied_bounds(
     entered_bounds = [bound * arb(ENTERED) for bound in (command, *states)]
     level, slope = disturbance_by_state(problem, box, entered_bounds)
     return StageLimits(
-        bounds[SIGMA], bounds[ERROR], bounds[CHANGE], (states[0] + bend).upper(), level, slope, error_change
+        sigma=bounds[SIGMA],
+        e=bounds[ERROR],
+        change=bounds[CHANGE],
+        between=(states[0] + bend).upper(),
+        level=level,
+        slope=slope,
+        error_change=error_change,
     )
 
 

@@ -190,12 +190,12 @@ def sense(
         out = jnp.logical_and(begun, t < sensors.outage_start + sensors.outage_duration)
         has_position = jnp.logical_and(has_position, jnp.logical_not(out))
     aids = Aids(
-        shown,
-        has_position,
-        motion.position.z + random.number(5, sensors.height),
-        due(k, sensors.height_period),
-        heading_of(motion.attitude) + random.number(6, sensors.heading),
-        due(k, sensors.heading_period),
+        position=shown,
+        has_position=has_position,
+        height=motion.position.z + random.number(5, sensors.height),
+        has_height=due(k, sensors.height_period),
+        heading=heading_of(motion.attitude) + random.number(6, sensors.heading),
+        has_heading=due(k, sensors.heading_period),
     )
     return after, increments, aids
 

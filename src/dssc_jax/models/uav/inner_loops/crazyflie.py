@@ -138,14 +138,14 @@ class CrazyflieGains(NamedTuple):
         setpoint = Vec3(0.0, 0.0, angles.z)
         level = heading_velocity(readings.velocity, readings.attitude.matrix())
         return CrazyflieState(
-            Pid(self.first_velocity_integral(craft, carrying), level),
-            Pid(Vec3(*self.attitude_integral), angles),
-            Pid(Vec3(*self.rate_integral), readings.rate),
-            self.first_thrust(craft, carrying) / craft.full_thrust,
-            setpoint,
-            0.0,
-            zero,
-            0.0,
+            velocity=Pid(self.first_velocity_integral(craft, carrying), level),
+            attitude=Pid(Vec3(*self.attitude_integral), angles),
+            rate=Pid(Vec3(*self.rate_integral), readings.rate),
+            thrust=self.first_thrust(craft, carrying) / craft.full_thrust,
+            setpoint=setpoint,
+            yaw_rate=0.0,
+            unallocated=zero,
+            bounded=0.0,
         )
 
     def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:

@@ -136,10 +136,20 @@ class Px4Gains(NamedTuple):
         zero = Vec3(0.0, 0.0, 0.0)
         gyro = () if self.gyro_cutoff is None else settled_low_pass(readings.rate, self.gyro_cutoff, self.period)
         thrust = Vec3(0.0, 0.0, self.first_thrust(craft, carrying) / craft.full_thrust)
-        held = thrust, readings.attitude, 0.0
-        integral = self.first_velocity_integral(craft, carrying)
-        rates = Vec3(*self.rate_integral)
-        return Px4State(integral, readings.velocity, zero, *held, rates, zero, gyro, readings.rate, zero, 0.0)
+        return Px4State(
+            velocity_integral=self.first_velocity_integral(craft, carrying),
+            velocity=readings.velocity,
+            acceleration=zero,
+            thrust=thrust,
+            attitude=readings.attitude,
+            yaw_rate=0.0,
+            rate_integral=Vec3(*self.rate_integral),
+            unallocated=zero,
+            gyro=gyro,
+            rate=readings.rate,
+            turning=zero,
+            bounded=0.0,
+        )
 
     def first_velocity_integral(self, craft: Craft, carrying: Scalar) -> Vec3:
         """I of the velocity loops at the start [m/s^2]; settled, it lifts the thrust of hover to the carrying one."""

@@ -210,7 +210,7 @@ def kernels_of(
     total_sum = response.gains.reshape(axes.size, -1) * factors
     upper = sums[samples - 1 :: samples] * factors
     lower = np.concatenate([sums[:1] * factors, upper[:-1]])
-    return Kernels(response, upper, lower, total_sum, constant, by_start)
+    return Kernels(response=response, upper=upper, lower=lower, total_sum=total_sum, constant=constant, starts=by_start)
 
 
 def in_cells(values: np.ndarray, samples: int) -> np.ndarray:

@@ -188,4 +188,4 @@ def sampled_channel(
             a[m + i] = unit[m + i - 1]
     a[n - 1] = q
     by_sum = t * (u + unit[n - 1])
-    return SampledChannel(a, acting, weights[0], u + share * by_sum, by_sum, q + k_1 * sigma)
+    return SampledChannel(a=a, acting=acting, direct=weights[0], u=u + share * by_sum, q=by_sum, u_av=q + k_1 * sigma)

@@ -4,7 +4,7 @@ The formulas are those of docs/vehicle_proofs.md, in their order.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dssc_jax.proofs.problem import Interval
 from dssc_jax.proofs.search.vehicle.channels import GRAVITY
@@ -204,8 +204,9 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
         largest = max(largest, earlier.largest)
     spread = (math.sqrt(largest) - math.sqrt(smallest)) / math.sqrt(k)
     total = math.sqrt(n * mass * (GRAVITY + max(at.lift, at.carried)) * at.secant / k)
+    rotors = Rotors(smallest, largest, spread, total, shortfall=0.0, defect=0.0, spin_up=0.0)
     if not problem.rotor_lag:
-        return Rotors(smallest, largest, spread, total, 0.0, 0.0, 0.0)
+        return rotors
     behind_plane = (y["x"]["behind"] + moments.plane) / GRAVITY
     shortfall = share_of_moments(problem, behind_plane, y["psi"]["behind"] + moments.yaw)
     shortfall += mass * y["z"]["behind"] * at.secant / n
@@ -217,7 +218,7 @@ def rotors_of(problem: VehicleProblem, y: Signals, at: Attitude, moments: Moment
         shortfall = max(shortfall, earlier.shortfall)
     defect = shortfall**2 / (4.0 * problem.rotor_lag * smallest)
     spin_up = n * shortfall / (2.0 * problem.rotor_lag * math.sqrt(k * smallest))
-    return Rotors(smallest, largest, spread, total, shortfall, defect, spin_up)
+    return replace(rotors, shortfall=shortfall, defect=defect, spin_up=spin_up)
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,14 @@ def observe_channel(
     columns[:m, 2:] = np.concatenate(forces_at_pieces, axis=1)
     force_column = np.append(integral(linear, force, t), np.zeros(n - m))
     return ChannelObservation(
-        step, names, rows.reshape(-1, n), direct, columns, pieces, force_column, force_within.ravel()
+        step=step,
+        names=names,
+        rows=rows.reshape(-1, n),
+        direct=direct,
+        columns=columns,
+        pieces=pieces,
+        force_column=force_column,
+        force_within=force_within.ravel(),
     )
 
 
@@ -156,12 +163,12 @@ def channel_response(
         columns = [constant_peaks(a, rows, start, np.zeros(rows.shape[0])) for start in start_offsets.T]
         offset_peaks = of_axes(np.stack(columns, axis=-1).reshape(*shape, -1), observation.names)
     return ChannelResponse(
-        observation.names,
-        tuple(linear.b),
-        gains,
-        force_peaks.reshape(shape),
-        start_peaks.reshape(*shape, 3),
-        offset_peaks,
+        names=observation.names,
+        remainders=tuple(linear.b),
+        gains=gains,
+        constant=force_peaks.reshape(shape),
+        starts=start_peaks.reshape(*shape, 3),
+        known=offset_peaks,
     )
 
 

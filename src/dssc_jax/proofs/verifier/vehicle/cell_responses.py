@@ -104,10 +104,16 @@ def cell_responses(
             peaks[-1] = np.maximum(peaks[-1], tail_peaks)
             sums = np.concatenate([direct[None], np.cumsum(effect_sums[:-1], axis=0)])
             total_sum = SUMMED * (sums[-1] + effect_sums[-1] + tail)
-            signals = [sight.signal for sight in observation.sights]
-            peak_bounds = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
+            starts, deviations, constants = [SUMMED * part for part in np.moveaxis(peaks, 2, 0)]
             return CellResponses(
-                signals, list(observation.curves), SUMMED * sums[1:], sums[:-1] / SUMMED, total_sum, *peak_bounds
+                signals=[sight.signal for sight in observation.sights],
+                remainders=list(observation.curves),
+                upper=SUMMED * sums[1:],
+                lower=sums[:-1] / SUMMED,
+                total_sum=total_sum,
+                starts=starts,
+                deviations=deviations,
+                constants=constants,
             )
     raise Rejected(f"V1: the responses of {name} decay too slowly")
 

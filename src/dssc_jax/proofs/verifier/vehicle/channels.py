@@ -227,13 +227,13 @@ def sampled_channel(
         remainder[0] = arb(-1)
     by_integral = arb_mat([[t * x] for x in [*by_command, *remainder, arb(1)]])
     return SampledChannel(
-        a,
-        arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]) + by_integral * arb(proof["share"]),
-        by_integral,
-        acting,
-        fresh,
-        equivalent,
-        sigma,
+        a=a,
+        by_command=arb_mat([[x] for x in [*by_command, *remainder, arb(0)]]) + by_integral * arb(proof["share"]),
+        by_integral=by_integral,
+        acting=acting,
+        fresh=fresh,
+        equivalent=equivalent,
+        sigma=sigma,
     )
 
 

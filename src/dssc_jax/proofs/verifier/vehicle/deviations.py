@@ -117,15 +117,15 @@ def deviations_of(
     shares = Balls({gain: abs(gains[gain] - slope).upper() for gain, slope in slopes.items()})
     share_b = (shares["mean"] + shares["k_n"]).upper()
     return Deviations(
-        distances["phi_1"].upper(),
-        distances["phi_2"].upper(),
-        distances["both"].upper(),
-        shares["mean"],
-        (shares["k_i"] + abs(arb(proof["share"])) * share_b).upper(),
-        share_b,
-        gains["k_p"].upper(),
-        gains["k_i"].upper(),
-        gains["tau_av"].upper(),
+        d_1=distances["phi_1"].upper(),
+        d_2=distances["phi_2"].upper(),
+        d_b=distances["both"].upper(),
+        share_1=shares["mean"],
+        share_2=(shares["k_i"] + abs(arb(proof["share"])) * share_b).upper(),
+        share_b=share_b,
+        k_p=gains["k_p"].upper(),
+        k_i=gains["k_i"].upper(),
+        tau_av=gains["tau_av"].upper(),
     )
 
 

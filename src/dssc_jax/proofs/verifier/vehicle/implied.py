@@ -68,13 +68,13 @@ def vehicle_of(problem: VehicleProblem, middles: Mapping[str, MiddleProof]) -> V
     """(V1) The linear channels, their responses, and the nominal flight."""
     observations = {name: observe_channel(problem, name, middles[name]) for name in CHANNELS}
     return Vehicle(
-        problem,
-        middles,
-        ranges_of(problem),
-        {name: middles[name]["drag_damping"] for name in CHANNELS},
-        observations,
-        {name: channel_responses(problem, name, observations[name]) for name in CHANNELS},
-        flight_of(problem, {name: observations[name].flight for name in CHANNELS}),
+        problem=problem,
+        middles=middles,
+        ranges=ranges_of(problem),
+        dampings={name: middles[name]["drag_damping"] for name in CHANNELS},
+        observations=observations,
+        responses={name: channel_responses(problem, name, observations[name]) for name in CHANNELS},
+        flight=flight_of(problem, {name: observations[name].flight for name in CHANNELS}),
     )
 
 

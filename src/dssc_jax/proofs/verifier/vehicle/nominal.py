@@ -121,12 +121,12 @@ def coupling_under(flight: Flight | None, bounds: Mapping[str, Mapping[str, arb]
     if flight is None:
         return None
     return Coupling(
-        (flight.bounds["x"]["alpha_gap"] + bounds["x"]["alpha"]).upper(),
-        (flight.bounds["x"]["wanted_gap"] + bounds["x"]["wanted"]).upper(),
-        (flight.bounds["z"]["lift_gap"] + bounds["z"]["wanted"]).upper(),
-        (flight.bounds["psi"]["yaw_gap"] + bounds["psi"]["e_dot"]).upper(),
-        flight.lift,
-        flight.yaw,
+        alpha=(flight.bounds["x"]["alpha_gap"] + bounds["x"]["alpha"]).upper(),
+        wanted=(flight.bounds["x"]["wanted_gap"] + bounds["x"]["wanted"]).upper(),
+        lift=(flight.bounds["z"]["lift_gap"] + bounds["z"]["wanted"]).upper(),
+        yaw=(flight.bounds["psi"]["yaw_gap"] + bounds["psi"]["e_dot"]).upper(),
+        lift_known=flight.lift,
+        yaw_known=flight.yaw,
     )
 
 

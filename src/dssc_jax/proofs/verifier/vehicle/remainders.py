@@ -225,8 +225,26 @@ def drag_of(
     z = (speed_z + wind_z).upper()
     r = (v_h * v_h + z * z).sqrt().upper()
     by_rotors = (k_p * rotors.sum / at.mass_low).upper()
-    region_h = DragRegion(speed_h, wind_h, arb(dampings["x"]), k_h, at.mass_low, at.mass_high, z, by_rotors)
-    region_z = DragRegion(speed_z, wind_z, arb(dampings["z"]), k_z, at.mass_low, at.mass_high, v_h, by_rotors)
+    region_h = DragRegion(
+        speed=speed_h,
+        wind=wind_h,
+        damping=arb(dampings["x"]),
+        drag=k_h,
+        mass_low=at.mass_low,
+        mass_high=at.mass_high,
+        across=z,
+        by_rotors=by_rotors,
+    )
+    region_z = DragRegion(
+        speed=speed_z,
+        wind=wind_z,
+        damping=arb(dampings["z"]),
+        drag=k_z,
+        mass_low=at.mass_low,
+        mass_high=at.mass_high,
+        across=v_h,
+        by_rotors=by_rotors,
+    )
     s = body.s
     tilt_drag = abs(k_h - k_z) * r / at.mass_low
     by_speeds = k_p * arm * n * rotors.difference * body.rate / (2 * at.mass_low)

@@ -158,7 +158,19 @@ def observe_channel(problem: VehicleProblem, name: str, proof: MiddleProof) -> C
         columns += [extended_column(column_block, sampled) for column_block in (*curve.points, curve.bend)]
     inputs = beside([*columns, first_columns(identity(sampled.a.nrows()), channel.order)])
     rows = stack([sight.row for sight in sights])
-    return ChannelObservation(channel, sampled, p, decay, sights, rows, curves, inputs, starts, offsets, flight)
+    return ChannelObservation(
+        channel=channel,
+        sampled=sampled,
+        p=p,
+        decay=decay,
+        sights=sights,
+        rows=rows,
+        curves=curves,
+        inputs=inputs,
+        starts=starts,
+        offsets=offsets,
+        flight=flight,
+    )
 
 
 def channel_responses(
@@ -317,13 +329,13 @@ def response_of(
     peaks = [arb(float(value)) for value in bounds.peaks[i]]
     known = known_size(sight.signal, peaks[KNOWN:])
     return SignalResponse(
-        (command + sight.direct).upper(),
-        (integral + sight.direct_integral).upper(),
-        remainders,
-        peaks[3],
-        abs(offsets[i, 3]).upper(),
-        (peaks[0], peaks[1], peaks[2]),
-        known,
+        command=(command + sight.direct).upper(),
+        integral=(integral + sight.direct_integral).upper(),
+        remainders=remainders,
+        constant=peaks[3],
+        settled_constant=abs(offsets[i, 3]).upper(),
+        starts=(peaks[0], peaks[1], peaks[2]),
+        known=known,
     )
 
 

@@ -92,7 +92,17 @@ def verify_vehicle(content: object) -> VehicleVerdict:
             return proved_verdict(certificate["problem"], certificate["proof"])
         except Rejected as rejected:
             infinite = float("inf")
-            return VehicleVerdict(False, str(rejected), {}, {}, infinite, infinite, -infinite, infinite, {})
+            return VehicleVerdict(
+                proved=False,
+                reason=str(rejected),
+                bounds={},
+                settled={},
+                tilt=infinite,
+                settled_tilt=infinite,
+                rotor_min=-infinite,
+                rotor_max=infinite,
+                slopes={},
+            )
 
 
 def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdict:
@@ -119,19 +129,22 @@ def proved_verdict(problem: VehicleProblem, proof: VehicleProof) -> VehicleVerdi
     settled = total_bounds(vehicle.flight, settled)
     gravity = vehicle.ranges.gravity
     rotors = extremes.remainders.rotors
+    nominal = {}
+    if vehicle.flight is not None:
+        nominal = {name: float_above(y["e"]) for name, y in vehicle.flight.bounds.items()}
     return VehicleVerdict(
-        True,
-        "",
-        rounded_up(largest),
-        rounded_up(settled),
-        float_above(extremes.remainders.tilt),
-        float_above((settled["x"]["alpha"] / gravity).upper()),
-        math.nextafter(float(rotors.smallest), -math.inf),
-        float_above(rotors.largest),
-        {name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
-        0.0 if cells_proof is None else cells_proof["samples"] * problem["sample_time"],
-        {} if cells_proof is None else envelope_of([total_bounds(vehicle.flight, y) for y in cells]),
-        {} if vehicle.flight is None else {name: float_above(y["e"]) for name, y in vehicle.flight.bounds.items()},
+        proved=True,
+        reason="",
+        bounds=rounded_up(largest),
+        settled=rounded_up(settled),
+        tilt=float_above(extremes.remainders.tilt),
+        settled_tilt=float_above((settled["x"]["alpha"] / gravity).upper()),
+        rotor_min=math.nextafter(float(rotors.smallest), -math.inf),
+        rotor_max=float_above(rotors.largest),
+        slopes={name: float_above(sigma_slope(name, largest, extremes).upper()) for name in CHANNELS},
+        cell=0.0 if cells_proof is None else cells_proof["samples"] * problem["sample_time"],
+        envelope={} if cells_proof is None else envelope_of([total_bounds(vehicle.flight, y) for y in cells]),
+        nominal=nominal,
     )
 
 
