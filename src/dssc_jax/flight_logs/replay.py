@@ -292,6 +292,7 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         reset_hints(study, log),
         factors,
         integrals.jumps,
+        comparison.others,
     )
     differences = comparison.differences
     dropped = dict(log.dropped)
