@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from dssc_jax.flight_logs.columns import TimeSource
+from dssc_jax.flight_logs.fit import fit_log
 from dssc_jax.flight_logs.reader import Column, FlightLog
 from dssc_jax.flight_logs.reference_clocks import shortest_number
 from dssc_jax.flight_logs.replay import replay_log
-from tests.flight_logs.test_fit import DT, linear
+from tests.flight_logs.test_fit import DT, linear, log_of, output
 
 TIME = DT * np.arange(400)
 PULSES = {"kind": "pulses", "size": 0.7, "period": 3.0, "width": 1.5, "at": 0.4}
@@ -83,3 +84,18 @@ def test_a_stretch_has_as_few_decimals_as_the_times_tell():
     assert shortest_number(1.0189, 1.0211) == 1.02
     assert shortest_number(0.96, 0.98) == 0.97
     assert shortest_number(1.02341, 1.02343) == 1.02342
+
+
+def test_a_late_reference_does_not_move_a_fit_of_logged_commands():
+    """So the hint does not ask for another start alone, which would move output and commands."""
+    random = np.random.default_rng(8)
+    u = np.repeat(random.normal(size=40), 10)
+    y = output(1.1, 0.8, u) + 0.01 * random.normal(size=400)
+    log = log_of(y, u)
+    late = log._replace(columns=log.columns | {"y_ref": Column(TIME, pulses(TIME - 0.2))})
+    study = linear(reference=PULSES)
+    assert replay_log(study, late, commands=False).hints.shifts["y_ref"] == (
+        "is the study's, 0.2 s later: if y and the command are as late, set start to 0.2 s; if not, only its topic is "
+        "late, and a fit of logged commands does not use it"
+    )
+    np.testing.assert_array_equal(fit_log(study, late).estimates, fit_log(study, log).estimates)

@@ -97,12 +97,7 @@ def compared_references(
         if text:
             comparison.conversions[name] = text
         elif shift and all(is_shifted(values, references[other, 0], shift) for other, values in logged.items()):
-            side = "later" if shift > 0 else "earlier"
-            start = log.start + shift * loop.sample_time
-            remedy = f"set start to {start:g} s"
-            if start < first_time(log.columns):
-                remedy = "the log does not begin so early: shift the study's reference, or let its record begin there"
-            comparison.shifts[name] = f"is the study's, {abs(shift) * loop.sample_time:g} s {side}: {remedy}"
+            comparison.shifts[name] = shifted_text(log, shift * loop.sample_time)
         elif not is_same_reference(values, reference):
             unexplained.append(index)
         if channel not in rates:
@@ -129,6 +124,19 @@ def compared_references(
         if text:
             comparison.others[name] = text
     return comparison
+
+
+def shifted_text(log: FlightLog, shift: float) -> str:
+    """That a logged reference is later than the study's by a time [s], or earlier, with both remedies."""
+    start = log.start + shift
+    remedy = f"set start to {start:g} s"
+    if start < first_time(log.columns):
+        remedy = "shift the study's reference, or let its record begin there, as the log does not begin so early"
+    side = "late" if shift > 0.0 else "early"
+    return (
+        f"is the study's, {abs(shift):g} s {'later' if shift > 0.0 else 'earlier'}: if y and the command are as "
+        f"{side}, {remedy}; if not, only its topic is {side}, and a fit of logged commands does not use it"
+    )
 
 
 def log_stretch(study: Study, log: FlightLog, samples: int) -> float | None:
