@@ -25,6 +25,7 @@ from dssc_jax.flight_logs.command_hints import command_hint
 from dssc_jax.flight_logs.conversions import LogHints, conversion_text, followed_conversion, rms
 from dssc_jax.flight_logs.coverage import few_samples_remedy
 from dssc_jax.flight_logs.integrals import integral_hints
+from dssc_jax.flight_logs.output_steps import is_reference
 from dssc_jax.flight_logs.reader import (
     FlightLog,
     channel_signals,
@@ -266,6 +267,10 @@ def replay_log(study: Study, log: FlightLog, commands: bool = True) -> LogReplay
         followed_text = followed_conversion(signals["y"], references[index, 0], units.output) if "y" in signals else ""
         if followed_text:
             conversions.setdefault(signal_name(channel, "y"), followed_text)
+        y_ref = signal_name(channel, "y_ref")
+        if y_ref in comparison.others and "y" in signals and is_reference(signals["y"], references[index, 0]):
+            conversions[signal_name(channel, "y")] = f"looks exchanged with {y_ref}: it is the study's reference"
+            del comparison.others[y_ref]
         if not commands:
             continue
         replay = replayed_channel(study, index, signals, references[index])
