@@ -1,5 +1,7 @@
 """Logs in another sign, unit, column or start, with times in milliseconds, or with hardly a sample: what is said."""
 
+import re
+
 import numpy as np
 import pytest
 import tomli_w
@@ -251,6 +253,8 @@ def test_a_residual_of_many_times_the_noise_is_doubted(flight):
     (doubt,) = fitted.doubts
     assert doubt.signal == "y"
     assert "times the 0.01" in doubt.text
+    (time,) = re.findall(r"largest at (\d\.?\d*) s of the study", doubt.text)
+    assert abs(np.sin(2.0 * np.pi * float(time) / 3.0)) > 0.5  # near a crest
     assert "Compare the log's columns, units, signs and start" in doubt.text
     assert fitted.summary()["warnings"] == [doubt._asdict()]
     assert fit_log(linear(), log_of(y, u)).doubts == ()
